@@ -21,7 +21,10 @@ from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import compiler, simulator
 from vpp_fmu.scratch import remove_scratch
 
-SHARE_A_LONG_RUN = ("test_fmu", "test_native", "test_native_fmu")
+SHARED = (
+    *("test_fmu", "test_native", "test_native_fmu", "test_native_calls", "test_fmi3", "test_misuse", "test_hosts", "test_loop"),
+)
+"""Files of one group: they share a long run and native FMUs."""
 
 LONGEST_FIRST = (
     *("real time", "long run", "test_paper", "test_own_rig", "test_readme", "test_api", "test_hil_campaign", "test_day"),
@@ -85,7 +88,7 @@ def pytest_collection_modifyitems(items):
     """Where tests run side by side, those in real time run one after the other; the rest of a file stays together, too."""
     groups = {}
     for item in items:
-        group = "real time" if in_real_time(item) else "long run" if item.path.stem in SHARE_A_LONG_RUN else item.path.stem
+        group = "real time" if in_real_time(item) else "long run" if item.path.stem in SHARED else item.path.stem
         item.add_marker(pytest.mark.xdist_group(group))
         groups.setdefault(group, []).append(item)
     order = [*(group for group in LONGEST_FIRST if group in groups), *groups]

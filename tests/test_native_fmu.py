@@ -20,7 +20,7 @@ import fmpy
 import numpy as np
 import pytest
 import test_fmu
-from builders import ALL_ON, PROBES, Slave, random_steps, reference
+from builders import ALL_ON, MODELS, PROBES, Slave, native, random_steps, reference
 from fmpy.build import build_platform_binary
 from fmpy.model_description import read_build_description
 
@@ -42,7 +42,6 @@ except CompilerMissing as missing:
     pytest.skip(f"native FMUs: {missing}", allow_module_level=True)
 
 zig = pytest.mark.skipif(not find_spec("ziglang"), reason="ziglang is not installed (the extra 'cross')")
-MODELS = {"plain": (BASE, {}), "all_on": (ALL_ON, PROBES), "controller": (CONTROLLER, {})}
 each_fmu = pytest.mark.parametrize("name", MODELS)
 OUTPUTS = test_fmu.OUTPUTS
 
@@ -51,8 +50,8 @@ OUTPUTS = test_fmu.OUTPUTS
 def fmu_files(tmp_path_factory):
     """Paths of native FMUs under the names that the Python flavour's tests use."""
     folder = tmp_path_factory.mktemp("native")
-    for name, (model, values) in MODELS.items():
-        (folder / f"{name}.fmu").write_bytes(native_fmu(model, values))
+    for name in MODELS:
+        (folder / f"{name}.fmu").write_bytes(native(name))
     return {name: folder / f"{name}.fmu" for name in MODELS}
 
 
@@ -160,7 +159,7 @@ def test_fmpy_compiles_it_from_its_sources(fmu_files, long_run, tmp_path, monkey
 @each_fmu
 def test_its_build_description_is_valid(name, version):
     """After FMI 3.0's schema, and after its table of a SourceFileSet: options are those of a compiler that is named."""
-    fmu = io.BytesIO(native_fmu(*MODELS[name], version=version))
+    fmu = io.BytesIO(native(name, version))
     (build,) = read_build_description(fmu)
     assert build.modelIdentifier == MODELS[name][0].name
     with zipfile.ZipFile(fmu) as packed:

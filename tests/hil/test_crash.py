@@ -27,7 +27,8 @@ ROOT = Path(__file__).parents[2]
 def begun(folder, *words):
     """`vpp hil run` in real time, in a process of its own."""
     profile = write_record(OutputFolder(folder), "step.csv", step_profile(hold=4.0))
-    command = [sys.executable, "-m", "tests.hil.quick_vpp", "hil", "run", "--profile", str(profile), "-o", str(folder / "out"), *words]
+    given = ["--profile", str(profile), "-o", str(folder / "out"), *words]
+    command = [sys.executable, "-m", "tests.hil.quick_vpp", "hil", "run", *given]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
