@@ -163,7 +163,7 @@ def test_an_fmu_built_after_another_one_ran_is_whole(fmu_files, tmp_path):
         assert in_a_new_process(code, tmp_path, TMPDIR=str(tmp_path)).split() == packed.namelist()
 
 
-@each_fmu
+@pytest.mark.parametrize("name", ["all_on"])
 def test_two_builds_have_the_same_bytes(name, tmp_path):
     model = MODELS[name]
     first = python_fmu(model)

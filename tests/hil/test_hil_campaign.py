@@ -15,11 +15,17 @@ from hil.emulator.rig import Rig as Emulated
 from hil.physics.rig_model import FULL_RIG
 from hil.rig import Rig
 from hil.safety.faults import Fault, FaultKind
+from tests.hil.quick_vpp import shorten_waits
 from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.record import Record, read_record, write_record
+
+
+@pytest.fixture(autouse=True)
+def _short_waits(monkeypatch):
+    shorten_waits(monkeypatch.setattr)
 
 
 def quiet(share):
@@ -258,7 +264,7 @@ def test_a_part_that_a_fault_ends_is_told_and_its_log_kept(tmp_path, capsys):
 
 
 def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_not(tmp_path, capsys, monkeypatch, short_steps):
-    small = ["hil", "campaign", "--virtual", *SMALL, "--points", "3", "--parts", "static", "steps", "validation"]
+    small = ["hil", "campaign", "--virtual", *SMALL, "--parts", "static", "steps", "validation"]
     whole, out = tmp_path / "whole", tmp_path / "out"
     assert main([*small, "-o", str(whole)]) == 0
     left, step = [0], Rig.step
@@ -271,7 +277,7 @@ def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_no
 
     monkeypatch.setattr(Rig, "step", cut)
     resume = []
-    for ticks, kept in ((1000, "static.partial.csv"), (5000, "steps.partial.csv"), (4000, "steps.partial.csv")):
+    for ticks, kept in ((700, "static.partial.csv"), (4000, "steps.partial.csv"), (3000, "steps.partial.csv")):
         left[0] = ticks
         assert main([*small, *resume, "-o", str(out)]) == 2
         assert "operator: interrupted" in capsys.readouterr().err
