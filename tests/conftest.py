@@ -1,6 +1,7 @@
-"""FMUs and long runs, each made once a session."""
+"""FMUs and long runs, each made once a session; which tests share a worker, and which are drawn."""
 
 import os
+import random
 import signal
 import sys
 import time
@@ -36,18 +37,32 @@ IN_VIRTUAL_TIME = ("test_day", "test_hil_campaign")
 """Files of the rig in which nothing waits for a clock."""
 
 
+SHARE = 1.0 / 3.0
+"""Of the values of a `sampled` parameter where tests run side by side. A file that runs alone tries them all."""
+
+
 def pytest_configure(config):
     """A run in the background ignores these signals, and so would every process that a test starts and stops."""
     for number in (signal.SIGINT, signal.SIGHUP):
         if signal.getsignal(number) is signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
     config.option.loadscopereorder = False  # pytest-xdist would begin with the groups of most tests
+    config.addinivalue_line("markers", "sampled(name): side by side, a third of this parameter's values is drawn at random")
 
 
 def in_real_time(item):
     """Whether a test must not share the machine with another one of its kind."""
     stem = item.path.stem
     return stem == "test_stopping" or (item.path.parent.name == "hil" and stem not in IN_VIRTUAL_TIME)
+
+
+def is_drawn(item):
+    """Whether the draw of this run, the same in each worker, contains the item's value of its `sampled` parameter."""
+    mark, run = item.get_closest_marker("sampled"), os.environ.get("PYTEST_XDIST_TESTRUNUID")
+    if not mark or not run:
+        return True
+    value = item.callspec.params[mark.args[0]]
+    return random.Random(f"{run} {getattr(value, 'name', value)}").random() < SHARE
 
 
 STALLS = pytest.StashKey[Stalls]()
@@ -78,7 +93,7 @@ def pytest_runtest_makereport(item, call):
             report.longrepr = (
                 str(item.path),
                 item.reportinfo()[1],
-                f"Skipped: it failed, and a core stood still for {1e3 * stood:.0f} ms",
+                f"Skipped: {item.name} failed, and a core stood still for {1e3 * stood:.0f} ms",
             )
     return report
 
@@ -87,7 +102,7 @@ def pytest_runtest_makereport(item, call):
 def pytest_collection_modifyitems(items):
     """Where tests run side by side, those in real time run one after the other; the rest of a file stays together, too."""
     groups = {}
-    for item in items:
+    for item in filter(is_drawn, items):
         group = "real time" if in_real_time(item) else "long run" if item.path.stem in SHARED else item.path.stem
         item.add_marker(pytest.mark.xdist_group(group))
         groups.setdefault(group, []).append(item)
@@ -140,6 +155,14 @@ def no_compiler(monkeypatch):
     yield
     for cached in caches:
         cached.cache_clear()
+
+
+def pytest_terminal_summary(terminalreporter):
+    """One line of what was not run, and why."""
+    reasons = {report.longrepr[2].removeprefix("Skipped: ") for report in terminalreporter.stats.get("skipped", ())}
+    drawn = ["two thirds of the effects in tests of each (a file that runs alone tries all)"]
+    side_by_side = bool(terminalreporter.config.getoption("numprocesses", None))
+    terminalreporter.write_line(f"not run: {'; '.join([*sorted(reasons), *drawn * side_by_side]) or 'nothing'}")
 
 
 def pytest_sessionfinish(session, exitstatus):

@@ -43,6 +43,7 @@ def test_uneven_steps_are_the_functions_to_the_bit(model, request, recwarn):
     np.testing.assert_array_equal(Simulator(model).simulate(values, inputs, UNEVEN), exact)
 
 
+@pytest.mark.sampled("effect")
 @pytest.mark.parametrize("effect", OPTIONAL)
 def test_runs_side_by_side_are_each_by_itself_to_the_bit(effect):
     """More than one bundle of them, and where their longest steps are not the same, or one delays its inputs."""
