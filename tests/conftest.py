@@ -28,8 +28,8 @@ SHARED = (
 """Files of one group: they share a long run and native FMUs."""
 
 LONGEST_FIRST = (
-    *("real time", "long run", "test_paper", "test_own_rig", "test_readme", "test_api", "test_hil_campaign", "test_day"),
-    *("test_notebooks", "test_blind_study", "test_check", "test_diagnose", "test_report", "test_emulator", "test_adjoint"),
+    *("real time", "long run", "test_diagnose", "test_readme", "test_paper", "test_api", "test_blind_study", "test_notebooks"),
+    *("test_day", "test_own_rig", "test_check", "test_learned", "test_rounding", "test_hil_campaign", "test_learned_terms"),
 )
 """Groups that take longest. Side by side they go first, so that none of them is still at work when all others are done."""
 
