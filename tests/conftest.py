@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from builders import ALL_ON, FAST_PITCH, PROBES, random_steps, reference
 
+from tests.hil.quick_vpp import shorten_waits
 from tests.stalls import Stalls
 from vpp_fmu.export import python_fmu
 from vpp_fmu.fmu import Fmu
@@ -137,9 +138,17 @@ def fmus(fmu_files):
 
 @pytest.fixture(scope="session")
 def long_run():
-    """4000 steps of 4 ms with every effect at its probe: (commands, step lengths, the functions' own outputs)."""
-    commands, steps = random_steps(4001, 100, seed=10_000, model=ALL_ON), np.full(4000, 0.004)
+    """2000 steps of 4 ms with every effect at its probe: (commands, step lengths, the functions' own outputs)."""
+    commands, steps = random_steps(2001, 100, seed=10_000, model=ALL_ON), np.full(2000, 0.004)
     return commands, steps, reference(ALL_ON, PROBES, commands, steps)
+
+
+@pytest.fixture(scope="module")
+def short_waits():
+    """Runs on the emulated rig begin sooner, in a whole file."""
+    with pytest.MonkeyPatch.context() as patch:
+        shorten_waits(patch.setattr)
+        yield
 
 
 @pytest.fixture

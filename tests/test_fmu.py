@@ -195,7 +195,7 @@ def test_it_carries_no_path_of_this_machine_and_needs_nothing_of_this_project(fm
     assert sources == 1
 
 
-def test_4000_steps_with_every_effect_are_the_kernels_to_the_bit(fmus, long_run):
+def test_2000_steps_with_every_effect_are_the_kernels_to_the_bit(fmus, long_run):
     commands, _, exact = long_run
     instance = FmuInstance(fmus["all_on"], list(commands), OUTPUTS)
     rows = np.column_stack(list(commands.values())).tolist()

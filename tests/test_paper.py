@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from studies.paper import numbers
 
-from tests.hil.quick_vpp import shorten_waits
 from tests.tables import stored, table, written
 from vpp_fmu.app.cli import main
 from vpp_fmu.app.paper.control import Merit, profile
@@ -36,11 +35,7 @@ class Quick:
         return next(test for test in self.told["step_tests"] if wanted.items() <= test.items())
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _short_waits():
-    with pytest.MonkeyPatch.context() as patch:
-        shorten_waits(patch.setattr)
-        yield
+pytestmark = pytest.mark.usefixtures("short_waits")
 
 
 @pytest.fixture(scope="module")

@@ -15,17 +15,13 @@ from hil.emulator.rig import Rig as Emulated
 from hil.physics.rig_model import FULL_RIG
 from hil.rig import Rig
 from hil.safety.faults import Fault, FaultKind
-from tests.hil.quick_vpp import shorten_waits
 from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.record import Record, read_record, write_record
 
-
-@pytest.fixture(autouse=True)
-def _short_waits(monkeypatch):
-    shorten_waits(monkeypatch.setattr)
+pytestmark = pytest.mark.usefixtures("short_waits")
 
 
 def quiet(share):
