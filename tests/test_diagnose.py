@@ -31,6 +31,7 @@ from vpp_fmu.kernel.plant import LIBRARY, plant
 from vpp_fmu.native import Simulator
 from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters, to_json
 from vpp_fmu.record import Record, read_record, write_record
+from vpp_fmu.rig import infer_rig
 
 NOISE = 0.1  # N
 CONTRACT = {
@@ -230,7 +231,8 @@ def test_a_speed_that_drifts_while_thrust_is_right_is_a_lack_of_fit():
         return record.with_columns(omega=omega + late + noise * rng.standard_normal(len(record)))
 
     records = {n: heard(getattr(campaign, n)) for n in ("open_loop", "repeat", "validation")}
-    found = diagnose(replace(campaign, **records), some("sensor_lag"), thorough=False)
+    encoder = infer_rig([records["open_loop"]], None, {"sensor": {"kind": "encoder"}})
+    found = diagnose(replace(campaign, rig=encoder, **records), some("sensor_lag"), thorough=False)
     share = drift**2 / 3.0 / (drift**2 / 3.0 + noise**2)
     assert found.before.speed == pytest.approx(share, abs=0.02)
     assert found.before.p > ALPHA_BASE  # thrust is right
