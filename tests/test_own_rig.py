@@ -31,7 +31,6 @@ COMMANDS = [shlex.split(line, comments=True) for line in re.findall(r"^\.venv/bi
 
 RIGS = {
     "rig_f": {"speed": (6666.6667, 20000.0), "pitch": (-12.0, 12.0), "period": 0.002},
-    "rig_h": {"speed": (2269.5, 5519.1), "pitch": (4.0, 4.0), "period": 0.004},
     "log": {"speed": (2230.31, 5764.29), "pitch": (0.0, 0.0), "period": 0.02},
 }
 """What the files command, and the period of their rows; the log's speeds are those of its map from throttle to speed."""
