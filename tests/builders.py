@@ -2,15 +2,18 @@
 
 import atexit
 from collections.abc import Mapping
+from functools import cache
 
 import fmpy
 import numpy as np
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackAllocateMemoryTYPE, fmi2CallbackFreeMemoryTYPE, fmi2CallbackFunctions
 from fmpy.fmi2 import fmi2CallbackLoggerTYPE as Logger
 
+from vpp_fmu.export import native_fmu
 from vpp_fmu.fmu import Fmu
 from vpp_fmu.invariants import random_steps, reference, slopes
-from vpp_fmu.kernel.plant import LIBRARY, plant
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
 from vpp_fmu.kernel.types import Effect, Model, Parameter
 from vpp_fmu.native import Simulator
 
@@ -28,6 +31,13 @@ def named(effect: Effect, values: Mapping[str, float]) -> dict[str, float]:
 
 
 PROBES = {name: value for e in OPTIONAL for name, value in named(e, e.probe).items()}
+MODELS = {"plain": (BASE, {}), "all_on": (ALL_ON, PROBES), "controller": (CONTROLLER, {})}
+
+
+@cache
+def native(name: str, version: str = "2.0") -> bytes:
+    """The native FMU of one of MODELS, compiled once a process: with every effect that takes seconds."""
+    return native_fmu(*MODELS[name], version=version)
 
 
 _simulators: dict[tuple, Simulator] = {}

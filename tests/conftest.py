@@ -1,6 +1,7 @@
-"""FMUs and long runs, each made once a session."""
+"""FMUs and long runs, each made once a session; which tests share a worker, and which are drawn."""
 
 import os
+import random
 import signal
 import sys
 import time
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from builders import ALL_ON, FAST_PITCH, PROBES, random_steps, reference
 
+from tests.hil.quick_vpp import shorten_waits
 from tests.stalls import Stalls
 from vpp_fmu.export import python_fmu
 from vpp_fmu.fmu import Fmu
@@ -21,16 +23,23 @@ from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import compiler, simulator
 from vpp_fmu.scratch import remove_scratch
 
-SHARE_A_LONG_RUN = ("test_fmu", "test_native", "test_native_fmu")
+SHARED = (
+    *("test_fmu", "test_native", "test_native_fmu", "test_native_calls", "test_fmi3", "test_misuse", "test_hosts", "test_loop"),
+)
+"""Files of one group: they share a long run and native FMUs."""
 
 LONGEST_FIRST = (
-    *("real time", "long run", "test_paper", "test_own_rig", "test_readme", "test_api", "test_hil_campaign", "test_day"),
-    *("test_notebooks", "test_blind_study", "test_check", "test_diagnose", "test_report", "test_emulator", "test_adjoint"),
+    *("real time", "long run", "test_diagnose", "test_readme", "test_paper", "test_api", "test_blind_study", "test_notebooks"),
+    *("test_day", "test_own_rig", "test_check", "test_learned", "test_rounding", "test_hil_campaign", "test_learned_terms"),
 )
 """Groups that take longest. Side by side they go first, so that none of them is still at work when all others are done."""
 
 IN_VIRTUAL_TIME = ("test_day", "test_hil_campaign")
 """Files of the rig in which nothing waits for a clock."""
+
+
+SHARE = 1.0 / 3.0
+"""Of the values of a `sampled` parameter where tests run side by side. A file that runs alone tries them all."""
 
 
 def pytest_configure(config):
@@ -39,12 +48,22 @@ def pytest_configure(config):
         if signal.getsignal(number) is signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
     config.option.loadscopereorder = False  # pytest-xdist would begin with the groups of most tests
+    config.addinivalue_line("markers", "sampled(name): side by side, a third of this parameter's values is drawn at random")
 
 
 def in_real_time(item):
     """Whether a test must not share the machine with another one of its kind."""
     stem = item.path.stem
     return stem == "test_stopping" or (item.path.parent.name == "hil" and stem not in IN_VIRTUAL_TIME)
+
+
+def is_drawn(item):
+    """Whether the draw of this run, the same in each worker, contains the item's value of its `sampled` parameter."""
+    mark, run = item.get_closest_marker("sampled"), os.environ.get("PYTEST_XDIST_TESTRUNUID")
+    if not mark or not run:
+        return True
+    value = item.callspec.params[mark.args[0]]
+    return random.Random(f"{run} {getattr(value, 'name', value)}").random() < SHARE
 
 
 STALLS = pytest.StashKey[Stalls]()
@@ -75,7 +94,7 @@ def pytest_runtest_makereport(item, call):
             report.longrepr = (
                 str(item.path),
                 item.reportinfo()[1],
-                f"Skipped: it failed, and a core stood still for {1e3 * stood:.0f} ms",
+                f"Skipped: {item.name} failed, and a core stood still for {1e3 * stood:.0f} ms",
             )
     return report
 
@@ -84,8 +103,8 @@ def pytest_runtest_makereport(item, call):
 def pytest_collection_modifyitems(items):
     """Where tests run side by side, those in real time run one after the other; the rest of a file stays together, too."""
     groups = {}
-    for item in items:
-        group = "real time" if in_real_time(item) else "long run" if item.path.stem in SHARE_A_LONG_RUN else item.path.stem
+    for item in filter(is_drawn, items):
+        group = "real time" if in_real_time(item) else "long run" if item.path.stem in SHARED else item.path.stem
         item.add_marker(pytest.mark.xdist_group(group))
         groups.setdefault(group, []).append(item)
     order = [*(group for group in LONGEST_FIRST if group in groups), *groups]
@@ -119,9 +138,17 @@ def fmus(fmu_files):
 
 @pytest.fixture(scope="session")
 def long_run():
-    """4000 steps of 4 ms with every effect at its probe: (commands, step lengths, the functions' own outputs)."""
-    commands, steps = random_steps(4001, 100, seed=10_000, model=ALL_ON), np.full(4000, 0.004)
+    """2000 steps of 4 ms with every effect at its probe: (commands, step lengths, the functions' own outputs)."""
+    commands, steps = random_steps(2001, 100, seed=10_000, model=ALL_ON), np.full(2000, 0.004)
     return commands, steps, reference(ALL_ON, PROBES, commands, steps)
+
+
+@pytest.fixture(scope="module")
+def short_waits():
+    """Runs on the emulated rig begin sooner, in a whole file."""
+    with pytest.MonkeyPatch.context() as patch:
+        shorten_waits(patch.setattr)
+        yield
 
 
 @pytest.fixture
@@ -137,6 +164,14 @@ def no_compiler(monkeypatch):
     yield
     for cached in caches:
         cached.cache_clear()
+
+
+def pytest_terminal_summary(terminalreporter):
+    """One line of what was not run, and why."""
+    reasons = {report.longrepr[2].removeprefix("Skipped: ") for report in terminalreporter.stats.get("skipped", ())}
+    drawn = ["two thirds of the effects in tests of each (a file that runs alone tries all)"]
+    side_by_side = bool(terminalreporter.config.getoption("numprocesses", None))
+    terminalreporter.write_line(f"not run: {'; '.join([*sorted(reasons), *drawn * side_by_side]) or 'nothing'}")
 
 
 def pytest_sessionfinish(session, exitstatus):

@@ -223,6 +223,7 @@ def test_bounds_hold():
     assert np.all(shown["adapted.sensor_gain.gain"][1:] >= 0.7)
 
 
+@pytest.mark.sampled("effect")
 @pytest.mark.parametrize("effect", OPTIONAL, ids=lambda e: e.name)
 def test_every_effects_plant_has_a_twin_that_starts_settled(effect):
     """Also commands that are held back, rows that are late, and forms that want short steps."""

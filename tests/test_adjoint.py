@@ -45,6 +45,7 @@ def is_the_tangents(model, values, inputs, steps, every=1):
 EACH = {"plain": (BASE, {})} | {e.name: (plant([e.name]), named(e, e.probe)) for e in OPTIONAL}
 
 
+@pytest.mark.sampled("model")
 @pytest.mark.parametrize("model", EACH)
 @pytest.mark.parametrize("step", [0.004, 0.0037])
 def test_gradient_is_the_tangents_for_each_effect(model, step):

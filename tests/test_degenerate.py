@@ -67,7 +67,7 @@ def test_of_a_record_at_rest_no_fit_is_called_poor(tmp_path):
 
 @pytest.mark.parametrize("method", ["gradient-descent", "adjoint"])
 def test_every_method_ends_with_its_files(method, tmp_path):
-    options = {"identify": ("--starts", "2", "--method", method, "--bootstrap", "3")}
+    options = {"identify": ("--starts", "1", "--method", method, "--bootstrap", "2")}
     (found,) = rows(["fixed pitch"], ("identify",), tmp_path, options)
     assert not found.fault
     told = found.outcome.partition("not ")[2].partition(";")[0].split(", ")

@@ -31,6 +31,7 @@ from vpp_fmu.kernel.plant import LIBRARY, plant
 from vpp_fmu.native import Simulator
 from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters, to_json
 from vpp_fmu.record import Record, read_record, write_record
+from vpp_fmu.rig import infer_rig
 
 NOISE = 0.1  # N
 CONTRACT = {
@@ -68,6 +69,15 @@ def example():
     return diagnose(read_campaign(example_folder()), FEW)
 
 
+BAND = {"pitch_command_deadband.half_width": 1.5}
+
+
+@pytest.fixture(scope="module")
+def banded():
+    """A rig with a dead band."""
+    return diagnose(rig(**BAND), FEW)
+
+
 @pytest.fixture(scope="module")
 def nothing_missing():
     """A rig that is the model."""
@@ -75,7 +85,7 @@ def nothing_missing():
 
 
 def test_the_only_candidate_leaves_none_to_look_at_beside_it():
-    found = diagnose(read_campaign(example_folder()), some("pitch_command_deadband"))
+    found = diagnose(rig(**BAND), some("pitch_command_deadband"))
     assert (found.verdict, found.final.effects) == ("attributed", ("pitch_command_deadband",))
 
 
@@ -192,12 +202,9 @@ def test_nothing_is_added_where_nothing_is_missing(nothing_missing, tmp_path):
     assert "Nothing is missing" in diagnosis_page(nothing_missing).html()
 
 
-@pytest.mark.parametrize(
-    "missing", [{"pitch_backlash.half_gap": 0.3}, {"pitch_rate_limit.rate": 12.0}, {"speed_asymmetry.asymmetry": 0.3}]
-)
-def test_what_no_name_takes_up_is_a_lack_of_fit(missing):
+def test_what_no_name_takes_up_is_a_lack_of_fit():
     """And is learned, if at all, in its place, to the good of a record that no fit saw."""
-    found = diagnose(rig(**missing), some("sensor_drift"))
+    found = diagnose(rig(**{"pitch_rate_limit.rate": 12.0}), some("sensor_drift"))
     assert found.verdict in ("unexplained", "learned")
     assert found.before.significant
     assert found.before.score.gain > 10.0
@@ -213,10 +220,9 @@ def map_at(omega, beta):
     return design(omega, beta, values) @ [values[n] for n in TERMS] * values["thrust_scale"]
 
 
-@pytest.mark.parametrize("drift", [0.0, 30.0])
-def test_a_speed_that_drifts_while_thrust_is_right_is_a_lack_of_fit(drift):
+def test_a_speed_that_drifts_while_thrust_is_right_is_a_lack_of_fit():
     """rpm, in proportion to time: of a mean square D^2 / 3 beside noise of 5 rpm, which the parameters can take nothing of."""
-    campaign, rng, noise = rig(), np.random.default_rng(5), 5.0
+    campaign, rng, noise, drift = rig(), np.random.default_rng(5), 5.0, 30.0
 
     def heard(record):
         model = plant(())
@@ -225,17 +231,18 @@ def test_a_speed_that_drifts_while_thrust_is_right_is_a_lack_of_fit(drift):
         return record.with_columns(omega=omega + late + noise * rng.standard_normal(len(record)))
 
     records = {n: heard(getattr(campaign, n)) for n in ("open_loop", "repeat", "validation")}
-    found = diagnose(replace(campaign, **records), some("sensor_lag"), thorough=False)
+    encoder = infer_rig([records["open_loop"]], None, {"sensor": {"kind": "encoder"}})
+    found = diagnose(replace(campaign, rig=encoder, **records), some("sensor_lag"), thorough=False)
     share = drift**2 / 3.0 / (drift**2 / 3.0 + noise**2)
     assert found.before.speed == pytest.approx(share, abs=0.02)
     assert found.before.p > ALPHA_BASE  # thrust is right
-    assert (found.verdict, found.before.speed_lack_of_fit) == (("unexplained", True) if drift else ("none", False))
-    if drift:  # N: the slope of the map in speed, by differences of the thrust itself at rest
-        y = Simulator(plant(())).simulate(plant(()).values(TRUTH), records["open_loop"].columns, records["open_loop"].steps)
-        steady, change = ({"omega": y[:, 1] * factor, "beta": y[:, 2]} for factor in (1.0, 1.001))
-        slope = (map_at(**change) - map_at(**steady)) / (0.001 * y[:, 1])
-        late = drift * np.linspace(0.0, 1.0, len(y))
-        assert found.before.thrust_equivalent == pytest.approx(np.sqrt(np.mean((slope * late) ** 2)), rel=0.1)
+    assert (found.verdict, found.before.speed_lack_of_fit) == ("unexplained", True)
+    # N: the slope of the map in speed, by differences of the thrust itself at rest
+    y = Simulator(plant(())).simulate(plant(()).values(TRUTH), records["open_loop"].columns, records["open_loop"].steps)
+    steady, change = ({"omega": y[:, 1] * factor, "beta": y[:, 2]} for factor in (1.0, 1.001))
+    slope = (map_at(**change) - map_at(**steady)) / (0.001 * y[:, 1])
+    late = drift * np.linspace(0.0, 1.0, len(y))
+    assert found.before.thrust_equivalent == pytest.approx(np.sqrt(np.mean((slope * late) ** 2)), rel=0.1)
 
 
 def test_one_record_is_enough_and_all_of_it_is_used():
@@ -334,21 +341,21 @@ def test_no_guess_is_made_where_nothing_is_missing(nothing_missing, example):
     assert summary(example)["best_guess"] is None
 
 
-def test_a_spent_budget_ends_the_search_after_its_first_round_and_says_what_was_not_tried(example):
-    found = diagnose(read_campaign(example_folder()), FEW, budget=0.0)
-    assert found.final.effects == example.final.effects == ("pitch_command_deadband",)
+def test_a_spent_budget_ends_the_search_after_its_first_round_and_says_what_was_not_tried(banded):
+    found = diagnose(rig(**BAND), FEW, budget=0.0)
+    assert found.final.effects == banded.final.effects == ("pitch_command_deadband",)
     assert summary(found)["not_tried"] == ["a further effect + pitch_command_deadband"]
     assert "a further effect + pitch_command_deadband" in diagnosis_page(found).html()
-    assert summary(example)["not_tried"] == []
+    assert summary(banded)["not_tried"] == []
 
 
-def test_the_validation_record_moves_nothing(example):
+def test_the_validation_record_moves_nothing(banded):
     """With another thrust in it everything is found as before."""
-    campaign = read_campaign(example_folder())
+    campaign = rig(**BAND)
     other = campaign.validation.with_columns(thrust=1.2 * campaign.validation["thrust"])
     found = diagnose(replace(campaign, validation=other), FEW)
-    assert found.selection.final.values == example.selection.final.values
-    assert found.selection.judgements == example.selection.judgements
+    assert found.selection.final.values == banded.selection.final.values
+    assert found.selection.judgements == banded.selection.judgements
 
 
 def test_a_repeat_alone_is_diagnosed_as_the_record_it_would_repeat():

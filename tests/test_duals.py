@@ -35,6 +35,7 @@ def commands(model):
     return {name: np.asarray(column) for name, column in random_steps(ROWS, 50, model=model).items()}
 
 
+@pytest.mark.sampled("effect")
 @pytest.mark.parametrize("effect", [e for e in OPTIONAL if not e.delays], ids=lambda e: e.name)
 def test_every_effect_has_the_tracers_tangents(effect):
     model, names = plant([effect.name]), [p.name for p in plant([effect.name]).parameters]

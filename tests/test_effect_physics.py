@@ -64,6 +64,7 @@ def filtered(numerator, denominator, signal, time):
 # --- What holds for every form ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled("effect")
 @pytest.mark.parametrize(("effect", "form"), FORMS)
 @pytest.mark.parametrize("dt", [1e-6, STEP, 0.05])
 def test_every_form_is_off_to_the_bit(effect, form, dt):
@@ -76,6 +77,7 @@ def test_every_form_is_off_to_the_bit(effect, form, dt):
         np.testing.assert_array_equal(reference(model, values | taus, inputs, steps), without)
 
 
+@pytest.mark.sampled("effect")
 @pytest.mark.parametrize(("effect", "form"), FORMS)
 def test_every_form_is_the_same_in_c_and_python_and_from_any_communication_step(effect, form):
     model, values = plant([effect.name]), named(effect, {**effect.probe, **form})
@@ -92,6 +94,7 @@ def test_every_form_is_the_same_in_c_and_python_and_from_any_communication_step(
 WARMING = {"thrust_gain_drift", "sensor_drift", "rotor_vibration"}
 
 
+@pytest.mark.sampled("effect")
 @pytest.mark.parametrize(("effect", "form"), [p for p in FORMS if p.values[0].name not in WARMING])
 def test_from_a_settled_start_nothing_moves(effect, form):
     model, values = plant([effect.name]), named(effect, {**effect.probe, **form})

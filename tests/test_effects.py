@@ -4,7 +4,7 @@ from functools import reduce
 
 import numpy as np
 import pytest
-from builders import OPTIONAL, named, random_steps, reference, simulator, slopes
+from builders import OPTIONAL, PROBES, named, random_steps, reference, simulator, slopes
 from scipy.signal import lsim
 
 from vpp_fmu.export import python_fmu
@@ -16,6 +16,7 @@ from vpp_fmu.units import base_unit
 
 STEP = 0.004
 each_effect = pytest.mark.parametrize("effect", OPTIONAL, ids=lambda e: e.name)
+sampled = pytest.mark.sampled("effect")
 
 
 def test_the_library_has_effects():
@@ -56,6 +57,7 @@ def test_what_it_contains_is_a_special_case_of_it(effect):
         assert np.abs(wider - shown)[:, 0].max() < 0.02 * np.abs(shown - without)[:, 0].max()
 
 
+@sampled
 @each_effect
 @pytest.mark.parametrize("dt", [0.001, 0.002, STEP, 0.0073, 0.05])
 def test_off_is_the_model_without_it_to_the_bit(effect, dt):
@@ -67,6 +69,7 @@ def test_off_is_the_model_without_it_to_the_bit(effect, dt):
         np.testing.assert_array_equal(simulator(model).simulate(values, inputs, steps), without)
 
 
+@sampled
 @each_effect
 def test_c_is_python_to_the_bit(effect):
     model, values = plant([effect.name]), named(effect, effect.probe)
@@ -76,6 +79,7 @@ def test_c_is_python_to_the_bit(effect):
     assert np.isfinite(shown).all()
 
 
+@sampled
 @each_effect
 def test_the_probe_shows(effect):
     model = plant([effect.name])
@@ -86,6 +90,7 @@ def test_the_probe_shows(effect):
     assert (moved > [0.03, 3.0, 0.03]).any(), f"thrust, omega, beta differ by no more than {moved} N, rpm, deg"
 
 
+@sampled
 @each_effect
 @pytest.mark.parametrize("dt", [1e-6, STEP, 0.05])
 def test_at_every_bound_the_numbers_are_finite_and_c_is_python(effect, dt):
@@ -100,10 +105,12 @@ def test_at_every_bound_the_numbers_are_finite_and_c_is_python(effect, dt):
             assert np.isfinite(shown).all(), values
 
 
-@pytest.mark.parametrize("effects", [(), *((e,) for e in OPTIONAL), OPTIONAL], ids=lambda e: "+".join(x.name for x in e)[:40])
+@pytest.mark.sampled("effects")
+@pytest.mark.parametrize("effects", ["", *(e.name for e in OPTIONAL), " ".join(e.name for e in OPTIONAL)], ids=lambda e: e[:40])
 def test_the_communication_step_does_not_matter(effects):
     """Commands over the whole range on a grid of 8 ms, some changing every time, seen from 1, 2, 4 and 8 ms."""
-    model, values = plant(e.name for e in effects), {k: v for e in effects for k, v in named(e, e.probe).items()}
+    model = plant(effects.split())
+    values = {name: value for name, value in PROBES.items() if name.partition(".")[0] in model.optional}
     slow, fast = random_steps(2000, 150, model=model), random_steps(200, 1, model=model)
     coarse = {name: np.r_[slow[name], fast[name]] for name in slow}
     at_8_ms = simulator(model).simulate(values, coarse, np.full(2199, 0.008))
@@ -113,6 +120,7 @@ def test_the_communication_step_does_not_matter(effects):
         np.testing.assert_allclose(shown[:, 0], at_8_ms[:, 0], rtol=0, atol=1e-3)
 
 
+@sampled
 @each_effect
 @pytest.mark.parametrize("step", [STEP, 0.0037])
 def test_tangents_are_central_differences_away_from_kinks(effect, step):

@@ -198,11 +198,12 @@ def test_a_pair_is_as_detectable_as_its_fainter_effect():
     assert case.evidence(record) == pytest.approx(alone[0], rel=0.3)
 
 
-def test_three_rigs_are_identified_as_well_as_their_bound_allows():
-    distance = [rigs.trials(name, rate, [7]).distance[0, 0] for name, rate in rigs.RATES.items()]
-    # Squared errors in the metric of the bound are chi-square: nine parameters, three rigs.
-    assert chi2.sf(sum(distance), 27) > 1e-3
-    assert chi2.cdf(sum(distance), 27) > 1e-3
+def test_a_rig_is_identified_as_well_as_its_bound_allows():
+    """The first of the three sizes of the study."""
+    distance = rigs.trials(*next(iter(rigs.RATES.items())), [7]).distance[0, 0]
+    # Squared errors in the metric of the bound are chi-square: nine parameters.
+    assert chi2.sf(distance, 9) > 1e-3
+    assert chi2.cdf(distance, 9) > 1e-3
 
 
 ROW = {"kind": "single", "hidden": ["pitch_backlash"], "verdict": "attributed", "effects": ["pitch_backlash"], "family": {}}

@@ -9,7 +9,7 @@ from studies import fuzz
 from vpp_fmu.app.cli import VERBS
 
 QUICK = ("compare", "import", "effects")
-RUNS = 40
+RUNS = 20
 
 
 @pytest.fixture(scope="module")

@@ -3,14 +3,13 @@
 import sys
 
 import pytest
+from builders import MODELS, native
 
 from tests.interop import hosts
 from vpp_fmu.app.cli import main
 from vpp_fmu.errors import CompilerMissing
-from vpp_fmu.export import native_fmu, python_fmu
+from vpp_fmu.export import python_fmu
 from vpp_fmu.fmu import Fmu
-from vpp_fmu.kernel.controller import CONTROLLER
-from vpp_fmu.kernel.plant import BASE
 
 
 @pytest.fixture(scope="module")
@@ -23,26 +22,26 @@ def host(tmp_path_factory):
         pytest.skip(f"no host: {missing}")
 
 
-@pytest.mark.parametrize("model", [BASE, CONTROLLER], ids=["plant", "controller"])
-def test_the_readmes_three_lines_bring_python_into_a_host_in_c(host, model, tmp_path):
+@pytest.mark.parametrize("name", ["plain", "controller"])
+def test_the_readmes_three_lines_bring_python_into_a_host_in_c(host, name, tmp_path):
     """Without them the Python FMU can't be loaded; with them it gives the native one's numbers to the last bit."""
     shown = {}
-    for flavour, make in (("python", python_fmu), ("native", native_fmu)):
-        (tmp_path / f"{flavour}.fmu").write_bytes(make(model))
+    for flavour, content in (("python", python_fmu(*MODELS[name])), ("native", native(name))):
+        (tmp_path / f"{flavour}.fmu").write_bytes(content)
         shown[flavour] = Fmu(tmp_path / f"{flavour}.fmu")
     refused = hosts.in_c(host, shown["python"])
     assert refused.returncode == 2
     assert "undefined symbol: _Py_" in refused.stderr
-    native = hosts.in_c(host, shown["native"])
-    assert (native.returncode, native.stderr) == (0, "")
-    assert any(float(x) for x in native.stdout.split())
+    compiled = hosts.in_c(host, shown["native"])
+    assert (compiled.returncode, compiled.stderr) == (0, "")
+    assert any(float(x) for x in compiled.stdout.split())
     lines = hosts.three_lines()
     assert len(lines.splitlines()) == 3
     if lacks := hosts.no_libpython():
         pytest.skip(lacks)
     python = hosts.in_c(host, shown["python"], lines)
     assert (python.returncode, python.stderr) == (0, "")
-    assert python.stdout == native.stdout
+    assert python.stdout == compiled.stdout
 
 
 @pytest.mark.parametrize(("flavour", "points"), [("python", True), ("native", False), ("both", False)])

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from builders import FAST_PITCH
+from builders import FAST_PITCH, native
 
 from vpp_fmu.errors import CompilerMissing, SimulationFailed
 from vpp_fmu.export import native_fmu
 from vpp_fmu.fmu import FmuInstance
-from vpp_fmu.kernel.controller import CONTROLLER, SPEED_ONLY
+from vpp_fmu.kernel.controller import SPEED_ONLY
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.loop import run
 from vpp_fmu.plants import FmuController, FmuPlant, KernelController, KernelPlant, Sample
@@ -166,7 +166,7 @@ def native_files(tmp_path_factory):
     """Native FMUs of the pair."""
     folder = tmp_path_factory.mktemp("native")
     try:
-        files = {"plant": native_fmu(BASE, FAST_PITCH), "controller": native_fmu(CONTROLLER)}
+        files = {"plant": native_fmu(BASE, FAST_PITCH), "controller": native("controller")}
     except CompilerMissing as missing:
         pytest.skip(f"native FMUs: {missing}")
     for name, content in files.items():

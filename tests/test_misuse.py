@@ -2,15 +2,11 @@
 
 import misuse
 import pytest
-from builders import ALL_ON, PROBES
+from builders import MODELS, native
 
 from vpp_fmu.errors import CompilerMissing
-from vpp_fmu.export import native_fmu, python_fmu
-from vpp_fmu.kernel.controller import CONTROLLER
-from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.export import python_fmu
 from vpp_fmu.native.compiler import compiler
-
-MODELS = {"plain": (BASE, {}), "all_on": (ALL_ON, PROBES), "controller": (CONTROLLER, {})}
 
 
 @pytest.fixture(scope="module")
@@ -21,10 +17,10 @@ def found(tmp_path_factory):
     except CompilerMissing as missing:
         pytest.skip(f"native FMUs: {missing}")
     folder, outcomes = tmp_path_factory.mktemp("misuse"), {}
-    for flavour, make in (("native", native_fmu), ("python", python_fmu)):
+    for flavour, make in (("native", native), ("python", lambda name: python_fmu(*MODELS[name]))):
         paths = {name: folder / f"{name}.{flavour}.fmu" for name in MODELS}
         for name, path in paths.items():
-            path.write_bytes(make(*MODELS[name]))
+            path.write_bytes(make(name))
         outcomes[flavour] = misuse.outcomes(paths)
     return outcomes
 

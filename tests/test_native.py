@@ -16,19 +16,19 @@ from vpp_fmu.native import Simulator, compiler
 from vpp_fmu.native import simulator as simulators
 
 PITCH, SPEED = "pitch_delay.delay", "test_speed_delay.delay"
-UNEVEN = np.random.default_rng(4).choice([1e-4, 0.0013, 0.004, 0.0047, 0.031], 2000)
+UNEVEN = np.random.default_rng(4).choice([1e-4, 0.0013, 0.004, 0.0047, 0.031], 1000)
 MODELS = {"plain": (BASE, {}), "all on": (ALL_ON, PROBES), "two delays": (TWO_DELAYS, {PITCH: 0.0413, SPEED: 0.0087})}
 LATE = {"reading_delay": "delay", "speed_reading_delay": "delay", "row_clock": "age"}
 
 
-def test_4000_compiled_steps_are_the_functions_to_the_bit(long_run):
+def test_2000_compiled_steps_are_the_functions_to_the_bit(long_run):
     commands, steps, exact = long_run
     np.testing.assert_array_equal(simulator(ALL_ON).simulate(PROBES, commands, steps), exact)
     assert np.isfinite(exact).all()
-    assert np.ptp(exact, axis=0).min() > 5.0
+    assert np.ptp(exact, axis=0).min() > 3.0
 
 
-def test_4000_generated_steps_are_the_functions_to_the_bit(long_run, no_compiler, recwarn):
+def test_2000_generated_steps_are_the_functions_to_the_bit(long_run, no_compiler, recwarn):
     commands, steps, exact = long_run
     np.testing.assert_array_equal(Simulator(ALL_ON).simulate(PROBES, commands, steps), exact)
 
@@ -36,13 +36,14 @@ def test_4000_generated_steps_are_the_functions_to_the_bit(long_run, no_compiler
 @pytest.mark.parametrize("model", MODELS)
 def test_uneven_steps_are_the_functions_to_the_bit(model, request, recwarn):
     model, values = MODELS[model]
-    inputs = random_steps(2001, 60, model=model)
+    inputs = random_steps(1001, 60, model=model)
     exact = reference(model, values, inputs, UNEVEN)
     np.testing.assert_array_equal(Simulator(model).simulate(values, inputs, UNEVEN), exact)
     request.getfixturevalue("no_compiler")
     np.testing.assert_array_equal(Simulator(model).simulate(values, inputs, UNEVEN), exact)
 
 
+@pytest.mark.sampled("effect")
 @pytest.mark.parametrize("effect", OPTIONAL)
 def test_runs_side_by_side_are_each_by_itself_to_the_bit(effect):
     """More than one bundle of them, and where their longest steps are not the same, or one delays its inputs."""
@@ -65,9 +66,9 @@ def test_pieces_are_the_whole(compiler, request, recwarn):
     model, wrt = plant(["pitch_delay", "pitch_backlash"]), ("tau_beta_1", "pitch_delay.delay")
     inputs, values = random_steps(1001, 60, model=model), {"pitch_delay.delay": 0.0413, "pitch_backlash.half_gap": 0.3}
     simulator = Simulator(model, wrt)
-    whole = simulator.sensitivities(values, inputs, UNEVEN[:1000])
+    whole = simulator.sensitivities(values, inputs, UNEVEN)
     for rows in (1, 7, 250, 1000, 1001, 5000):
-        parts = [(y.copy(), d.copy()) for _, y, d in simulator.pieces(values, inputs, UNEVEN[:1000], rows=rows)]
+        parts = [(y.copy(), d.copy()) for _, y, d in simulator.pieces(values, inputs, UNEVEN, rows=rows)]
         for one, together in zip(whole, zip(*parts, strict=True), strict=True):
             np.testing.assert_array_equal(np.concatenate(together), one)
 
@@ -75,7 +76,7 @@ def test_pieces_are_the_whole(compiler, request, recwarn):
 @pytest.mark.parametrize("late", [0.0, 0.3])
 def test_derivatives_of_chosen_outputs_are_those_of_all(late):
     model, wrt = plant(["pitch_backlash"]), ("tau_beta_1", "c20")
-    run = {"pitch_backlash.half_gap": 0.3}, random_steps(1001, 60, model=model), UNEVEN[:1000], late
+    run = {"pitch_backlash.half_gap": 0.3}, random_steps(1001, 60, model=model), UNEVEN, late
     made = Simulator(model, wrt)
     shown, tangents = made.sensitivities(*run)
     chosen = {i: np.empty((1001, 2)) for i in (2, 0)}
@@ -124,8 +125,8 @@ def test_sensitivities_with_all_effects_on_are_central_differences(without):
     values = {name: value for name, value in {**PROBES, PITCH: 0.0413}.items() if name in model.values()}
     inputs, steps = random_steps(2001, 150, model=model), np.full(2000, 0.004)
     own = [f"{e.name}.{LATE[e.name]}" for e in left if e.name in LATE]
-    wrt = [p.name for p in BASE.parameters] + own + [name for _, name in model.delays]
-    assert len(wrt) == len(BASE.parameters) + (2 if without == "late readings" else 3)
+    wrt = [p.name for p in BASE.parameters][::3] + own + [name for _, name in model.delays]  # all compile for long
+    assert len(own) + len(model.delays) == (2 if without == "late readings" else 3)
     shares = off_by(model, values, inputs, steps, wrt)
     assert max(shares.values()) < 3e-3, shares
 

@@ -250,7 +250,7 @@ def test_derivatives_at_the_start_are_differences(fmus, name):
 @pytest.mark.parametrize("name", ["plain", "all_on"])
 def test_derivatives_at_communication_points_are_the_simulators(fmus, name):
     model, values = MODELS[name]
-    wrt = tuple(p.name for p in model.parameters)
+    wrt = tuple(p.name for p in model.parameters)[:: 1 if name == "plain" else 7]  # all take half a minute to compile
     inputs, steps = random_steps(400, 40, model=model), np.full(399, 0.0037)
     exact = simulator(model, wrt).sensitivities(values, inputs, steps)[1]
     slave = Slave(fmus[name], initialised=False)
@@ -364,7 +364,7 @@ def test_threads_with_instances_of_their_own_do_not_mix(fmus):
         assert shown[i] == exact[-1].tolist()
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", ["plain", "controller"])
 def test_no_sequence_of_calls_crashes_it(name, tmp_path):
     program, _ = fuzzer(tmp_path, *MODELS[name], "2.0")  # where there are no sanitizers, a crash still shows
     for seed in (1, 2, 3):

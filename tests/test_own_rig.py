@@ -30,9 +30,7 @@ README = (Path(__file__).parents[1] / "README.md").read_text()
 COMMANDS = [shlex.split(line, comments=True) for line in re.findall(r"^\.venv/bin/vpp (.*)$", README, flags=re.M)]
 
 RIGS = {
-    "rig_e": {"speed": (833.33333, 2500.0), "pitch": (0.0, 25.0), "period": 0.008},
     "rig_f": {"speed": (6666.6667, 20000.0), "pitch": (-12.0, 12.0), "period": 0.002},
-    "rig_h": {"speed": (2269.5, 5519.1), "pitch": (4.0, 4.0), "period": 0.004},
     "log": {"speed": (2230.31, 5764.29), "pitch": (0.0, 0.0), "period": 0.02},
 }
 """What the files command, and the period of their rows; the log's speeds are those of its map from throttle to speed."""
@@ -44,7 +42,7 @@ SHORTER = {
 }
 """Options that only save time."""
 
-BEYOND_THE_EMULATOR = {"rig_e", "rig_f"}
+BEYOND_THE_EMULATOR = {"rig_f"}
 
 
 @pytest.fixture(scope="module", params=RIGS)

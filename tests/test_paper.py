@@ -35,6 +35,9 @@ class Quick:
         return next(test for test in self.told["step_tests"] if wanted.items() <= test.items())
 
 
+pytestmark = pytest.mark.usefixtures("short_waits")
+
+
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory, request):
     out = tmp_path_factory.mktemp("paper")

@@ -162,6 +162,9 @@ def _of_designs(title: str) -> dict:
     }
 
 
+FIGURES = figures()
+
+
 def page() -> Page:
     report = Page("A rig", "It errs by 0.4 N.\n\nNoise: 0.3 N.")
     report.tiles([("Error", "0.40 N", "unseen record"), ("Parameters", 9, "")])
@@ -258,9 +261,9 @@ def test_numbers_stand_flush_right_and_texts_left():
     assert '<td class="number">0.5</td>' in html
 
 
-@pytest.mark.parametrize("name", figures())
+@pytest.mark.parametrize("name", FIGURES)
 def test_every_axis_names_its_quantity_and_unit(name):
-    layout = figures()[name].layout
+    layout = FIGURES[name].layout
     axes = []
     for key, value in layout.to_plotly_json().items():
         if re.fullmatch(r"[xy]axis\d*", key):
@@ -270,9 +273,9 @@ def test_every_axis_names_its_quantity_and_unit(name):
         assert re.search(r"\w.*\[.+\]$", axis["title"]["text"].replace("<br>", " "))
 
 
-@pytest.mark.parametrize("name", figures())
+@pytest.mark.parametrize("name", FIGURES)
 def test_every_figure_has_its_title_and_height(name):
-    fig = figures()[name]
+    fig = FIGURES[name]
     assert "The message" in fig.layout.title.text
     assert fig.layout.height > 200
 
@@ -392,13 +395,13 @@ def test_an_effects_parameter_is_folded_between_their_names():
 
 @pytest.mark.parametrize("name", ["correlations", "spectrum", "curve", "stacked"])
 def test_before_and_after_keep_their_colours(name):
-    colours = {t.name: t.line.color for t in figures()[name].data if t.name in ("before", "after", "measured")}
+    colours = {t.name: t.line.color for t in FIGURES[name].data if t.name in ("before", "after", "measured")}
     assert (colours["before"], colours["after"]) == (BEFORE, AFTER)
     assert colours.get("measured", MEASURED) == MEASURED
 
 
 def test_one_legend_entry_a_line_and_one_for_the_band_over_all_panels():
-    fig = figures()["correlations"]
+    fig = FIGURES["correlations"]
     assert [t.name for t in fig.data if t.showlegend] == ["before", "after"]
     assert [shape.showlegend for shape in fig.layout.shapes] == [True, False]
     assert [shape.y1 for shape in fig.layout.shapes] == [0.05, 0.05]
@@ -406,7 +409,7 @@ def test_one_legend_entry_a_line_and_one_for_the_band_over_all_panels():
 
 
 def test_candidates_are_ranked_and_say_at_which_gate_they_failed():
-    fig = figures()["evidence"]
+    fig = FIGURES["evidence"]
     assert fig.layout.yaxis.categoryarray[-1] == "pitch_command_deadband"  # plotly draws the last on top
     assert fig.layout.yaxis.categoryarray[0] == "sensor_gain"
     bars = {trace.name: trace for trace in fig.data}
@@ -418,13 +421,13 @@ def test_candidates_are_ranked_and_say_at_which_gate_they_failed():
 
 
 def test_no_reason_runs_out_of_the_figure():
-    low, high = figures()["evidence"].layout.xaxis.range
+    low, high = FIGURES["evidence"].layout.xaxis.range
     assert low == 0.0
     assert high >= 2.0 * np.log10(5000.0)
 
 
 def test_moves_that_reverse_are_told_from_those_that_go_on():
-    fig = figures()["moves"]
+    fig = FIGURES["moves"]
     points = {trace.name: trace for trace in fig.data}
     assert set(points) == {f"{name}, {kind}" for name in ("before", "after") for kind in ("onwards", "reversed")}
     assert points["before, onwards"].x.max() <= 0.0 < points["before, reversed"].x.min()
@@ -433,7 +436,7 @@ def test_moves_that_reverse_are_told_from_those_that_go_on():
 
 
 def test_each_pair_is_shown_once_and_only_what_is_close_has_a_number():
-    trace = figures()["overlap"].data[0]
+    trace = FIGURES["overlap"].data[0]
     assert np.isfinite(trace.z).sum() == 3
     assert trace.z[0][0] == 0.95
     assert sorted(text for row in trace.text for text in row) == ["", "", "", "0.95"]

@@ -79,7 +79,7 @@ def test_only_readings_of_thrust_and_speed_are_left_out():
 def campaigns(tmp_path_factory):
     """Open loop and validation in motion or settled, by name; and step runs, the second of which begins in motion."""
     found = {}
-    for name, since in {"settled": (0.0, 0.0), "fitted": (0.1, 0.0), "unseen": (0.0, 0.1), "both": (0.2, 0.2)}.items():
+    for name, since in {"settled": (0.0, 0.0), "unseen": (0.0, 0.1), "both": (0.2, 0.2)}.items():
         folder = OutputFolder(tmp_path_factory.mktemp(name))
         for seed, (kind, s) in enumerate(zip(("open_loop", "validation"), since, strict=True), start=1):
             write_record(folder, f"{kind}.csv", cut(seed, s)[0])
@@ -89,8 +89,6 @@ def campaigns(tmp_path_factory):
 
 IN_MOTION = {
     "settled": [],
-    "fitted": ["open_loop.csv"],
-    "unseen": ["validation.csv"],
     "both": ["open_loop.csv", "validation.csv"],
 }
 

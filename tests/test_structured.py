@@ -130,7 +130,7 @@ TOML = {
     "nested tables": ("x" + ".x" * 60 + " = 1", f"more than {DEEPEST} deep"),
     "nested by its header": ("[x" + ".x" * 60 + "]", f"more than {DEEPEST} deep"),
     "a long key": ("x" + ".x" * LONGEST_LINE + " = 1", f"{LONGEST_LINE} at most"),
-    "many long keys": ("\n".join(f"[k{k}]\nx{'.x' * 2000} = 1" for k in range(31)), f"more than {DEEPEST} deep"),
+    "many long keys": ("\n".join(f"[k{k}]\nx{'.x' * 2000} = 1" for k in range(4)), f"more than {DEEPEST} deep"),
     "twice": ("x = 1\nx = 2", "no TOML (Cannot overwrite a value"),
     "huge": ("x = 1\n" * LARGEST_TOML, f"{LARGEST_TOML} at most"),
     "a whole number that is too long": (f"x = {'9' * 4090}\n", "expected finite numbers"),

@@ -19,24 +19,19 @@ from pathlib import Path
 
 import numpy as np
 
-from hil import rig
 from hil.calibration import read_calibration
 from hil.emulator import pwm_tree
 from hil.emulator.rig import Rig as Emulated
 from hil.run import ON_ALARM, run_on_rig
-from hil.safety import polarity
 from hil.safety.limits import Limits
 from hil.session import Setup
 from hil.twin.band import Band
 from hil.twin.twin import Twin
+from tests.hil.quick_vpp import shorten_waits
 from tests.hil.stubborn import stubborn
 from vpp_fmu.errors import VppError
 from vpp_fmu.plants import FmuController, KernelController, KernelPlant
 from vpp_fmu.record import Record
-
-# The waits before a run, shortened: fifty faults are to be tried.
-polarity.SETTLE, polarity.AVERAGE = 0.8, 0.5
-rig.REST, rig.TARE_SAMPLES, rig.SETTLE = 0.3, 250, 0.5
 
 CALIBRATION = Path(__file__).parents[2] / "hil" / "emulator" / "calibration.json"
 WRONG = json.loads(sys.argv[1]).get("wrong")
@@ -138,4 +133,5 @@ def main(task):
 
 
 if __name__ == "__main__":
+    shorten_waits()  # fifty faults are to be tried
     main(json.loads(sys.argv[1]))

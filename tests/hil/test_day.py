@@ -15,6 +15,7 @@ from hil.twin.band import read_band
 from identification.assessment.prediction import predict
 from identification.tune.learn import learn
 from identification.tune.profile import rig_profile
+from tests.hil.quick_vpp import shorten_waits
 from vpp_fmu.app.cli import hil as hil_verb
 from vpp_fmu.app.cli import main
 from vpp_fmu.app.day import day as days
@@ -125,7 +126,9 @@ def told(tmp_path_factory):
 
 
 def test_a_day_leaves_its_rounds_and_goes_on_with_what_flies(told, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(flight, "MISSION", 30.0)
+    shorten_waits(monkeypatch.setattr)
+    monkeypatch.setattr(flight, "MISSION", 15.0)
+    monkeypatch.setattr(days, "rig_profile", lambda *_: SHORT)
     monkeypatch.setattr(days, "TIMES", 2)
     folder = tmp_path / "day"
     options = ["--virtual", "--rounds", "1", "--policy", "fixed", "--parameters", str(told / "parameters.json")]
@@ -145,9 +148,7 @@ def test_a_day_leaves_its_rounds_and_goes_on_with_what_flies(told, tmp_path, cap
 
 def test_after_a_loss_of_thrust_the_adapted_model_explains_the_alarm(told, tmp_path, monkeypatch):
     """The load cell reads 0.85 of the thrust: nothing is left for a diagnosis."""
-    monkeypatch.setattr(days, "diagnose", no_diagnosis)
-    monkeypatch.setattr(flight, "MISSION", 45.0)
-    monkeypatch.setattr(days, "TIMES", 1)  # nothing flies against what flew
+    quick(monkeypatch)
     done = a_round(told, tmp_path, "load_cell_gain=0.85")
     assert done.alarm
     assert done.verdict == ""
@@ -161,13 +162,23 @@ def test_after_a_loss_of_thrust_the_adapted_model_explains_the_alarm(told, tmp_p
 
 def test_what_hides_within_the_models_own_error_shows_from_mission_to_mission(told, tmp_path, monkeypatch):
     """An actuator that moves only after 3 deg, which no parameter of a twin explains."""
-    monkeypatch.setattr(flight, "MISSION", 45.0)
-    monkeypatch.setattr(days, "TIMES", 1)  # nothing flies against what flew
-    monkeypatch.setattr(days, "diagnose", no_diagnosis)
+    quick(monkeypatch)
     before = a_round(told, tmp_path / "before", "")
     assert not before.alarm
     with pytest.raises(AssertionError, match="diagnose"):
         a_round(told, tmp_path / "after", "lac_command_deadband=3", before)
+
+
+SHORT = Record({"time": np.array([0.0, 1.0, 2.0]), "thrust_set": np.array([4.0, 8.0, 8.0])}, "step")
+
+
+def quick(monkeypatch):
+    """A mission of 30 s, and no comparison of gains to speak of."""
+    shorten_waits(monkeypatch.setattr)
+    monkeypatch.setattr(flight, "MISSION", 30.0)
+    monkeypatch.setattr(days, "rig_profile", lambda *_: SHORT)
+    monkeypatch.setattr(days, "TIMES", 1)
+    monkeypatch.setattr(days, "diagnose", no_diagnosis)
 
 
 def no_diagnosis(*_, **__):

@@ -21,6 +21,8 @@ from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.record import Record, read_record, write_record
 
+pytestmark = pytest.mark.usefixtures("short_waits")
+
 
 def quiet(share):
     pass
@@ -258,7 +260,7 @@ def test_a_part_that_a_fault_ends_is_told_and_its_log_kept(tmp_path, capsys):
 
 
 def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_not(tmp_path, capsys, monkeypatch, short_steps):
-    small = ["hil", "campaign", "--virtual", *SMALL, "--points", "3", "--parts", "static", "steps", "validation"]
+    small = ["hil", "campaign", "--virtual", *SMALL, "--parts", "static", "steps", "validation"]
     whole, out = tmp_path / "whole", tmp_path / "out"
     assert main([*small, "-o", str(whole)]) == 0
     left, step = [0], Rig.step
@@ -271,7 +273,7 @@ def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_no
 
     monkeypatch.setattr(Rig, "step", cut)
     resume = []
-    for ticks, kept in ((1000, "static.partial.csv"), (5000, "steps.partial.csv"), (4000, "steps.partial.csv")):
+    for ticks, kept in ((700, "static.partial.csv"), (4000, "steps.partial.csv"), (3000, "steps.partial.csv")):
         left[0] = ticks
         assert main([*small, *resume, "-o", str(out)]) == 2
         assert "operator: interrupted" in capsys.readouterr().err

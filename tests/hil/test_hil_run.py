@@ -27,6 +27,8 @@ from vpp_fmu.plants import KernelController, KernelPlant
 from vpp_fmu.record import Record, write_record
 from vpp_fmu.response import smoothed
 
+pytestmark = pytest.mark.usefixtures("short_waits")
+
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory):

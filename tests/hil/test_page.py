@@ -288,10 +288,11 @@ def _state(process: int) -> str:
 def running(folder: Path, *words):
     """`vpp hil run --watch` in real time, in a process of its own: (process, the page's address)."""
     profile = write_record(OutputFolder(folder), "step.csv", step_profile(hold=20.0))
-    command = [sys.executable, "-m", "vpp_fmu", "hil", "run", "--profile", str(profile), "--watch", "-o", str(folder / "out")]
+    given = ["--profile", str(profile), "--watch", "-o", str(folder / "out"), *words]
+    command = [sys.executable, "-m", "tests.hil.quick_vpp", "hil", "run", *given]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    process = subprocess.Popen([*command, *words], env=environment, text=True, **pipes)
+    process = subprocess.Popen(command, env=environment, text=True, **pipes)
     try:
         said = next(line for line in process.stdout if "http://" in line)
         yield process, re.search(r"http://\S+", said)[0]

@@ -12,6 +12,8 @@ from vpp_fmu.record import Record, write_record
 
 parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed (the extra 'import')")
 
+pytestmark = pytest.mark.usefixtures("short_waits")
+
 
 @pytest.fixture
 def profile(tmp_path):

@@ -16,6 +16,7 @@ from vpp_fmu.units import base_unit
 HIDDEN = tuple(e for e in rig_model.library(commanded=True) if e.off is not None)
 OUT = {s.name: k for k, s in enumerate(POWERTRAIN.outputs)}
 each_effect = pytest.mark.parametrize("effect", HIDDEN, ids=lambda e: e.name)
+sampled = pytest.mark.sampled("effect")
 MODELS = {"throttle": (powertrain, POWERTRAIN), "speed": (rig_model.rig_model, FULL_RIG)}
 each_model = pytest.mark.parametrize("kind", MODELS)
 
@@ -42,6 +43,7 @@ def test_it_declares_itself(effect):
     assert all(p.default == effect.off[p.name] for p in declared.values() if p.name in effect.off)
 
 
+@sampled
 @each_model
 @each_effect
 def test_off_is_the_rig_without_it_to_the_bit(effect, kind):
@@ -53,6 +55,7 @@ def test_off_is_the_rig_without_it_to_the_bit(effect, kind):
         np.testing.assert_array_equal(simulator(model).simulate(values, inputs, steps), without)
 
 
+@sampled
 @each_effect
 def test_c_is_python_to_the_bit_and_the_probe_shows(effect):
     model, values = powertrain([effect.name]), named(effect, effect.probe)
@@ -63,6 +66,7 @@ def test_c_is_python_to_the_bit_and_the_probe_shows(effect):
     assert (moved > [0.03, 3.0, 0.03]).any(), f"thrust, omega, beta differ by no more than {moved} N, rpm, deg"
 
 
+@sampled
 @each_effect
 def test_at_every_bound_the_numbers_are_finite(effect):
     model = powertrain([effect.name])

@@ -31,6 +31,7 @@ def test_no_alarm_while_speed_and_pitch_step_over_their_whole_range(seed):
     assert run(steps(seed), 40.0, seed=seed)[0] is None
 
 
+@pytest.mark.sampled("effect")
 @pytest.mark.parametrize("effect", HIDDEN)
 def test_an_effect_the_model_lacks_is_no_fault(effect):
     assert run(steps(1), 12.0, hidden=(effect,))[0] is None
