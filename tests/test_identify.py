@@ -101,7 +101,7 @@ def test_one_further_record_is_enough(folder):
 def test_command_fits_further_records_and_says_what_it_did(folder, tmp_path, capsys):
     taken = str(folder / "more" / "open_loop.csv")
     further = ["--record", str(folder / "more" / "tuesday.csv.gz"), "--record", taken]
-    assert main(["identify", str(folder), *further, "--starts", "1", "-o", str(tmp_path)]) == 0
+    assert main(["identify", str(folder), *further, "--starts", "1", "-o", str(tmp_path), "--verbose"]) == 0
     said = json.loads((tmp_path / "identification.json").read_text())
     assert said["fitted"] == ["open_loop", "repeat", "tuesday", taken]
     assert list(said["rmse_thrust"]) == [*said["fitted"], "validation"]
