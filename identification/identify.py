@@ -23,7 +23,7 @@ from identification.gate.fitted import of_fit
 from identification.gate.gate import Passed, passed
 from identification.logger import Logger
 from identification.logger_fit import as_logged
-from identification.power.fit import PowerFit, fit_power, moving_readings, steady_readings
+from identification.power.fit import PowerFit, figure_of_merit, fit_power, moving_readings, steady_readings
 from identification.static.static_map import StaticFit, static_fit
 from identification.static.steady import steady_points
 from identification.steps.response import StepSummary, fit_steps
@@ -229,7 +229,12 @@ def with_power(found: Identification) -> Identification:
             readings = moving_readings(found.predictions[found.fitted[0]], scales)
         if readings is None:
             return found
-        fit = fit_power(readings)
+        fit, rotor = fit_power(readings), found.parameters.rig.rotor
+        if rotor and static and readings.torque is not None and readings.rate is None:
+            merit = figure_of_merit(readings, static.thrust, rotor)
+            if merit > 1.0:
+                words = f"{merit:.3g}: the rotor takes less power than an ideal one", "at most 1: torque in N.m, diameter in m"
+                raise BadInput(static.source, "figure of merit", *words)
     except BadInput as bad:
         finding = Finding("power", bad.where, bad.field, 0.0, "1", f"{bad.found}, expected {bad.allowed}", "signs or units")
         return replace(found, quality=(*found.quality, finding))

@@ -302,3 +302,42 @@ def test_the_law_of_the_best_pairs_is_tuned_for_an_objective(tmp_path, capsys):
     (tmp_path / "parameters.json").write_text(to_json(pitch_only()))
     assert main(["tune", *common, "--objective", "power"]) == 2
     assert "torque_map or power_map" in capsys.readouterr().err
+
+
+def hovering(merit, diameter=0.28, density=1.2):
+    """Torque over w and b of the plant of `pitch_only`, whose rotor has this figure of merit where it lifts."""
+
+    def torque_of(w, b):
+        lift = np.maximum(15.0 * C21 * w**2 * b, 0.05)
+        return lift**1.5 / np.sqrt(2.0 * density * np.pi * diameter**2 / 4.0) / merit / (FULL * w)
+
+    return torque_of
+
+
+@pytest.mark.parametrize("declared", [{"diameter": 0.28}, {"diameter": 0.3, "air_density": 1.0}, {}])
+def test_the_figure_of_merit_is_ideal_over_real_power_of_a_declared_rotor(tmp_path, declared, capsys):
+    """Momentum theory: T sqrt(T / (2 rho A)) over torque times speed."""
+    density = declared.get("air_density", 1.2)
+    folder = OutputFolder(tmp_path / "campaign")
+    write_static(folder, points(torque=hovering(0.6, declared.get("diameter", 0.28), density)))
+    folder.write("rig.json", json.dumps({"format": "vpp-rig/1", **({"rotor": declared} if declared else {})}))
+    assert main(["identify", str(tmp_path / "campaign"), "-o", str(tmp_path / "out")]) == 0
+    found = read_parameters(tmp_path / "out" / "parameters.json", plant)
+    names = [y.name for y in found.model.outputs]
+    assert ("figure_of_merit" in names) == bool(declared)
+    if declared:
+        commands = {"omega_ref": np.full(2, 4500.0), "beta_ref": np.full(2, 7.0)}
+        shown = Simulator(found.model).simulate(found.values, commands, np.array([0.01]))[0]
+        assert shown[names.index("figure_of_merit")] == pytest.approx(0.6, rel=0.03)  # the map of torque is a polynomial
+
+
+def test_a_rotor_better_than_an_ideal_one_is_a_matter_of_units(tmp_path, capsys):
+    folder = OutputFolder(tmp_path / "campaign")
+    write_static(folder, points(torque=hovering(1.4)))
+    folder.write("rig.json", json.dumps({"format": "vpp-rig/1", "rotor": {"diameter": 0.28}}))
+    assert main(["identify", str(tmp_path / "campaign"), "-o", str(tmp_path / "out")]) == 0
+    assert "figure of merit" in capsys.readouterr().out
+    assert "torque" not in {y.name for y in read_parameters(tmp_path / "out" / "parameters.json", plant).model.outputs}
+    folder.write("rig.json", json.dumps({"format": "vpp-rig/1", "rotor": {"air_density": 1.2}}))
+    assert main(["identify", str(tmp_path / "campaign"), "-o", str(tmp_path / "other")]) == 2
+    assert "rotor, diameter" in capsys.readouterr().err

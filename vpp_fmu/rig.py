@@ -24,6 +24,9 @@ FILE = "rig.json"
 RANGES = {"speed": OMEGA_REF, "pitch": BETA_REF, "thrust": THRUST}
 SLEWS = {"speed": "rpm/s", "pitch": "deg/s"}
 
+ROTOR = {"diameter": (0.01, 30.0), "air_density": (0.1, 10.0)}
+"""Ranges of a rotor's diameter, m, and of the density of its air, kg/m3."""
+
 ROUND = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 """Leading digits of a round number."""
 
@@ -40,7 +43,7 @@ DECLARED, MEASURED, ASSUMED = "rig.json", "the campaign", "the model's scales"
 class Rig:
     """Limits of a rig: ranges (least, greatest) of commanded `speed` [rpm], `pitch` [deg] and of `thrust` [N]; maximum slew
     rates of commands, `speed_slew` [rpm/s] and `pitch_slew` [deg/s], infinite if steps are allowed. `sensor`: declared fields
-    of a `SpeedSensor` by name.
+    of a `SpeedSensor` by name. `rotor`: declared `diameter` [m], and `air_density` [kg/m3] if declared.
 
     A range of one value (a fixed pitch) has equal ends. `origin`: source of each entry, in words.
     """
@@ -54,6 +57,7 @@ class Rig:
     scales: Scales = PAPER
     origin: Mapping[str, str] = field(default_factory=dict)
     sensor: Mapping[str, Any] = field(default_factory=dict)
+    rotor: Mapping[str, float] = field(default_factory=dict)
 
     def summary(self) -> dict:
         """The content of a rig.json, with `origin` beside it: for parameters.json and the reports."""
@@ -66,6 +70,7 @@ class Rig:
             "slew": {n: v for n, v in slews.items() if math.isfinite(v)},
             "scales": asdict(self.scales),
             **({"sensors": {"speed": dict(self.sensor)}} if self.sensor else {}),
+            **({"rotor": dict(self.rotor)} if self.rotor else {}),
             "origin": dict(self.origin),
         }
 
@@ -160,7 +165,7 @@ def read_rig(path: str | os.PathLike) -> dict:
 
 
 def _entries(path: str | os.PathLike, content: Mapping) -> dict:
-    known = ("format", "name", *RANGES, "slew", "scales", "sensors")
+    known = ("format", "name", *RANGES, "slew", "scales", "sensors", "rotor")
     for name in content:
         if name not in known:
             raise BadInput(path, name, "an unknown field", ", ".join(known))
@@ -183,7 +188,12 @@ def _entries(path: str | os.PathLike, content: Mapping) -> dict:
         n: _number(path, f"scales, {n}", v, *((-1e3, 1e3) if n == "beta_offset" else (1e-6, 1e6))) for n, v in scales.items()
     }
     sensor = _sensor(path, content.get("sensors", {}))
-    return found | ({"scales": positive} if positive else {}) | ({"sensor": sensor} if sensor else {})
+    rotor = _object(path, "rotor", content.get("rotor", {}), tuple(ROTOR))
+    rotor = {n: _number(path, f"rotor, {n}", v, *ROTOR[n]) for n, v in rotor.items()}
+    if rotor and "diameter" not in rotor:
+        raise BadInput(path, "rotor, diameter", "none", f"a number from {ROTOR['diameter'][0]:g} to {ROTOR['diameter'][1]:g} m")
+    named = {"scales": positive, "sensor": sensor, "rotor": rotor}
+    return found | {name: entry for name, entry in named.items() if entry}
 
 
 def _sensor(path: str | os.PathLike, found: object) -> dict:

@@ -15,11 +15,14 @@ from identification.assessment.prediction import Prediction
 from vpp_fmu.campaign import StaticMap
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import plant
-from vpp_fmu.kernel.power import MOTOR, POWER_MAP, POWER_TERMS, RAD_PER_S, TORQUE_MAP, TORQUE_TERMS, polynomial
+from vpp_fmu.kernel.power import FIGURE, MOTOR, POWER_MAP, POWER_TERMS, RAD_PER_S, TORQUE_MAP, TORQUE_TERMS, polynomial
 from vpp_fmu.parameters import ParameterSet
 
 TOLERANCE = 1.05
 """Maximum ratio of shaft to electrical power: both are measured to some per cent."""
+
+AIR_DENSITY = next(p.default for p in FIGURE.parameters if p.name == "air_density")
+"""kg/m3, where a rig does not declare it."""
 
 TIMES = 4
 """Rows per coefficient, at least."""
@@ -63,10 +66,12 @@ class PowerFit:
 
     def added_to(self, parameters: ParameterSet) -> ParameterSet:
         """The plant with these outputs. Effects of the user stay."""
-        core = parameters.without_power.model
-        model = plant([*core.optional, *self.effects], core.effects, parameters.rig.scales)
+        core, rotor = parameters.without_power.model, parameters.rig.rotor
+        merit = [FIGURE.name] if rotor and TORQUE_MAP.name in self.effects else []
+        model = plant([*core.optional, *self.effects, *merit], core.effects, parameters.rig.scales)
         std = dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
         own = dict(zip(self.names, self.values.tolist(), strict=True))
+        own |= {f"{FIGURE.name}.{name}": value for name, value in rotor.items() if merit}
         return ParameterSet(model, parameters.without_power.estimates, parameters.source).replaced(own, std)
 
     def summary(self) -> dict:
@@ -137,6 +142,14 @@ def _check(r: Readings) -> None:
                 "less power at the shaft than from the supply",
                 "other units: torque in N.m, power in W or V and A",
             )
+
+
+def figure_of_merit(readings: Readings, thrust: np.ndarray, rotor: Mapping[str, float]) -> float:
+    """Ideal over real power of a rotor in the mean of steady points of `thrust` (n,) [N]: each is weighted by its power."""
+    assert readings.torque is not None
+    disc = 0.25 * np.pi * rotor["diameter"] ** 2
+    ideal = np.maximum(thrust, 0.0) ** 1.5 / np.sqrt(2.0 * rotor.get("air_density", AIR_DENSITY) * disc)
+    return float(ideal.sum() / (readings.torque * readings.omega).sum())
 
 
 def fit_power(readings: Readings) -> PowerFit:

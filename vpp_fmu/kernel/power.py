@@ -3,6 +3,7 @@
     torque_map:  Q = sum q_ij w^i b^j                           with w, b of the thrust map (as eq. 7 of the paper for thrust)
     motor:       P = Q_m omega + loss Q_m^2 + idle,             Q_m = Q + friction
     power_map:   P = sum p_ij w^i b^j                           electrical power where no torque was measured
+    figure_of_merit: T sqrt(T / (2 rho A)) / (Q omega)          ideal over real power of a hovering rotor; A: its disc
 
 `motor` is the paper's eqs. 3 and 4 at rest, R i^2 + k omega i with the motor's constant k: Q_m = k i, so loss = R / k^2, which
 takes no measurement of the motor's own current; idle is the ESC's. Coefficients are in N.m or W: w and b are normalised.
@@ -74,7 +75,30 @@ MOTOR = Effect(
     outputs=(POWER, EFFICIENCY),
 )
 
-EFFECTS = (TORQUE_MAP, MOTOR, POWER_MAP)
-"""In their order along the chain. A model has `torque_map`, with `motor` or alone, or `power_map`."""
+
+def _figure(ops, s, x, p, dt):
+    shaft, disc = s.torque * s.w * s.omega_scale * RAD_PER_S, 0.25 * 3.141592653589793 * p.diameter * p.diameter
+    lift = ops.maximum(s.thrust, 0.0)
+    known = ops.where(shaft > 0.0, disc, 0.0) > 0.0
+    # At least a little: the derivative of a square root at 0 is infinite.
+    ideal = lift * ops.sqrt(ops.maximum(lift / ops.where(known, 2.0 * p.air_density * disc, 1.0), 1e-12))
+    return {"figure_of_merit": ops.where(known, ideal / ops.where(known, shaft, 1.0), 0.0)}, {}
+
+
+FIGURE = Effect(
+    "figure_of_merit",
+    "ideal over real power of a hovering rotor (momentum theory)",
+    _figure,
+    parameters=(
+        Parameter("diameter", "m", 0.0, 0.0, 30.0, "diameter of the rotor; 0: not known", 0.3),
+        Parameter("air_density", "kg/m3", 1.2, 0.1, 10.0, "density of the air", 1.0),
+    ),
+    off={"diameter": 0.0},
+    probe={"diameter": 0.28},
+    outputs=(Signal("figure_of_merit", "1", "ideal over real power of the rotor; 0 without torque", 0.0, 100.0),),
+)
+
+EFFECTS = (TORQUE_MAP, MOTOR, POWER_MAP, FIGURE)
+"""In their order along the chain. A model has `torque_map`, with `motor` and `figure_of_merit` or without, or `power_map`."""
 
 NAMES = frozenset(e.name for e in EFFECTS)
