@@ -329,6 +329,7 @@ def test_the_figure_of_merit_is_ideal_over_real_power_of_a_declared_rotor(tmp_pa
         commands = {"omega_ref": np.full(2, 4500.0), "beta_ref": np.full(2, 7.0)}
         shown = Simulator(found.model).simulate(found.values, commands, np.array([0.01]))[0]
         assert shown[names.index("figure_of_merit")] == pytest.approx(0.6, rel=0.03)  # the map of torque is a polynomial
+        assert main(["allocate", "--parameters", str(tmp_path / "out"), "--points", "5", "-o", str(tmp_path / "pairs")]) == 0
 
 
 def test_a_rotor_better_than_an_ideal_one_is_a_matter_of_units(tmp_path, capsys):

@@ -9,7 +9,7 @@ import numpy as np
 
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.ops import Ops
-from vpp_fmu.kernel.power import EFFECTS, RAD_PER_S
+from vpp_fmu.kernel.power import EFFECTS, FIGURE, RAD_PER_S
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.structured import read_object
 
@@ -100,7 +100,7 @@ class PowerModel:
         b = (np.asarray(beta) + values["beta_offset"]) / values["beta_scale"]
         s = SimpleNamespace(w=w, b=b, omega_scale=values["omega_scale"])
         for effect in self.parameters.model.effects:
-            if effect.outputs:
+            if effect.outputs and effect.name != FIGURE.name:
                 p = SimpleNamespace(**{q.name: values[effect.full(q.name)] for q in effect.parameters})
                 s.__dict__.update(effect.step(_Arrays(), s, None, p, 0.0)[0])
         return s.power if self.kind == ELECTRICAL else s.torque * np.asarray(omega) * RAD_PER_S
