@@ -415,6 +415,7 @@ def test_points_beyond_a_map_do_not_judge_it():
         ({"signal": {"kind": {}}}, "signal: found"),
         ({"signal": {"kind": "PWM", "minimum": 5, "maximum": 5, "turns_from": 1, "fitted_to": 2}}, "signal, maximum: found 5"),
         ({"rms": None}, "rms: found null"),
+        ({"points": 8.5}, "points: found 8.5, expected a whole number"),
     ],
 )
 def test_a_bad_map_is_told_in_one_line(tmp_path, change, told):

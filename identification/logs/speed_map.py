@@ -223,9 +223,15 @@ def read_speed_map(path: str | os.PathLike) -> SpeedMap:
         turns_from=ends[0],
         fitted_to=ends[1],
         rms=_number(path, "rms", content.get("rms")),
-        points=int(_number(path, "points", content.get("points"))),
+        points=_whole(path, "points", content.get("points")),
         source=str(content.get("source", "")),
     )
+
+
+def _whole(path: str | os.PathLike, field: str, found: object) -> int:
+    if (number := _number(path, field, found)) != int(number):
+        raise BadInput(path, field, shown(found), "a whole number")
+    return int(number)
 
 
 def _number(path: str | os.PathLike, field: str, found: object, above: float = -1e300) -> float:

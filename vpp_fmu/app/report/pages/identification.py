@@ -137,8 +137,8 @@ def add_quality(page: Page, findings: Sequence[Finding]) -> None:
 
 def _record_figure(found: Identification, name: str):
     """(figure, caption) of a record beside its prediction."""
-    p, noise = found.predictions[name], found.noise.std
-    beside = f"; the noise alone is {_newton(noise)}"
+    p, noise = found.predictions[name], found.noise and found.noise.std
+    beside = f"; the noise alone is {_newton(noise)}" if noise else ""
     used = "which was fitted" if name in found.fitted else "which no fit saw"
     title = f"Thrust error on {name}, {used}: {_newton(p.rmse_thrust)}{beside}"
     if p.rmse_thrust is None:

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from identification.tune.linear import MOVE
-from identification.tune.objective import closed_loop
 from identification.tune.operating import open_loop
 from identification.tune.summary import NAMES, against, change_rows, key_figures, labels, margin_rows, settling
 from identification.tune.tune import JUDGED, Tuned, Tuning
@@ -209,6 +208,6 @@ def _add_clouds(page: Page, found: Tuning, name: str, gains: Mapping[str, str]) 
 def _cloud(found: Tuning, tuned: Tuned, which: str) -> np.ndarray:
     """Thrust (DRAWN, points) N of the first DRAWN judged plants."""
     objective = tuned.objective
-    loop = closed_loop(objective.effects)
+    loop = objective.loop
     _, chain, controller = loop.vectors({}, objective.chain, objective.with_gains(tuned.gains[which]))
     return np.array([loop.run((own, chain, controller), objective.course)["thrust"] for own in found.plants[:DRAWN]])
