@@ -169,8 +169,13 @@ def test_the_reward_is_its_formula_and_can_be_another():
     assert pay(error=0.0, wear=3.0)[0] == pytest.approx(-3.0 * (0.5 + 1.0))
     paid, _, shown = pay(error=0.0, wear=0.0, energy=0.5, power=power)
     assert paid == pytest.approx(-0.5 * 0.01 * power(shown["omega"], shown["beta"]))
-    with pytest.raises(BadInput, match="power"):
-        Reward(energy=1.0)
+    with pytest.raises(BadInput, match="torque_map or power_map"):
+        VppThrustEnv(reward=Reward(energy=1.0))
+    powered = ParameterSet(plant(("power_map",))).replaced({"power_map.p30": 40.0})
+    env = VppThrustEnv(parameters=powered, seconds=1.0, dt=0.01, reward=Reward(error=0.0, wear=0.0, energy=0.5))
+    env.reset(seed=5)
+    _, paid, _, _, shown = env.step(np.array([0.0, 1.0]))
+    assert paid == pytest.approx(-0.5 * 0.01 * 40.0 * (shown["omega"] / 6000.0) ** 3)
     env = VppThrustEnv(seconds=1.0, reward=lambda moment: moment.omega)
     env.reset(seed=0)
     _, paid, _, _, shown = env.step(np.zeros(2))

@@ -33,7 +33,7 @@ class Core:
     episode's start, so that its numbers do not depend on its neighbours."""
 
     def __init__(self, task: Task, plants: Plants, count: int):
-        self.task, self.plants, self.count = task, plants, count
+        self.task, self.plants, self.count, self._pays = task, plants, count, task.pays
         self.generators = [np.random.default_rng() for _ in range(count)]
         self.parameters = np.zeros((count, len(task.plant.model.parameters)))
         self._columns, self._at = task.actions + 1, np.zeros(count, int)
@@ -84,7 +84,7 @@ class Core:
         exceeded = task.exceeded(thrust, omega)
         travel = np.abs(self._commands - before) / self._range
         moment = Moment(wanted, thrust, omega, beta, *travel, task.period, task.rig.scales.thrust_scale, exceeded)
-        return np.asarray(task.reward(moment), float), exceeded, (self._at >= task.actions) & ~exceeded
+        return np.asarray(self._pays(moment), float), exceeded, (self._at >= task.actions) & ~exceeded
 
     def observed(self) -> np.ndarray:
         """Observations (n, observed), in the task's order: thrust and speed as read, in N, rpm, deg, N s."""

@@ -6,8 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vpp_fmu.errors import BadInput
-
 Power = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Power [W] (n,) at rotor speeds [rpm] (n,) and blade pitches [deg] (n,)."""
 
@@ -37,8 +35,8 @@ class Reward:
 
         -(error |thrust_set - thrust| / error_scale + energy P seconds + wear (speed_travel + pitch_travel)) - limit [exceeded]
 
-    `energy` [1/J] needs `power`. Where errors cost, ending early would pay without the cost `limit`. Any other function of a
-    Moment that returns (n,) serves as a reward, too.
+    `energy` [1/J]: of `power`, by default that which was identified. Where errors cost, ending early would pay without the
+    cost `limit`. Any other function of a Moment that returns (n,) serves as a reward, too.
     """
 
     error: float = 1.0
@@ -46,10 +44,6 @@ class Reward:
     wear: float = 0.01
     limit: float = 100.0
     power: Power | None = None
-
-    def __post_init__(self):
-        if self.energy and self.power is None:
-            raise BadInput("reward", "energy", self.energy, "0, or a function `power` of speed [rpm] and pitch [deg] in W")
 
     def __call__(self, m: Moment) -> np.ndarray:
         cost = self.error * np.abs(m.thrust_set - m.thrust) / m.error_scale

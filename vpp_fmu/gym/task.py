@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from hil.safety.limits import Limits, limits_of
 from identification.assessment.information import read_knowledge, read_noise
+from identification.power.model import PowerModel
 from identification.tune.draws import Posterior
 from vpp_fmu.errors import BadInput
 from vpp_fmu.gym.reward import Moment, Reward
@@ -73,24 +74,32 @@ class Task:
         if self.parameters is None:
             return ParameterSet(plant()), None
         if isinstance(self.parameters, ParameterSet):
-            return self.parameters.without_power, None
+            return self.parameters, None
         file = parameters_file(self.parameters)
-        found = read_parameters(file, plant).without_power
+        found = read_parameters(file, plant)
         knowledge = beside(file)
         if not knowledge.is_file():
             return found, None
-        check_same_model(knowledge, found, file)
+        check_same_model(knowledge, found.without_power, file)
         return found, str(knowledge)
 
-    @property
+    @cached_property
     def plant(self) -> ParameterSet:
-        """The plant and its parameters."""
-        return self._given[0]
+        """The plant and its parameters, without torque and power."""
+        return self._given[0].without_power
+
+    @cached_property
+    def pays(self) -> Callable[[Moment], np.ndarray]:
+        """The reward, with the identified power where it has none of its own. BadInput without any."""
+        reward = self.reward
+        if isinstance(reward, Reward) and reward.energy and reward.power is None:
+            return replace(reward, power=PowerModel.of(self._given[0]).at)
+        return reward
 
     @cached_property
     def posterior(self) -> Posterior:
         """Distribution of the parameters."""
-        parameters, known_in = self._given
+        parameters, known_in = self.plant, self._given[1]
         found = Posterior(parameters, read_knowledge(known_in)[0] if known_in else None)
         allowed = "parameters with standard deviations, as vpp identify writes them"
         _check("randomise", "no standard deviation in the parameters", bool(found.names), allowed)
