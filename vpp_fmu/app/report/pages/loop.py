@@ -20,7 +20,14 @@ STEP_COLUMNS = ("at [s]", "from [N]", "to [N]", "settled after [s]", "overshoot 
 def loop_page(done: Record, summary: str, limits: Mapping[str, tuple[float, float]] | None = None) -> Page:
     """The report of a closed loop's run; `limits` as of `vpp_fmu.response.steps`."""
     found = steps(done, limits=limits)
-    page = Page("Closed loop", summary)
+    page = Page("Closed loop", headline(found), summary.removesuffix("."))
+    if found:
+        settled = [step.settling for step in found if step.settling is not None]
+        slowest = f"{number(max(settled), DIGITS)} s" if settled else "none"
+        error = float(np.sqrt(np.mean((done["thrust_set"] - done["thrust"]) ** 2)))
+        page.tiles([("slowest settling", slowest, f"{len(settled)} of {len(found)} steps settle")])
+        page.tiles([("largest overshoot", f"{max(step.overshoot for step in found):.1f} %", "of the step")])
+        page.tiles([("error", f"{number(error, DIGITS)} N", "rms of set-point less thrust, the steps themselves included")])
     title = sentence(found[0]) if found else "Thrust under a constant set-point"
     drawn = closed_loop({"loop": done}, title, limits)
     page.figure(drawn, "Thrust with its set-point, speed and pitch with their commands.")

@@ -6,7 +6,7 @@ import numpy as np
 
 from identification.tune.linear import MOVE
 from identification.tune.operating import open_loop
-from identification.tune.summary import NAMES, against, change_rows, key_figures, labels, margin_rows, settling
+from identification.tune.summary import NAMES, against, change_rows, headline, key_figures, labels, margin_rows, settling
 from identification.tune.tune import JUDGED, Tuned, Tuning
 from vpp_fmu.app.report.figures.loop import Cloud, bode, cost_ranks, margins_over_thrust, nyquist, response_clouds
 from vpp_fmu.app.report.figures.parameters import learning_curve
@@ -29,21 +29,23 @@ def tuning_page(found: Tuning) -> Page:
     """The page of one tuning."""
     task = found.task
     assumed = ", ".join(f"{name} = {task.parameters.values[name]:g}" for name in task.assumed)
-    page = Page(
-        "Gains for the model",
-        f"The search (Nelder and Mead, on the compiled loop) minimises the squared thrust error over the test signal plus "
-        f"{task.alpha:g} times the squared norm of the gains. Limits: overshoot {100 * task.overshoot:g} %, sensitivity at the "
-        f"operating points {task.sensitivity:g}, and the settling and ringing of each step under the initial gains."
-        + (f" Assumed for the design: {assumed}." if assumed else ""),
-        task.parameters.label,
-    )
-    page.tiles(key_figures(found))
+    page = Page("Gains for the model", headline(found).replace("->", "→"), task.parameters.label)
+    figures = key_figures(found)
+    page.tiles([each for each in figures if each[0].startswith(("cost", "margins"))])
     for name, tuned in found.tuned.items():
         _add_controller(page, found, name, tuned)
     if len(found.tuned) > 1:
         _add_comparison(page, found)
     if found.plants is not None:
         _add_robust(page, found)
+    page.section(
+        "How the gains were found",
+        f"The search (Nelder and Mead, on the compiled loop) minimises the squared thrust error over the test signal plus "
+        f"{task.alpha:g} times the squared norm of the gains. Limits: overshoot {100 * task.overshoot:g} %, sensitivity at the "
+        f"operating points {task.sensitivity:g}, and the settling and ringing of each step under the initial gains."
+        + (f" Assumed for the design: {assumed}." if assumed else ""),
+    )
+    page.table(("figure", "value", "note"), figures, "All figures of this tuning.")
     return page
 
 
@@ -56,6 +58,9 @@ def _add_controller(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
     names, objective = _names(found, tuned), tuned.objective
     start, cost = tuned.cost("start"), tuned.cost("tuned")
     page.section(f"Gains of {NAMES[name]}", f"Chosen: the {labels(found, tuned)[tuned.chosen]} gains.")
+    rows = [(gain, *(own[k] for own in tuned.gains.values())) for k, gain in enumerate(objective.names)]
+    rows.append(("cost", *(tuned.cost(which) for which in tuned.gains)))
+    page.table(("gain, normalised", *names.values()), rows, "Gains and their cost on the nominal plant.")
     for which, verdict in tuned.verdicts.items():
         page.note(f"{which.capitalize()} gains: {verdict.words()}.")
         page.table(("step", "settling", "overshoot", "ringing"), change_rows(verdict), _judged_by(found, tuned, which))
@@ -66,9 +71,6 @@ def _add_controller(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
     runs = {names[which]: objective.run(gains) for which, gains in tuned.gains.items()}
     title = f"{NAMES[name].capitalize()}: cost {start:.4g} before the search, {cost:.4g} after"
     page.figure(loop_figure(runs, title), f"{found.task.profile.source}. Thrust is the plant's, not its reading.")
-    rows = [(gain, *(own[k] for own in tuned.gains.values())) for k, gain in enumerate(objective.names)]
-    rows.append(("cost", *(tuned.cost(which) for which in tuned.gains)))
-    page.table(("gain, normalised", *names.values()), rows, "Gains and their cost on the nominal plant.")
     rows = [
         (names[which], s.time, s.before, s.after, settling(s.settling), f"{s.overshoot:.1f}", f"{s.ringing:.1f}")
         for which, gains in tuned.gains.items()
