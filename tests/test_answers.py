@@ -185,10 +185,10 @@ def test_the_answer_of_a_diagnosis_is_the_effect_and_the_errors_of_its_file(said
     wanted = f"The pitch servo ignores changes below {width:.2f} deg (dead band). {errors}"
     assert said.answers["diagnose"].text == wanted
     report = (said.folder / "out" / "report.html").read_text()
-    assert wanted.replace("->", "-&gt;") in report
+    assert wanted.replace("->", "→") in report
     unseen = json.loads((said.folder / "identified" / "identification.json").read_text())["rmse_thrust"]["validation"]
     assert said.answers["identify"].text.startswith(f"Unseen thrust error {unseen:.3f} N on validation; noise ")
-    assert said.answers["identify"].text.replace("->", "-&gt;") in (said.folder / "identified" / "report.html").read_text()
+    assert said.answers["identify"].text.replace("->", "→") in (said.folder / "identified" / "report.html").read_text()
 
 
 NUMBERS = {

@@ -31,7 +31,7 @@ REFUSED = {
     "no move of a rotor at rest": "no identifiable parameter",
     "raw samples that never rest": "steady stretches",
     "steps without a step": "it is constant at 2400 rpm while omega runs from",
-    "dead load cell": "Look at the load cell",
+    "dead load cell": "look at the load cell",
 }
 FEW = {"diagnose": ("--effects", "pitch_delay,sensor_drift"), "identify": ("--starts", "1")}
 """What makes a row quick: a diagnosis among two effects, an identification from one start."""

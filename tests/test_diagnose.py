@@ -166,7 +166,7 @@ def test_first_screen_says_effect_error_and_verdict(example):
         assert label in tiles
         assert value.split(" ")[0] in tiles
     (before, _), (after, _) = example.errors(example.base), example.errors(example.final)
-    assert f"{number(before)} → {number(after)} N" in tiles
+    assert f"{number(before, 3)} → {number(after, 3)} N" in tiles
     assert html.index("<h1>") < html.index('class="tiles"') < html.index("<h2")
 
 

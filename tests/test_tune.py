@@ -223,7 +223,7 @@ def test_the_command_writes_gains_that_export_takes(tmp_path, capsys, shortest_s
     (tmp_path / "known.json").write_text(json.dumps(IDENTIFICATION))
     arguments = ("--parameters", str(tmp_path / "plant.json"), "--profile", str(tmp_path / "p.csv"))
     arguments += ("--knowledge", str(tmp_path / "known.json"))
-    assert vpp(tmp_path, *arguments, "--assume", "tau_beta_1=0.15") == 0
+    assert vpp(tmp_path, *arguments, "--assume", "tau_beta_1=0.15", "--verbose") == 0
     said = capsys.readouterr().out
     assert "through the FMUs: 0 N" in said
     assert said.count("  2 → 10 N at 0.4 s: settling ") == said.count("  gain margin ") == 2

@@ -358,7 +358,7 @@ def test_in_a_browser_curves_move_and_stop_stops(tmp_path, capsys):
         seen.window(1100, 1400)
         seen.open(address)
         seen.wait_for("document.getElementById('state').textContent === 'run'")
-        seen.wait_for("document.getElementById('curves').data[0].y.length > 20")
+        seen.wait_for("(document.getElementById('curves').data || [{y: []}])[0].y.length > 20")
         points = seen.run("document.getElementById('curves').data[0].y.length")
         seen.wait_for(f"document.getElementById('curves').data[0].y.length > {points + 10}")
         speed = "document.getElementById('curves').data.find((line) => line.name === 'speed').y.at(-1)"

@@ -60,7 +60,20 @@ RANGES = {
 }
 """Ranges of the options."""
 
-WEIGHT, WEIGHTS = Number(0.0, 1.0), {"power": 0.0, "agility": 1.0}
+WEIGHTS = {"power": 0.0, "agility": 1.0}
+
+
+class Weight(Number):
+    """A weight of the allocation, as a number or a word."""
+
+    def __call__(self, text: str) -> float:
+        if text in WEIGHTS:
+            return WEIGHTS[text]
+        try:
+            return super().__call__(text)
+        except argparse.ArgumentTypeError as error:
+            raise argparse.ArgumentTypeError(f"{error}, {' or '.join(WEIGHTS)}") from error
+
 
 PAPERS = "the paper's fine-tuned set"
 """Default parameters."""
@@ -80,7 +93,7 @@ def configure(parser):
     parser.add_argument("--gains", metavar="G", help=text)
     text = "tune the law that rests on the best pairs of speed and pitch instead (vpp allocate): those of least power, of the "
     text += "largest reserve of thrust by pitch, or a weight between 0 (power) and 1 (agility); for parameters with power"
-    parser.add_argument("--objective", type=_weight, metavar="power|agility|W", help=text)
+    parser.add_argument("--objective", type=Weight(0.0, 1.0), metavar="power|agility|W", help=text)
     text = "CSV with time, thrust_set (default: 0.1 to 0.8 of the thrust scale and back, as far as the rig reaches)"
     parser.add_argument("--profile", metavar="P", help=text)
     text = (
@@ -207,16 +220,6 @@ def _starts(options, parameters: ParameterSet, settings, given: ParameterSet | N
     own = allocated_controller(allocate(parameters, power, options.objective), parameters).values
     kept = {} if given is None else {name: e.value for name, e in given.estimates.items() if name[:3] in POWERS}
     return {"allocated": {**settings["dual"], **{n: own[n] for n in (*ALLOCATION, "ki_beta")}, **kept}}
-
-
-def _weight(text: str) -> float:
-    """The weight that an objective stands for."""
-    if text in WEIGHTS:
-        return WEIGHTS[text]
-    try:
-        return WEIGHT(text)
-    except argparse.ArgumentTypeError as error:
-        raise argparse.ArgumentTypeError(f"{error}, {' or '.join(WEIGHTS)}") from error
 
 
 def _noise(options, known_in: str | None) -> float:
