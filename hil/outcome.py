@@ -2,7 +2,7 @@
 
 import contextlib
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -257,6 +257,12 @@ def energy(run: Record) -> dict | None:
     return {"value": joule, "unit": "J", "mean_power": mean, "peak_power": float(np.nanmax(power))}
 
 
+def energy_words(taken: Mapping) -> tuple[str, str]:
+    """What `energy` has found, in words: the energy, and the power."""
+    power = f"{number(taken['mean_power'], 3)} W in the mean, {number(taken['peak_power'], 3)} W at most"
+    return f"{number(taken['value'], 3)} J", power
+
+
 def difference(first: Record, second: Record) -> Record:
     """Thrust [N] of a second loop less that of a first one, at the times of the latter."""
     both = compare(first, second)
@@ -285,9 +291,7 @@ def lines_of(found: Outcome) -> list[str]:
     """The figures of a run in words."""
     content, lines = found.content, step_lines(found.loops)
     if "energy" in content:
-        taken = content["energy"]
-        watt = f"{number(taken['mean_power'], 3)} W in the mean, {number(taken['peak_power'], 3)} W at most"
-        lines.append(f"energy from the supply: {number(taken['value'], 3)} J, {watt}")
+        lines.append("energy from the supply: {}, {}".format(*energy_words(content["energy"])))
     if "beside" in content:
         lines.append(f"rig and {content['beside']['plant']} differ by {number(content['beside']['rms_thrust'])} N rms")
     if content.get("twin") and content["twin"]["residual_rms"] is not None:

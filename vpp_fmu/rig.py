@@ -80,7 +80,8 @@ class Rig:
         text = f"w = omega / {s.omega_scale:g} rpm, b = (beta {s.beta_offset:+g} deg) / {s.beta_scale:g} deg, "
         text += f"T = thrust / {s.thrust_scale:g} N ({self.origin.get('scales', ASSUMED)})"
         sensor = [f"speed sensor {SpeedSensor(**self.sensor).text} ({DECLARED})"] if self.sensor else []
-        return [*(self._range(name) for name in RANGES), *self._slews(), *sensor, text]
+        rotor = [f"rotor {self.rotor['diameter']:g} m ({DECLARED})"] if self.rotor else []
+        return [*(self._range(name) for name in RANGES), *self._slews(), *sensor, *rotor, text]
 
     def command_lines(self) -> list[str]:
         """The same for commands only."""

@@ -257,7 +257,8 @@ def _with_motor(readings: Readings, torque: _Map) -> PowerFit:
         noise = np.maximum(noise, least)
         found = least_squares(
             lambda x, noise=noise: (residuals(x) / noise[:, None]).ravel(),
-            *(x, "2-point", (lower, np.inf)),
+            x,
+            bounds=(lower, np.inf),
             x_scale="jac",
             xtol=1e-12,
             ftol=1e-12,

@@ -15,7 +15,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -121,13 +120,13 @@ def on_dask(campaign: Path) -> None:
                 command = [sys.executable, "-m", "vpp_fmu", "diagnose", *arguments]
                 run = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
                 if killed:
-                    while not list(folder.glob("out/*/report.html")):  # it dies amid its second campaign
+                    while run.poll() is None and not any(folder.glob("out/*/report.html")):  # it dies amid its second one
                         time.sleep(0.1)
                     processes[0].send_signal(signal.SIGKILL)
                 said, _ = run.communicate()
                 seconds = time.perf_counter() - began
                 memory = resident(scheduler.pid)
-            done = Counter(p.name for p in folder.glob("out/*/diagnosis.json"))["diagnosis.json"]
+            done = len(list(folder.glob("out/*/diagnosis.json")))
         failed = "" if run.returncode == 0 else f", exit code {run.returncode}: {said.strip().splitlines()[-1]}"
         label = f"{workers}{', one killed' * killed}"
         print(f"{label:18} {seconds:6.1f} {seconds / FLEET:7.1f} {memory:13.0f}  {done} of {FLEET}{failed}", flush=True)

@@ -92,9 +92,10 @@ def headline(day: Day) -> str:
     first, last = day.rounds[0], day.rounds[-1]
     errors, costs = ([_first(each) for each in (first, last)], [mean(each.costs[each.winner]) for each in (first, last)])
     alarms = sum(one.alarm is not None for one in day.rounds)
+    law = "as it flew" if last.winner == "what flew" else last.winner
     return (
         f"{len(day.rounds)} rounds, {alarms} with an alarm: thrust error {change(*errors, 'N')}, cost on the rig "
-        f"{change(*costs, '1')}; next: the model {last.chosen.name}, the law {last.winner}."
+        f"{change(*costs, '1')}; next: the model {last.chosen.name}, the law {law}."
     )
 
 

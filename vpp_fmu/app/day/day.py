@@ -34,10 +34,8 @@ from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.plants import KernelPlant
 from vpp_fmu.record import Record
 
-FIXED, MODEL_BASED, MODEL_FREE, BOTH, LEARNED, ALL = POLICIES = (
-    *("fixed", "model-based", "model-free", "both"),
-    *("learned", "all"),
-)
+POLICIES = ("fixed", "model-based", "model-free", "both", "learned", "all")
+FIXED, MODEL_BASED, MODEL_FREE, BOTH, LEARNED, ALL = POLICIES
 
 DIAGNOSED = "diagnosed"
 """Name of the model from the diagnosis of a mission."""
@@ -53,11 +51,11 @@ return in the next round."""
 WORSE = 0.01
 """Level of the test that a repeated mission is predicted worse: one false alarm in a hundred rounds."""
 
-UNITS, GENERATIONS, JUDGED = 6, 300, 40
-"""Hidden units of a learned law, generations of its search, some 20 s, and held-out plants on which the model judges it."""
-
 LEFT = 0.1
 """The same after an alarm: a needless diagnosis costs a minute, a missed effect stays in the model as a changed parameter."""
+
+UNITS, GENERATIONS, JUDGED = 6, 300, 40
+"""Hidden units of a learned law, generations of its search, some 20 s, and held-out plants on which the model judges it."""
 
 
 @dataclass(frozen=True, eq=False)

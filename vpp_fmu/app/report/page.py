@@ -62,7 +62,7 @@ class Page:
     def __init__(self, title: str, summary: str, source: str = ""):
         self.title = title
         self.source = source
-        self.summary = summary
+        self.summary = summary.replace(" -> ", " → ")  # plain text has no arrow
         self._tiles: list[str] = []
         self._parts: list[str] = []
         self._sections: list[str] = []

@@ -205,7 +205,7 @@ def _where(found: Diagnosis) -> tuple[str, str, str]:
 
 def diagnosis_page(found: Diagnosis) -> Page:
     """The page of one diagnosis."""
-    page = Page(f"Diagnosis of {found.campaign.folder.name}", headline(found).replace("->", "→"), found.campaign.label)
+    page = Page(f"Diagnosis of {found.campaign.folder.name}", headline(found), found.campaign.label)
     page.tiles(key_figures(found))
     if text := not_tried(found):
         page.note(f"{text[0].upper()}{text[1:]}.")

@@ -7,7 +7,7 @@ import numpy as np
 from hil.calibrate import LoadCell, Measured, PitchTable
 from hil.calibration import Calibration
 from hil.columns import LEARNED
-from hil.outcome import SPAN, Outcome, difference, judged_steps, said
+from hil.outcome import SPAN, Outcome, difference, energy_words, judged_steps, said
 from hil.replay import Replay
 from hil.selftest import SelfTest
 from hil.timing import EDGES, Timing
@@ -177,9 +177,7 @@ def _tiles(page: Page, content: dict, found: Timing | None, loops: Mapping[str, 
             of = f"{len(settled)} of {len(judged)} steps settle; overshoot up to {max(s.overshoot for s in judged):.0f} %"
             page.tiles([(f"slowest settling, {name}", slowest, of)])
     if "energy" in content:
-        taken = content["energy"]
-        watt = f"{number(taken['mean_power'], 3)} W in the mean, {number(taken['peak_power'], 3)} W at most"
-        page.tiles([("energy from the supply", f"{number(taken['value'], 3)} J", watt)])
+        page.tiles([("energy from the supply", *energy_words(content["energy"]))])
     if "beside" in content:
         page.tiles([("rig against plant FMU", f"{number(content['beside']['rms_thrust'])} N", "rms of the thrust difference")])
     log = content["log"]

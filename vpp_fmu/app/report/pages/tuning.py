@@ -29,7 +29,7 @@ def tuning_page(found: Tuning) -> Page:
     """The page of one tuning."""
     task = found.task
     assumed = ", ".join(f"{name} = {task.parameters.values[name]:g}" for name in task.assumed)
-    page = Page("Gains for the model", headline(found).replace("->", "→"), task.parameters.label)
+    page = Page("Gains for the model", headline(found), task.parameters.label)
     figures = key_figures(found)
     page.tiles([each for each in figures if each[0].startswith(("cost", "margins"))])
     for name, tuned in found.tuned.items():
