@@ -208,6 +208,7 @@ class Plausibility:
 
 
 UNITS = NAMES | {"power": "W"}
+"""Of what is limited."""
 
 
 class SupplyLimits:

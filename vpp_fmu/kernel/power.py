@@ -10,10 +10,11 @@ takes no measurement of the motor's own current; idle is the ESC's. Coefficients
 """
 
 from itertools import product
+from math import pi
 
 from vpp_fmu.kernel.types import Effect, Parameter, Signal
 
-RAD_PER_S = 2.0 * 3.141592653589793 / 60.0
+RAD_PER_S = 2.0 * pi / 60.0
 """One rpm."""
 
 TORQUE_TERMS = tuple(product((1, 2), (0, 1, 2)))
@@ -77,7 +78,7 @@ MOTOR = Effect(
 
 
 def _figure(ops, s, x, p, dt):
-    shaft, disc = s.torque * s.w * s.omega_scale * RAD_PER_S, 0.25 * 3.141592653589793 * p.diameter * p.diameter
+    shaft, disc = s.torque * s.w * s.omega_scale * RAD_PER_S, 0.25 * pi * p.diameter * p.diameter
     lift = ops.maximum(s.thrust, 0.0)
     known = ops.where(shaft > 0.0, disc, 0.0) > 0.0
     # At least a little: the derivative of a square root at 0 is infinite.

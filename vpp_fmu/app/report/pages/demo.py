@@ -10,7 +10,7 @@ from vpp_fmu.app.report.pages.diagnosis import headline as diagnosis_headline
 from vpp_fmu.app.report.pages.diagnosis import key_figures as diagnosed
 from vpp_fmu.app.report.pages.identification import add_found, add_static
 from vpp_fmu.app.report.pages.loop import STEP_COLUMNS, row
-from vpp_fmu.app.report.sentences import change
+from vpp_fmu.app.report.sentences import DIGITS, change, size
 from vpp_fmu.digits import number
 from vpp_fmu.response import steps
 
@@ -18,8 +18,8 @@ from vpp_fmu.response import steps
 def key_figures(done: Demo) -> list[tuple[str, str, str]]:
     """(label, value, note): those of the diagnosis, and the errors of the FMUs."""
     before, after = done.rmse["before"], done.rmse["after"]
-    note = f"unseen record, noise of one reading {number(done.diagnosis.noise.floor)} N"
-    through = ("thrust error, FMU in fmpy", f"{number(before)} → {number(after)} N", note)
+    note = f"unseen record, noise of one reading {size(done.diagnosis.noise.floor, 'N')}"
+    through = ("thrust error, FMU in fmpy", f"{number(before, DIGITS)} → {size(after, 'N')}", note)
     return [through if label.startswith("thrust error") else (label, *rest) for label, *rest in diagnosed(done.diagnosis)]
 
 
@@ -32,22 +32,11 @@ def headline(done: Demo) -> str:
 def demo_page(done: Demo) -> Page:
     """The report of all steps."""
     found, validation = done.diagnosis, done.validation
-    described = {e.name: e.description for e in found.final.problem.model.effects}
-    effects = " and ".join(f"{name} ({described[name]})" for name in found.final.effects) or "nothing"
-    before, after = done.rmse["before"], done.rmse["after"]
-    page = Page(
-        "From rig data to FMUs",
-        f"A measured campaign becomes a plant model; its residual shows what the model lacks: {effects}. The model before and "
-        f"after is exported as FMUs, and fmpy runs them on a record that no fit has seen: {number(before)} N before, "
-        f"{number(after)} N after; the noise alone is {number(found.noise.floor)} N.",
-        found.campaign.label,
-    )
+    before, after = (size(done.rmse[when], "N") for when in ("before", "after"))
+    page = Page("From rig data to FMUs", headline(done), found.campaign.label)
     page.tiles(key_figures(done))
     page.section("The plant FMUs against measurement")
-    title = (
-        f"On an unseen record the FMU errs by {number(before)} N before and {number(after)} N after; "
-        f"noise is {number(found.noise.floor)} N"
-    )
+    title = f"On an unseen record the FMU errs by {before} before and {after} after; noise is {size(found.noise.floor, 'N')}"
     lines = {f"FMU {name}": thrust for name, thrust in done.thrust.items()}
     figure = measured_against_predicted(validation, lines, title, found.noise.floor)
     page.figure(figure, f"validation.csv. {thinning(len(validation))}")

@@ -18,7 +18,7 @@ from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.effect import add_attempt, add_effects, add_learned
 from vpp_fmu.app.report.pages.identification import add_quality, quality_tile
 from vpp_fmu.app.report.pages.residual import add_residual
-from vpp_fmu.app.report.sentences import change, clause, sentence, size, thrust_error
+from vpp_fmu.app.report.sentences import DIGITS, change, clause, sentence, size, thrust_error
 from vpp_fmu.app.report.summary import LEFT_OUT, NEXT, artefact, errors, summary, why_not
 from vpp_fmu.digits import chance, interval, number, signed, with_uncertainty
 
@@ -153,7 +153,7 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
                 note += f"; the fitted commands reach it {times}, {number(p['acts_seconds'], 2)} s in all"
             figures.append((f"{effect['name']}, {name}".replace("_", " "), size(p["value"], unit), note))
     (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
-    both = change(before, after, "N").replace("->", "→") if found.final.effects else size(before, "N")
+    both = f"{number(before, DIGITS)} → {size(after, 'N')}" if found.final.effects else size(before, "N")
     noise = f"noise of one reading {size(found.noise.floor, 'N')}: {found.reading_noise.basis}"
     figures.append((f"thrust error {_where_judged(found)}".rstrip(","), both, noise))
     if found.given is not None:
