@@ -56,7 +56,7 @@ def diagnosed(arguments: Sequence[str], cache: Path, checkout: Path = HERE) -> C
 def outcome(folder: Path) -> str:
     """Verdict and effects of a diagnosis."""
     content = json.loads((folder / "diagnosis.json").read_text())
-    return " ".join([content["verdict"], *content["effects"]])
+    return " ".join([content["verdict"], *(effect["name"] for effect in content["effects"])])
 
 
 def table(campaigns: Sequence[Path], against: Path | None) -> None:
