@@ -173,8 +173,11 @@ class _Estimate:
         self._experiments = [Experiment(group, noise) for group in self._groups]
         self._thrust_alone = [Experiment(group, noise, channels=("thrust",)) for group in self._groups]
         self._measured = any(len(e.omega_time) for e in self._experiments)
+        # The response of an effect between two lags depends on their order.
+        self.slow_first = {u: start[f"tau_{u}_1"] >= start[f"tau_{u}_2"] for u in DELAYS}
         # Delays that are free from the start would replace lags.
-        base = Problem(self._model, self._thrust_alone, start, [n for n in self._names if n not in delays])
+        names = [n for n in self._names if n not in delays]
+        base = Problem(self._model, self._thrust_alone, start, names, slow_first=self.slow_first)
         self.values = start | base.coordinates.values(base.fit(start).value)
 
     def run_in(self, record: Record) -> float:
@@ -313,7 +316,7 @@ class _SensorFit:
         fixed = {n: v for n, v in at_rest.items() if n != alone}
         self._start = {**(of.values if start is None else start.values), **fixed}
         self._names = [n for n in of._names if n not in fixed]
-        self._problem = Problem(of._model, self._experiments, self._start, self._names)
+        self._problem = Problem(of._model, self._experiments, self._start, self._names, slow_first=of.slow_first)
         c = self._problem.coordinates
         self._count, self._sensor = len(c.names), self.sensor
         self.tied = tied and len(of._delays) == 2
@@ -387,7 +390,8 @@ class _SensorFit:
     def _with(self, sensor: SpeedSensor) -> Problem:
         if not self.free:
             return self._problem
-        found = Problem(self._of._model, [e.measured_by(sensor) for e in self._experiments], self._start, self._names)
+        experiments = [e.measured_by(sensor) for e in self._experiments]
+        found = Problem(self._of._model, experiments, self._start, self._names, slow_first=self._of.slow_first)
         found.scale = self._problem.scale
         return found
 

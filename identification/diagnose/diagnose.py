@@ -59,6 +59,9 @@ OTHERS = 2
 MOST_OF_LOGGER = 100.0
 """Evidence of effects (nats) from which another logger is not tried: ten times the difference of those not distinguished."""
 
+EXPLAINED = ("attributed", "family")
+"""Verdicts with effects of the library and without unexplained lack of fit."""
+
 UNEXPLAINED = ("partly", "unexplained")
 """Verdicts with an unexplained lack of fit; a best guess is added."""
 
@@ -201,9 +204,9 @@ def diagnose(
     on the machine's speed. BadInput if the campaign has no record to fit.
 
     The logger is estimated first, beside the base model. If something is missing with it, other loggers that are not
-    distinguished from it are tried, too. A missing effect may bias this estimate. So if effects are found
-    beside a logger that differs from the contract's, or if one of them is a delay, it is estimated again beside the others. If
-    it differs, the campaign is diagnosed with it, too.
+    distinguished from it are tried, too. A missing effect may bias this estimate. So the logger is estimated again beside the
+    effects that are found if it differs from the contract's, if one of the effects is a delay, or if they do not explain all.
+    If it differs, the campaign is diagnosed with it, too.
     """
     effort = Effort(budget, thorough, stage)
     # The fits run in parallel, each with one thread of linear algebra.
@@ -225,7 +228,8 @@ def diagnose(
         known = [e.name for e in library]
         named = [name for name in found.selection.final.effects if name in known]
         beside = [name for name in named if name not in LATE]
-        biased = named and not (found.logger.plain and beside == named)
+        explained = beside == named and found.verdict in EXPLAINED
+        biased = named and not (found.logger.plain and explained)
         if biased and effort.allows(f"another logger beside {' + '.join(named)}"):
             stage("logger")
             kept = given.without_power.model.optional if given else ()
