@@ -41,9 +41,9 @@ def commands(seed, seconds=40.0, rate=RATE):
     return Record({"time": time, "omega_ref": walk(2200.0, 5800.0), "beta_ref": walk(-4.0, 9.0)}, "commands")
 
 
-def logged(seed, rows, filter_=0.0, noise=0.05, rate=RATE, pitch=None):
-    """A record of the base model whose commands act `rows` rows later than the readings of their row; speed to 1 rpm. `pitch`
-    [deg]: of a record that holds it."""
+def logged(seed, rows, filter_=0.0, noise=0.05, rate=RATE, pitch=None, model=BASE, values=None):
+    """A record of a model whose commands act `rows` rows later than the readings of their row; speed to 1 rpm. `pitch` [deg]: of
+    a record that holds it. `values`: changes of the model's parameters."""
     record = commands(seed, rate=rate)
     if pitch is not None:
         record = record.with_columns(beta_ref=np.full(len(record), pitch))
@@ -52,7 +52,7 @@ def logged(seed, rows, filter_=0.0, noise=0.05, rate=RATE, pitch=None):
     columns = {n: np.repeat(late[n], fine) for n in ("omega_ref", "beta_ref")}
     shift = round(late.late * fine)
     columns = {n: np.concatenate([np.repeat(c[:1], shift), c[: len(c) - shift]]) for n, c in columns.items()}
-    outputs = Simulator(BASE).simulate({}, columns, np.full(len(record) * fine - 1, 1.0 / (rate * fine)))
+    outputs = Simulator(model).simulate(values or {}, columns, np.full(len(record) * fine - 1, 1.0 / (rate * fine)))
     omega = outputs[:, 1]
     if filter_:
         kept, speed = np.exp(-1.0 / (rate * fine * filter_)), omega.copy()
@@ -226,6 +226,14 @@ def test_a_better_fit_of_the_speed_is_no_reason_to_fit_the_thrust_worse(lost, be
     other.speed = {row: [0.5 * error, std] for row, (error, std) in fit.speed.items()}
     other._thrust = fit._thrust - lost
     assert fit.worse_than(other) is better
+
+
+def test_a_logger_is_estimated_beside_a_limit_between_a_fast_and_a_slow_lag():
+    # A servo's rate limit acts on its first lag: with the lags in the other order, a delay replaces the fast one.
+    name = "pitch_rate_limit"
+    values = {f"{name}.rate": 12.0, f"{name}.form": 1.0, "tau_beta_1": 0.06, "tau_beta_2": 0.17}
+    gate = passed(campaign(logged(44, 1.0, model=plant([name]), values=values)))
+    assert as_logged(gate, [name], LIBRARY, values).logger.rows == pytest.approx(1.0, abs=0.05)
 
 
 def test_a_late_log_is_mended_by_whole_rows():
