@@ -42,8 +42,8 @@ def commands(seed, seconds=40.0, rate=RATE):
 
 
 def logged(seed, rows, filter_=0.0, noise=0.05, rate=RATE, pitch=None, model=BASE, values=None):
-    """A record of a model whose commands act `rows` rows later than the readings of their row; speed to 1 rpm. `pitch` [deg]: of
-    a record that holds it. `values`: changes of the model's parameters."""
+    """A record of a model whose commands act `rows` rows later than the readings of their row; speed to 1 rpm. `pitch` [deg]:
+    of a record that holds it. `values`: changes of the model's parameters."""
     record = commands(seed, rate=rate)
     if pitch is not None:
         record = record.with_columns(beta_ref=np.full(len(record), pitch))

@@ -52,9 +52,17 @@ int proceed(void *of, const double *inputs, const double *steps, long n, int las
 void end(void *run) { free(run); }
 
 #ifdef LANES
+/* The widest vectors of the processor that the library runs on: no fused operations, and so the same bits on each. */
+#if defined(__x86_64__) && defined(__linux__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
+#define WIDEST __attribute__((target_clones("avx512f", "avx2", "default")))
+#else
+#define WIDEST
+#endif
+
 /* A whole record for LANES sets of parameters (LANES x N_PARAMETERS) side by side, as proceed() runs each. inputs, steps: of n rows.
- * outputs: N_OUTPUTS x n x LANES. APART: their longest steps differ, and so do not stay in step. */
-int alike(const double *parameters, const double *inputs, const double *steps, long n, double *outputs) {
+ * outputs: N_OUTPUTS x n rows of LANES, `stride` numbers from row to row. APART: their longest steps differ, and so do not stay in
+ * step. */
+WIDEST int alike(const double *parameters, const double *inputs, const double *steps, long n, long stride, double *outputs) {
   static const double no_tangent[N_DELAYED_OR_1] = {0};
   double v[N_VALUES][LANES], c[N_CONSTANTS][LANES], own[N_VALUES] = {0}, constants[N_CONSTANTS], tangents[N_TANGENTS];
   double dt = 0.0, largest = INFINITY;
@@ -67,7 +75,7 @@ int alike(const double *parameters, const double *inputs, const double *steps, l
     largest = largest_step(own);
   }
   for (long row = 0; row < n; row++) {
-    for (int i = 0; i < N_OUTPUTS; i++) memcpy(outputs + (i * n + row) * LANES, v[N_INPUTS + i], sizeof v[0]);
+    for (int i = 0; i < N_OUTPUTS; i++) memcpy(outputs + (i * n + row) * stride, v[N_INPUTS + i], sizeof v[0]);
     if (row == n - 1) break;
     for (int i = 0; i < N_INPUTS; i++)
       for (int k = 0; k < LANES; k++) v[i][k] = inputs[row * N_INPUTS + i];

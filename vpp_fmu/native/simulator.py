@@ -65,20 +65,23 @@ class Simulator:
         """
         found = np.empty((len(self.outputs), len(steps) + 1, len(points)))
         for first in range(0, len(points), LANES):
-            part = points[first : first + LANES]
-            found[:, :, first : first + len(part)] = self._side_by_side(part, inputs, steps, late)
+            self._side_by_side(points[first : first + LANES], inputs, steps, late, found[:, :, first : first + LANES])
         return np.moveaxis(found, 0, 1)
 
-    def _side_by_side(self, points, inputs, steps, late) -> np.ndarray:
-        """(outputs, rows, points) of LANES points at most."""
+    def _side_by_side(self, points, inputs, steps, late, found: np.ndarray) -> None:
+        """Fill `found` (outputs, rows, points) with the outputs of LANES points at most."""
         if self._alike is not None and len(points) > 1:
             first, columns, seconds, rows = self._prepared(points[0], inputs, steps, late)
             values = [first, *(np.array(list(self.model.values(point).values())) for point in points[1:])]
             values += values[-1:] * (LANES - len(points))
-            outputs = np.empty((len(self.outputs), len(columns), LANES))
+            direct = rows is None and len(points) == LANES
+            outputs = found if direct else np.empty((len(self.outputs), len(columns), LANES))
             if self._alike(np.array(values), columns, seconds, outputs):
-                return (outputs if rows is None else outputs[:, rows])[:, :, : len(points)]
-        return np.stack([self.simulate(point, inputs, steps, late).T for point in points], axis=2)
+                if not direct:
+                    found[...] = (outputs if rows is None else outputs[:, rows])[:, :, : len(points)]
+                return
+        for k, point in enumerate(points):
+            found[:, :, k] = self.simulate(point, inputs, steps, late).T
 
     def sensitivities(self, parameters, inputs, steps, late: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """As `simulate`, and the derivatives of all outputs (rows, outputs, wrt)."""
@@ -208,7 +211,8 @@ def _library_text() -> str:
 def _runner(chain: _Chain, wrt: tuple[str, ...]):
     """(a generator function (parameters, inputs, steps, plain) that fills each (rows, outputs, tangents) sent to it; tangents:
     arrays (rows, wrt) by output, {} in a plain run; a function (parameters (LANES, n), inputs, steps, outputs (outputs, rows,
-    LANES)) that fills the outputs and returns whether these runs take the same steps; None if no runs do)."""
+    LANES), whose rows may have a distance) that fills the outputs and returns whether these runs take the same steps; None if
+    no runs do)."""
     try:
         return _compiled(chain, wrt)
     except CompilerMissing as missing:
@@ -251,10 +255,11 @@ def _compiled(chain: _Chain, wrt: tuple[str, ...]):
 
     if not hasattr(library, "alike"):
         return run, None
-    library.alike.argtypes = [vector, vector, vector, ctypes.c_long, vector]
+    library.alike.argtypes = [vector, vector, vector, ctypes.c_long, ctypes.c_long, ctypes.c_void_p]
 
     def alike(values, inputs, steps, outputs) -> bool:
-        return library.alike(values, inputs, steps, len(inputs), outputs) == 0
+        stride = outputs.strides[1] // outputs.itemsize
+        return library.alike(values, inputs, steps, len(inputs), stride, outputs.ctypes.data) == 0
 
     return run, alike
 

@@ -97,9 +97,8 @@ def c_source(program: Program) -> str:
     return "".join(parts)
 
 
-LANES = 4
-"""Parallel runs in `c_lanes`: two vectors of the narrowest registers of a 64-bit processor, so that the operations of one hide
-the latency of the other's."""
+LANES = 8
+"""Parallel runs in `c_lanes`: one vector of the widest registers of a 64-bit processor, four of the narrowest."""
 
 
 def c_lanes(program: Program) -> str:
@@ -109,9 +108,9 @@ def c_lanes(program: Program) -> str:
         return ""
     writes = tuple((target, value) for target, value in program.step if target[0] != "d")
     lines, stores = _c_statements(writes, lambda target: f"{target[0]}[{target[1]}][k]")
-    head = "static void step_lanes(double (*restrict v)[LANES], const double (*restrict c)[LANES])"
+    head = "static inline void step_lanes(double (*restrict v)[LANES], const double (*restrict c)[LANES])"
     loop = ["  for (int k = 0; k < LANES; k++) {\n", *(f"    {line}\n" for line in lines + stores), "  }\n"]
-    return "".join([f"\n#define LANES {LANES}\n{head} {{\n", *loop, "}\n"])
+    return "".join([f"\n#define LANES {LANES}\n__attribute__((always_inline)) {head} {{\n", *loop, "}\n"])
 
 
 def c_function(head: str, writes: tuple[Write, ...], name: Callable) -> str:

@@ -17,6 +17,7 @@ from identification.fit.problem import Problem
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
+from vpp_fmu.tracer import LANES
 
 LEVELS = 128
 """Levels that are used, those held longest. On a ramp each is held for one row, without information."""
@@ -65,12 +66,19 @@ class Rounding:
         nudge, held = NUDGE * max(float(np.ptp(levels)), self._largest), {self.name: 0.0}
         executed = [r.columns | {command: rounded(r[command], step)} for r in records]
         baseline = about.rerun(simulator, held, executed)
+
+        def nudged(columns, at: np.ndarray):
+            return columns | {command: columns[command] + nudge * at}
+
         responses = []
-        for level in self._levels:
-            moved = [c | {command: c[command] + nudge * (r[command] == level)} for c, r in zip(executed, records, strict=True)]
-            shown = about.rerun(simulator, held, moved)
-            responses.append(about.change([(y - z) / nudge for y, z in zip(shown, baseline, strict=True)]))
-        response = about.orthogonal_part(np.column_stack(responses))
+        for first in range(0, len(self._levels), LANES):
+            runs = [
+                about.rerun(simulator, held, [nudged(c, r[command] == level) for c, r in zip(executed, records, strict=True)])
+                for level in self._levels[first : first + LANES]
+            ]
+            shown = (np.stack(each, axis=-1) for each in zip(*runs, strict=True))
+            responses.append(about.change([(y - z[..., None]) / nudge for y, z in zip(shown, baseline, strict=True)]))
+        response = about.orthogonal_part(np.hstack(responses))
         self._cost = 0.5 * float(about.residual @ about.residual)
         self._slope, self._power = response.T @ about.residual, response.T @ response
 

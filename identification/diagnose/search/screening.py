@@ -179,53 +179,43 @@ class _Response:
         baseline = about.outputs(simulator, [{**candidate.form, **candidate.off}])
         self._baseline = [shown[:, COMPARED] for shown in baseline]
         self._speed = [np.abs(shown[:, 1]).max() for shown in baseline]
-        self._cached: dict[tuple[float, ...], np.ndarray] = {}
+        self._products: dict[tuple[float, ...], tuple[float, float]] = {}
         self.points = 0
 
     def at(self, points: Sequence) -> np.ndarray:
         """(rows, points)"""
-        return np.hstack([self._about.orthogonal_part(changed) for changed in self._changed(points)])
+        return np.hstack([self._about.orthogonal_part(changed) for _, changed in self._changed(points)])
 
     def products(self, points: Sequence) -> list[tuple[float, float]]:
         """Inner products of the response at each point with the residual and with itself."""
-        pairs = [self._about.products(changed) for changed in self._changed(points)]
-        return [pair for along, power in pairs for pair in zip(along.tolist(), power.tolist(), strict=True)]
+        for part, changed in self._changed([p for p in points if tuple(p.values()) not in self._products]):
+            self._keep(part, *self._about.products(changed))
+        return [self._products[tuple(point.values())] for point in points]
 
-    def _changed(self, points: Sequence) -> Iterator[np.ndarray]:
-        """(rows, up to LANES): change of the scaled residual against the candidate switched off."""
+    def _keep(self, points: Sequence, along: np.ndarray, power: np.ndarray) -> None:
+        keys = (tuple(point.values()) for point in points)
+        self._products |= zip(keys, zip(along.tolist(), power.tolist(), strict=True), strict=True)
+
+    def _changed(self, points: Sequence) -> Iterator[tuple[Sequence, np.ndarray]]:
+        """Up to LANES points, and the change (rows, points) of the scaled residual against the candidate switched off."""
         for first in range(0, len(points), LANES):
             part = points[first : first + LANES]
-            new = [point for point in part if tuple(point.values()) not in self._cached]
-            run = self._run(new) if new else None
-            if len(new) == len(part):
-                yield run
-                continue
-            found = dict(zip((tuple(point.values()) for point in new), run.T if new else (), strict=True)) | self._cached
-            yield np.column_stack([found[tuple(point.values())] for point in part])
-
-    def _run(self, points: Sequence) -> np.ndarray:
-        self.points += len(points)
-        shown = self._about.outputs(self._simulator, [{**self.candidate.form, **point} for point in points])
-        changes = [y[:, COMPARED] - baseline for y, baseline in zip(shown, self._baseline, strict=True)]
-        for change, speed in zip(changes, self._speed, strict=True):
-            change[:, 1, np.abs(change[:, 1]).max(axis=0) <= ROUNDING * speed] = 0.0
-        return self._about.change(changes)
+            self.points += len(part)
+            shown = self._about.outputs(self._simulator, [{**self.candidate.form, **point} for point in part])
+            changes = [y[:, COMPARED] - baseline for y, baseline in zip(shown, self._baseline, strict=True)]
+            for change, speed in zip(changes, self._speed, strict=True):
+                change[:, 1, np.einsum("ij,ij->j", change[:, 1], change[:, 1]) <= (ROUNDING * speed) ** 2] = 0.0
+            yield part, self._about.change(changes)
 
     def sharp(self, shape, axes: Mapping[str, list[float]]) -> bool:
-        """Whether responses of neighbours on the axis of the only size differ in shape, as those of a resonance or a threshold.
-
-        The responses are cached for the grid of the same points.
-        """
+        """Whether responses of neighbours on the axis of the only size differ in shape, as of a resonance or a threshold."""
         ((name, values),) = axes.items()
         points = [shape | {name: v} for v in sorted(values) if v * self.candidate.probe[name] > 0.0]
-        self._cached = {}
-        keys = (tuple(point.values()) for point in points)
-        rows = (row for changed in self._changed(points) for row in np.ascontiguousarray(changed.T))
-        self._cached = dict(zip(keys, rows, strict=True))
-        traces = list(self.at(points).T.copy())
-        powers = [float(t @ t) for t in traces]
-        alike = [(t @ u) ** 2 > SHARP * p * q for t, u, p, q in zip(traces, traces[1:], powers, powers[1:], strict=False)]
-        return not all(alike)
+        traces = np.ascontiguousarray(self.at(points).T)
+        powers = np.einsum("ij,ij->i", traces, traces)
+        self._keep(points, traces @ self._about.residual, powers)
+        along = np.einsum("ij,ij->i", traces[1:], traces[:-1])
+        return not bool(np.all(along**2 > SHARP * powers[1:] * powers[:-1]))
 
     def stepwise(self, shape) -> bool:
         """Whether the response has no sensitivity to the sizes at any value: a threshold."""
