@@ -250,10 +250,10 @@ class _Estimate:
 
     def _one_delay(self, fit: "_SensorFit") -> Logger | None:
         """The logger without an offset, if a delay of one command explains the record better than the offset of `fit`, or if it
-        explains it as well and the offset is larger than a logger's. Shorter lags of the other command hide the difference."""
+        explains it as well and the offset is later than a logger's. Shorter lags of the other command hide the difference."""
         each = (_SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=0.0, alone=n).solved(FULL) for n in self._delays)
         for one in each:
-            if fit.worse_than(one) or (fit.rows > LATEST_ROW and not one.worse_than(fit)):
+            if fit.worse_than(one) or (fit.is_late and not one.worse_than(fit)):
                 return Logger(0.0, 0.0, one.sensor, {name: one.estimate(name)[1] for name in one.free}, self._period)
         return None
 
@@ -432,6 +432,12 @@ class _SensorFit:
     def rows(self) -> float:
         """The offset of a fit with one offset, in rows."""
         return self.late(*self._of._delays[:1]).value / self._of._period
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the offset exceeds that of a logger by more than its uncertainty."""
+        shared = self.late(*self._of._delays[:1])
+        return shared.value - SIGNIFICANT * shared.std > LATEST_ROW * self._of._period
 
     def from_whole_rows(self) -> float:
         """Distance of the offset from the nearest whole number of rows."""
