@@ -102,6 +102,7 @@ UNLIKELY = 0.01
 """Level of the test that a kind explains the renewal intervals."""
 
 DELAYS = {"omega": "speed_delay", "beta": "pitch_delay"}
+SPEED_DELAY = "speed_delay.delay"
 ALL_DELAYS = tuple(f"{name}.delay" for name in DELAYS.values())
 
 
@@ -230,8 +231,8 @@ class _Estimate:
         def logger_at(value: float, fit: "_SensorFit") -> Logger:
             own = (
                 delayed
-                and "speed_delay.delay" in self._delays
-                and loose.late("speed_delay.delay").differs_from(value * self._period)
+                and SPEED_DELAY in self._delays
+                and loose.late(SPEED_DELAY).differs_from(value * self._period)
             )
             if delayed and fit.with_delay != fit.free and loose.has_delay and not own:
                 other = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit, held=value).solved(FULL)
@@ -250,9 +251,12 @@ class _Estimate:
 
     def _one_delay(self, fit: "_SensorFit") -> Logger | None:
         """The logger without an offset, if a delay of one command explains the record better than the offset of `fit`, or if it
-        explains it as well and the offset is later than a logger's. Shorter lags of the other command hide the difference."""
-        each = (_SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=0.0, alone=n).solved(FULL) for n in self._delays)
-        for one in each:
+        explains it as well and the offset is later than a logger's. Shorter lags of the other command hide the difference. No
+        rotor turns before its command: a speed that leads is the logger's."""
+        for name in self._delays:
+            one = _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=0.0, alone=name).solved(FULL)
+            if name == SPEED_DELAY and one.late(name).leads:
+                continue
             if fit.worse_than(one) or (fit.is_late and not one.worse_than(fit)):
                 return Logger(0.0, 0.0, one.sensor, {name: one.estimate(name)[1] for name in one.free}, self._period)
         return None
@@ -469,7 +473,7 @@ class _SensorFit:
         thrust = {u: self.late(f"{name}.delay") for u, name in DELAYS.items() if f"{name}.delay" in self._names}
         if not self.sensor.kind or "omega" not in thrust:
             return _offset(thrust, None, "")
-        return _offset(thrust, self.late("speed_delay.delay", "delay", unknown=self.unknown_instant), self.sensor.kind)
+        return _offset(thrust, self.late(SPEED_DELAY, "delay", unknown=self.unknown_instant), self.sensor.kind)
 
 
 @dataclass(frozen=True)
@@ -483,6 +487,10 @@ class _Delay:
 
     def differs_from(self, value: float) -> bool:
         return abs(self.value - value) > SIGNIFICANT * self.std + self.unknown
+
+    @property
+    def leads(self) -> bool:
+        return self.value < 0.0 and self.differs_from(0.0)
 
     def agrees_with(self, other: "_Delay") -> bool:
         return (
@@ -514,7 +522,7 @@ def _offset(thrust: Mapping[str, _Delay], reading: _Delay | None, kind: str) -> 
         return (
             shared if reading is None or shared.value < reading.value + reading.unknown or shared.agrees_with(reading) else NONE
         )
-    speed, pitch, early = thrust["omega"], thrust.get("beta"), reading.differs_from(0.0) and reading.value < 0.0
+    speed, pitch, early = thrust["omega"], thrust.get("beta"), reading.leads
     if not reading.agrees_with(speed):
         return reading if early else NONE
     shared = reading.with_(speed)
