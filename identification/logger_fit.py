@@ -229,11 +229,7 @@ class _Estimate:
             rows, std = 0.0, 0.0
 
         def logger_at(value: float, fit: "_SensorFit") -> Logger:
-            own = (
-                delayed
-                and SPEED_DELAY in self._delays
-                and loose.late(SPEED_DELAY).differs_from(value * self._period)
-            )
+            own = delayed and SPEED_DELAY in self._delays and loose.late(SPEED_DELAY).differs_from(value * self._period)
             if delayed and fit.with_delay != fit.free and loose.has_delay and not own:
                 other = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit, held=value).solved(FULL)
                 fit = other if fit.worse_than(other) else fit

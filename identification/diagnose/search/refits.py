@@ -10,7 +10,6 @@ from identification.diagnose.judgement import MIN_EVIDENCE
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.screening import Screening, ScreeningResult
-from identification.fit.coordinates import CHANNELS
 from vpp_fmu.native.memory import give_back
 
 REFITTED = (6, 3)
@@ -22,10 +21,6 @@ SAME_RESPONSE = 1e-6
 
 REORDERED = 3
 """Best refits that are repeated with the lags of a channel in the other order: a double pole hides the order."""
-
-EQUAL, SPLIT = 1.01, 3.0
-"""Ratio of a channel's lags up to which they are a double pole, and the ratio from which such a fit is repeated: a double pole
-is the end of the range, and often a local optimum beside an effect that leads."""
 
 REACH = 0.5
 """Share of the best evidence that a candidate needs for a refit in another order of lags, form, or special case."""
@@ -149,24 +144,12 @@ def refitted(searcher: Searcher, fit: Fit, candidate: Candidate, at: ScreeningRe
 
 
 def _reordered(fit: Fit, candidate: Candidate, refit: Fit) -> list[Start]:
-    """Starts from which a refit may improve: with a channel's lags in the other order, and with equal lags split."""
+    """Starts from which a refit may improve: with a channel's lags in the other order."""
     orders = [{**refit.slow_first, u: not refit.slow_first.get(u, True)} for u in candidate.effect.channels]
     if _exchangeable(refit, candidate.effect.channels):
         orders = []
-    split = [(refit.values | _split(refit, u), refit.slow_first) for u in CHANNELS if _split(refit, u)]
     # A threshold that the fit already had was scanned nearby only.
-    return split + [(refit.values, order) for order in ([*orders, refit.slow_first] if fit.thresholds else orders)]
-
-
-def _split(fit: Fit, channel: str) -> dict[str, float]:
-    """The lags of a channel with the same sum and a ratio of SPLIT if they are equal, else empty."""
-    first, second = f"tau_{channel}_1", f"tau_{channel}_2"
-    slow, fast = max(fit.values[first], fit.values[second]), min(fit.values[first], fit.values[second])
-    if first not in fit.problem.coordinates.names or slow > EQUAL * fast:
-        return {}
-    fast = (slow + fast) / (1.0 + SPLIT)
-    pair = (first, second) if fit.slow_first.get(channel, True) else (second, first)
-    return dict(zip(pair, (SPLIT * fast, fast), strict=True))
+    return [(refit.values, order) for order in ([*orders, refit.slow_first] if fit.thresholds else orders)]
 
 
 def _exchangeable(fit: Fit, channels: Iterable[str]) -> bool:

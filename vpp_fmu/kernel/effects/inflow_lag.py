@@ -42,7 +42,7 @@ EFFECT = Effect(
         State("before", "1", "what the inflow follows, at the start of the step", _source),
     ),
     off={"gain": 0.0},
-    probe={"gain": 0.3},
+    probe={"gain": 0.3, "time_constant": 0.2},
     largest_step=0.002,
     says="the thrust overshoots by a gain of {gain} while the inflow builds up",
 )
