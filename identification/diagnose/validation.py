@@ -43,7 +43,8 @@ def unnamed(lack: LackOfFit) -> str:
 
 def share_explained(base: Fit, final: Fit, before: LackOfFit, after: LackOfFit) -> float:
     """Share of the lack of fit that a set explains: of the pure error's power with a repeat, else of the log-likelihood. Where
-    the remaining lack of fit is of the transient thrust or of the speed, its share, if smaller."""
+    the remaining lack of fit is of the transient thrust, its share, if smaller. A lack of fit of the speed alone is a fault of
+    the motor: it makes the explanation a part, but hides no effect of the rotor."""
     gain = 0.5 * (base.deviance - final.deviance)
     if before.bands:
         power = sum(band.power for band in before.bands)
@@ -52,10 +53,7 @@ def share_explained(base: Fit, final: Fit, before: LackOfFit, after: LackOfFit) 
         share = gain / (gain + max(after.score.gain, 0.0)) if gain > 0.0 else 0.0
     if after.transient_lack_of_fit:
         share = min(share, 1.0 - (after.transient_size / before.transient_size) ** 2) if before.transient_size > 0.0 else 0.0
-    if not after.speed_lack_of_fit:
-        return share
-    old, new = (lack.speed * fit.score.squares["omega"] for fit, lack in ((base, before), (final, after)))
-    return min(share, 1.0 - new / old) if old > 0.0 else 0.0
+    return share
 
 
 CHANGED = ("attributed", "family", "partly", "learned")
