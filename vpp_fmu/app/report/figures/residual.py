@@ -15,7 +15,7 @@ def residual_by_section(
 ) -> go.Figure:
     """The rmse [N] of each section before and after, both (n,), with a line for the noise alone."""
     sections = [style.escaped(label) for label in labels]
-    fig = figure(title, 380, "section [-]", "rmse [N]")
+    fig = figure(title, 380, y="rmse [N]")
     shown = {"texttemplate": "%{y:.3r}", "textposition": "outside", "cliponaxis": False}
     for name, values, colour in (("before", before, style.BEFORE), ("after", after, style.AFTER)):
         hover = f"%{{y:{style.SHOWN}}} N"

@@ -5,20 +5,27 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from urllib.parse import quote
 
+import numpy as np
 from plotly import graph_objects as go
 
 from identification.diagnose.diagnose import Diagnosis
+from identification.static.static_map import TERMS, design
 from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import add_points, figure
-from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.page import Link, Page
 from vpp_fmu.app.report.pages.diagnosis import headline
+from vpp_fmu.app.report.sentences import size, words
 from vpp_fmu.app.report.summary import summary
 from vpp_fmu.campaign import measured_on
-from vpp_fmu.digits import number
+from vpp_fmu.digits import TABLE, number
 
 WIDE = 20.0
 """Ratio of the largest to the smallest error from which the axis is logarithmic."""
+
+AT = 0.75, 0.6
+"""Shares of the speed and pitch scales at which thrusts are compared: 4500 rpm, 4 deg on a rig of the paper's size."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +34,8 @@ class Entry:
 
     `date`: ISO 8601, "" if unknown. `error_before`, `error_after`, `noise` [N]: held-out thrust error of the base and of the
     exported model, and the noise of one reading. `sizes`: (value, standard error or None, unit) of each parameter found, by
-    full name, without those of learned terms, which differ from campaign to campaign. `refused`: why there is no diagnosis,
-    else "".
+    full name, and the map's thrust, without those of learned terms, which differ from campaign to campaign. `refused`: why
+    there is no diagnosis, else "".
     """
 
     name: str
@@ -60,6 +67,7 @@ def entry(name: str, found: Diagnosis) -> Entry:
         for parameter, p in effect["parameters"].items()
         if parameter != "form" and not (found.learned and effect["name"] == found.learned.term.effect.name)
     }
+    sizes |= _thrust(found)
     return Entry(
         name,
         str(folder),
@@ -73,6 +81,18 @@ def entry(name: str, found: Diagnosis) -> Entry:
         len(found.quality),
         said=headline(found),
     )
+
+
+def _thrust(found: Diagnosis) -> dict[str, tuple[float, float | None, str]]:
+    """Thrust of the fitted map at one pair of commands that rigs of one size share, with its standard error."""
+    values, known = found.parameters(found.final).values, found.final.uncertainty
+    shares = AT[0] * values["omega_scale"], AT[1] * values["beta_scale"] - values["beta_offset"]
+    omega, beta = (float(np.clip(at, *ends)) for at, ends in zip(shares, (found.rig.speed, found.rig.pitch), strict=True))
+    row = design(np.array([omega]), np.array([beta]), values)[0] * values["thrust_scale"]
+    slopes = dict(zip(TERMS, row, strict=True))
+    std = known.of(np.array([slopes.get(name, 0.0) for name in known.names]))
+    thrust = float(sum(slope * values[name] for name, slope in slopes.items()))
+    return {f"map.thrust_at_{omega:g}_rpm_{beta:g}_deg": (thrust, std, "N")}
 
 
 def refusal(name: str, campaign: str, why: str) -> Entry:
@@ -131,34 +151,55 @@ def as_parquet(entries: Sequence[Entry]) -> bytes | None:
 
 def fleet_page(entries: Sequence[Entry]) -> Page:
     """The report: verdicts, errors before and after, sizes over the dates."""
+    entries = sorted(entries, key=lambda e: e.date)
     done = [e for e in entries if not e.refused]
+    several = {name: own for name in parameters(done) if len(own := [e for e in done if name in e.sizes]) > 1}
+    dates = [e.date[:10] for e in entries if e.date]
+    apart = "; ".join(said for name, own in several.items() if (said := _farthest(name, own)))
     verdicts = {word: sum(e.verdict == word for e in done) for word in dict.fromkeys(e.verdict for e in done)}
     page = Page(
         f"Diagnosis of {len(entries)} campaigns",
-        "Each campaign was diagnosed alone; its report is in the folder of its name beside this page.",
+        f"{apart or 'No parameter differs between the campaigns by more than its uncertainty'}. Each was diagnosed alone.",
+        " to ".join(dict.fromkeys(dates[:1] + dates[-1:])),
     )
-    page.tiles([("verdict", f"{word}: {count}", f"of {len(entries)} campaigns") for word, count in verdicts.items()])
+    page.tiles([(word, count, f"of {len(entries)} campaigns") for word, count in verdicts.items()])
     if len(done) < len(entries):
         page.tiles([("refused", len(entries) - len(done), "the table says why")])
     if done:
         page.section("Errors", "Held-out thrust error of the base and of the exported model.")
         page.figure(_errors(done), "If the two are equal, nothing was added to the model.")
-    several = {name: own for name in parameters(done) if len(own := [e for e in done if name in e.sizes]) > 1}
     if several:
         page.section("Sizes", "Parameters found in more than one campaign.")
     for name, own in several.items():
         _add_size(page, name, own)
     page.section("All campaigns")
     rows = [
-        (e.name, e.date, e.verdict or "refused", " + ".join(e.effects) or e.refused, *_shown(e), e.warnings) for e in entries
+        (_linked(e), e.date, e.verdict or "refused", " + ".join(e.effects) or e.refused, *_shown(e), e.warnings)
+        for e in entries
     ]
     heads = ("campaign", "date", "verdict", "effects", "before [N]", "after [N]", "noise [N]", "warnings")
     page.table(heads, rows, "One line per campaign, with the thrust error before and after; fleet.csv has the parameters, too.")
     return page
 
 
+def _linked(e: Entry) -> str:
+    return e.name if e.refused else Link(e.name, quote(f"{e.name}/report.html"))
+
+
 def _shown(e: Entry) -> tuple[str, ...]:
-    return tuple("" if value is None else number(value) for value in (e.error_before, e.error_after, e.noise))
+    return tuple("" if value is None else number(value, TABLE) for value in (e.error_before, e.error_after, e.noise))
+
+
+def _farthest(name: str, own: Sequence[Entry]) -> str:
+    """The campaign whose value is farthest from the median, if by more than its 95 % interval."""
+    values = np.array([e.sizes[name][0] for e in own])
+    middle = float(np.median(values))
+    far = np.abs(values - middle)
+    k = int(np.argmax(far))
+    if middle == 0.0 or far[k] <= 1.96 * (own[k].sizes[name][1] or 0.0):
+        return ""
+    way = "below" if abs(values[k]) < abs(middle) else "above"
+    return f"{words(name)}: {own[k].name} is {100.0 * far[k] / abs(middle):.1f} % {way} the median"
 
 
 def _errors(done: Sequence[Entry]) -> go.Figure:
@@ -183,9 +224,12 @@ def _add_size(page: Page, name: str, having: Sequence[Entry]) -> None:
     own = sorted(having, key=lambda e: e.date) if dated else list(having)
     values = [e.sizes[name][0] for e in own]
     names = [style.escaped(e.name) for e in own]
-    what = f"{name}: {number(min(values))} to {number(max(values))}{'' if unit == '1' else f' {unit}'}"
-    label = name.partition(".")[2].replace("_", " ") + ("" if unit == "1" else f" [{unit}]")
-    fig = figure(f"{what} in {len(own)} campaigns", 340, "date" if dated else "campaign", label, legend=False)
+    what = f"{words(name)}: {number(min(values))} to {size(max(values), unit)}"
+    label = words(name.partition(".")[2]) + ("" if unit == "1" else f" [{unit}]")
+    far = _farthest(name, own).partition(": ")[2]
+    fig = figure(
+        f"{what} in {len(own)} campaigns{far and f'; {far}'}", 340, "date" if dated else "campaign", label, legend=False
+    )
     fig.add_scatter(
         x=[e.date for e in own] if dated else names,
         y=values,
