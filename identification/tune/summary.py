@@ -121,9 +121,9 @@ def key_figures(found: Tuning) -> list[tuple[str, str, str]]:
     figures = []
     for row in against(found) if len(found.tuned) > 1 else ():
         errors = [row[name]["squared_error"] for name in found.tuned]
-        times = " against ".join(settling(row[name]["settling"]) for name in found.tuned)
-        label = f"step {row['before']:.3g} → {row['after']:.3g} N, dual against speed alone"
-        figures.append((label, times, f"squared error {number(errors[0])} against {number(errors[1])} s"))
+        times = [settling(row[name]["settling"]) for name in found.tuned]
+        note = f"settling; {times[1]} with speed alone; squared error {number(errors[0])} against {number(errors[1])} s"
+        figures.append((f"step {row['before']:.3g} → {row['after']:.3g} N, both actuators", times[0], note))
     for name, tuned in found.tuned.items():
         for which, each in tuned.verdicts.items():
             word = "better" if each.better else "no better"

@@ -16,7 +16,7 @@ from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import add_points, figure
 from vpp_fmu.app.report.page import Link, Page
 from vpp_fmu.app.report.pages.diagnosis import headline
-from vpp_fmu.app.report.sentences import size, words
+from vpp_fmu.app.report.sentences import size, titled, words
 from vpp_fmu.app.report.summary import summary
 from vpp_fmu.campaign import measured_on
 from vpp_fmu.digits import TABLE, number
@@ -92,7 +92,7 @@ def _thrust(found: Diagnosis) -> dict[str, tuple[float, float | None, str]]:
     slopes = dict(zip(TERMS, row, strict=True))
     std = known.of(np.array([slopes.get(name, 0.0) for name in known.names]))
     thrust = float(sum(slope * values[name] for name, slope in slopes.items()))
-    return {f"map.thrust_at_{omega:g}_rpm_{beta:g}_deg": (thrust, std, "N")}
+    return {f"thrust.at_{omega:g}_rpm_{beta:g}_deg": (thrust, std, "N")}
 
 
 def refusal(name: str, campaign: str, why: str) -> Entry:
@@ -199,7 +199,7 @@ def _farthest(name: str, own: Sequence[Entry]) -> str:
     if middle == 0.0 or far[k] <= 1.96 * (own[k].sizes[name][1] or 0.0):
         return ""
     way = "below" if abs(values[k]) < abs(middle) else "above"
-    return f"{words(name)}: {own[k].name} is {100.0 * far[k] / abs(middle):.1f} % {way} the median"
+    return f"{titled(name)}: {own[k].name} is {100.0 * far[k] / abs(middle):.1f} % {way} the median"
 
 
 def _errors(done: Sequence[Entry]) -> go.Figure:
@@ -224,8 +224,8 @@ def _add_size(page: Page, name: str, having: Sequence[Entry]) -> None:
     own = sorted(having, key=lambda e: e.date) if dated else list(having)
     values = [e.sizes[name][0] for e in own]
     names = [style.escaped(e.name) for e in own]
-    what = f"{words(name)}: {number(min(values))} to {size(max(values), unit)}"
-    label = words(name.partition(".")[2]) + ("" if unit == "1" else f" [{unit}]")
+    what = f"{titled(name)}: {number(min(values))} to {size(max(values), unit)}"
+    label = words(name) + ("" if unit == "1" else f" [{unit}]")
     far = _farthest(name, own).partition(": ")[2]
     fig = figure(
         f"{what} in {len(own)} campaigns{far and f'; {far}'}", 340, "date" if dated else "campaign", label, legend=False

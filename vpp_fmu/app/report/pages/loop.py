@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures.loop import ADAPTED, adapted_parameters, residual_in_band
 from vpp_fmu.app.report.figures.time import closed_loop, two_records
@@ -84,8 +85,9 @@ def comparison_page(found: Comparison, first: str, second: str) -> tuple[Page, l
     for name, figures in found.summary()["columns"].items():
         unit = QUANTITIES[name].unit if name in QUANTITIES else "as recorded"
         rows.append((f"{name} [{unit}]", figures["rms"], figures["mean"], figures["largest"]))
-        titles.append(f"{name} differs by {number(figures['rms'])} {unit} rms, at most {number(figures['largest'])} {unit}")
+        quantity = style.label(name).partition(" [")[0]
+        titles.append(f"{quantity} differs by {number(figures['rms'])} {unit} rms, at most {number(figures['largest'])} {unit}")
         pair = (first, found.time, found.first[name]), (second, found.time, found.second[name])
-        page.figure(two_records(*pair, titles[-1], name, unit), "Second less first below.")
+        page.figure(two_records(*pair, titles[-1], quantity, unit), "Second less first below.")
     page.table(("column", "rms", "mean", "largest"), rows, "Differences, second less first.")
     return page, titles
