@@ -1,6 +1,7 @@
 """Findings as sentences: the first line of a verb and the first screen of its report, plain text in ASCII."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 
 from vpp_fmu.digits import number
@@ -38,7 +39,7 @@ def thrust_error(unseen: bool, values: str, noise: float | None) -> str:
 
 def words(name: str) -> str:
     """The name of an effect or parameter in a text or figure: "pitch backlash, half gap"; names as typed are in tables."""
-    return name.replace("_", " ").replace(".", ", ")
+    return re.sub(r"\.(?=[a-z])", ", ", name.replace("_", " "))
 
 
 def titled(name: str) -> str:

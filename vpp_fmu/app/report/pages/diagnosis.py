@@ -74,7 +74,7 @@ def _sized(guess: Guess) -> str:
             unit = "" if s.unit == "1" else s.unit
             known = f" ({UNIDENTIFIABLE})" if s.std is None else ""
             sizes.append(f"{words(s.name)} {with_uncertainty(s.value, s.std or 0.0, unit)}{known}")
-        found.append(" ".join([words(name), ", ".join(sizes)]))
+        found.append(", ".join([words(name), *sizes]))
     return " and ".join(found)
 
 

@@ -3,7 +3,7 @@
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from urllib.parse import quote
 
@@ -24,8 +24,21 @@ from vpp_fmu.digits import TABLE, number
 WIDE = 20.0
 """Ratio of the largest to the smallest error from which the axis is logarithmic."""
 
-AT = 0.75, 0.6
-"""Shares of the speed and pitch scales at which thrusts are compared: 4500 rpm, 4 deg on a rig of the paper's size."""
+
+@dataclass(frozen=True)
+class ThrustMap:
+    """A rig's fitted map: `values` and `covariance` of TERMS, normalised by `scales`, and its commands' ranges [rpm], [deg]."""
+
+    values: list[float]
+    covariance: list[list[float]]
+    scales: Mapping[str, float]
+    speed: tuple[float, float]
+    pitch: tuple[float, float]
+
+    def thrust(self, omega: float, beta: float) -> tuple[float, float, str]:
+        """Thrust [N] at rest at a speed [rpm] and a pitch [deg], its standard error, and the unit."""
+        slopes = design(np.array([omega]), np.array([beta]), self.scales)[0] * self.scales["thrust_scale"]
+        return float(slopes @ self.values), float(np.sqrt(slopes @ np.array(self.covariance) @ slopes)), "N"
 
 
 @dataclass(frozen=True)
@@ -34,8 +47,8 @@ class Entry:
 
     `date`: ISO 8601, "" if unknown. `error_before`, `error_after`, `noise` [N]: held-out thrust error of the base and of the
     exported model, and the noise of one reading. `sizes`: (value, standard error or None, unit) of each parameter found, by
-    full name, and the map's thrust, without those of learned terms, which differ from campaign to campaign. `refused`: why
-    there is no diagnosis, else "".
+    full name, without those of learned terms, which differ from campaign to campaign. `refused`: why there is no diagnosis,
+    else "". `map`: None if refused.
     """
 
     name: str
@@ -50,6 +63,7 @@ class Entry:
     warnings: int = 0
     refused: str = ""
     said: str = ""
+    map: ThrustMap | None = None
 
     @property
     def line(self) -> str:
@@ -67,7 +81,6 @@ def entry(name: str, found: Diagnosis) -> Entry:
         for parameter, p in effect["parameters"].items()
         if parameter != "form" and not (found.learned and effect["name"] == found.learned.term.effect.name)
     }
-    sizes |= _thrust(found)
     return Entry(
         name,
         str(folder),
@@ -80,19 +93,28 @@ def entry(name: str, found: Diagnosis) -> Entry:
         sizes,
         len(found.quality),
         said=headline(found),
+        map=_map(found),
     )
 
 
-def _thrust(found: Diagnosis) -> dict[str, tuple[float, float | None, str]]:
-    """Thrust of the fitted map at one pair of commands that rigs of one size share, with its standard error."""
+def _map(found: Diagnosis) -> ThrustMap:
     values, known = found.parameters(found.final).values, found.final.uncertainty
-    shares = AT[0] * values["omega_scale"], AT[1] * values["beta_scale"] - values["beta_offset"]
-    omega, beta = (float(np.clip(at, *ends)) for at, ends in zip(shares, (found.rig.speed, found.rig.pitch), strict=True))
-    row = design(np.array([omega]), np.array([beta]), values)[0] * values["thrust_scale"]
-    slopes = dict(zip(TERMS, row, strict=True))
-    std = known.of(np.array([slopes.get(name, 0.0) for name in known.names]))
-    thrust = float(sum(slope * values[name] for name, slope in slopes.items()))
-    return {f"thrust.at_{omega:g}_rpm_{beta:g}_deg": (thrust, std, "N")}
+    chosen = np.array([[name == own for own in known.names] for name in TERMS], float)
+    scales = {name: values[name] for name in ("omega_scale", "beta_scale", "beta_offset", "thrust_scale")}
+    covariance = (chosen @ known.covariance @ chosen.T).tolist()
+    return ThrustMap([values[name] for name in TERMS], covariance, scales, found.rig.speed, found.rig.pitch)
+
+
+def compared(entries: Sequence[Entry]) -> list[Entry]:
+    """With the thrust of each map, at the middle of the commands that all rigs have, among the sizes; as they are if none."""
+    maps = [e.map for e in entries if e.map]
+    ranges = [m.speed for m in maps], [m.pitch for m in maps]
+    shared = [(max(low for low, _ in own), min(high for _, high in own)) for own in ranges if own]
+    if len(maps) < 2 or any(low > high for low, high in shared):
+        return list(entries)
+    omega, beta = (float(f"{0.5 * (low + high):.3g}") for low, high in shared)
+    name = f"thrust.at_{omega:g}_rpm_{beta:g}_deg"
+    return [replace(e, sizes={**e.sizes, name: e.map.thrust(omega, beta)}) if e.map else e for e in entries]
 
 
 def refusal(name: str, campaign: str, why: str) -> Entry:

@@ -46,7 +46,7 @@ def identification_page(found: Identification) -> Page:
     add_quality(page, found.quality)
     page.remarks(remarks(found))
     if found.predictions:
-        page.section("How well the model predicts", f"Fitted together: {', '.join(map(words, found.fitted))}.")
+        page.section("How well the model predicts", f"Fitted together: {', '.join(found.fitted)}.")
         for name in _shown(found):
             page.figure(*_record_figure(found, name))
         _add_sections(page, found)
@@ -70,7 +70,7 @@ def headline(found: Identification) -> str:
         return f"{known_of}; there is no record to predict."
     noise = size(found.noise.std if found.noise else None, "N")
     word = "Unseen" if found.unseen else "Fitted"
-    return f"{word} thrust error {size(errors[-1], 'N')} on {words(shown[-1])}; noise {noise}. {known_of}."
+    return f"{word} thrust error {size(errors[-1], 'N')} on {shown[-1]}; noise {noise}. {known_of}."
 
 
 def key_figures(found: Identification) -> list[tuple[str, str, str]]:
@@ -79,7 +79,7 @@ def key_figures(found: Identification) -> list[tuple[str, str, str]]:
     for name in _shown(found):
         p, role = found.predictions[name], "fitted" if name in found.fitted else "not used to fit"
         fit = "" if p.fit_thrust is None else f", fit {p.fit_thrust:.1f} %"
-        figures.append((f"thrust error, {words(name)}", _newton(p.rmse_thrust), f"rmse{fit}, {role}"))
+        figures.append((f"thrust error, {name}", _newton(p.rmse_thrust), f"rmse{fit}, {role}"))
     if found.noise is not None:
         figures.append(("noise of one reading", _newton(found.noise.std), found.noise.basis))
     if (r := found.refinement) is not None:
@@ -141,13 +141,13 @@ def _record_figure(found: Identification, name: str):
     p, noise = found.predictions[name], found.noise and found.noise.std
     beside = f"; the noise alone is {_newton(noise)}" if noise else ""
     used = "which was fitted" if name in found.fitted else "which no fit saw"
-    title = f"Thrust error on {words(name)}, {used}: {_newton(p.rmse_thrust)}{beside}"
+    title = f"Thrust error on {name}, {used}: {_newton(p.rmse_thrust)}{beside}"
     if p.rmse_thrust is None:
-        title = f"Prediction for {words(name)}, which has no thrust"
+        title = f"Prediction for {name}, which has no thrust"
     figure = measured_against_predicted(p.record, {"model": p.thrust}, title, noise, found.bands[name])
     share = found.coverage[name]
     within = "An unknown share of" if share is None else f"{100 * share:.1f} % of"
-    coverage = f"{within} the readings of {words(name)} are within the 95 % prediction band"
+    coverage = f"{within} the readings of {name} are within the 95 % prediction band"
     return figure, f"{coverage}, from parameters and residual. {thinning(len(p.record))}"
 
 
@@ -168,7 +168,7 @@ def _add_tests(page: Page, found: Identification) -> None:
     title = f"The residual correlates with itself at {100 * outside['itself']:.0f} % of the lags; chance gives 5 %"
     page.figure(
         autocorrelation(tests.lags, tests.own, tests.band, title),
-        f"Thrust residual of {words(found.fitted[0])}, means over 20 ms.",
+        f"Thrust residual of {found.fitted[0]}, means over 20 ms.",
     )
     if tests.crossed:
         worst = max((n for n in outside if n != "itself"), key=outside.get)
