@@ -55,7 +55,7 @@ def test_each_line_is_what_the_campaigns_own_files_say(fleet):
     width = json.loads((fleet / "2026-03-01" / "diagnosis.json").read_text())["effects"][0]["parameters"]["half_width"]
     assert float(first["pitch_command_deadband.half_width"]) == width["value"]
     assert second["pitch_command_deadband.half_width"] == ""
-    (compared,) = (name for name in first if name.startswith("thrust.at_") and not name.endswith("_std"))
+    (compared,) = (name for name in first if name.startswith("thrust_at_") and not name.endswith("_std"))
     assert float(first[compared]) == pytest.approx(float(second[compared]), rel=0.5)
     assert 0.0 < float(first[f"{compared}_std"]) < 0.1 * float(first[compared])
     assert "campaign folder: found none" in empty["refused"]
@@ -164,7 +164,7 @@ def test_the_rig_with_less_thrust_is_named_and_leads_to_its_report():
         return Entry(name, name, "", "none", (), 0.2, 0.2, 0.2, map=own)
 
     page = fleet_page(compared([measured("one", 1.0), measured("two", 1.0001, 5800.0), measured("rig 3", 0.95)]))
-    assert page.summary.startswith("Thrust, at 3900 rpm 2.5 deg: rig 3 is 5.0 % below the median.")
+    assert page.summary.startswith("Thrust at 3900 rpm 2.5 deg: rig 3 is 5.0 % below the median.")
     assert '<a href="rig%203/report.html">rig 3</a>' in page.html()
     alike = fleet_page(compared([measured("one", 1.0), measured("two", 1.0001)]))
     assert alike.summary.startswith("No parameter differs between the campaigns by more than its uncertainty.")

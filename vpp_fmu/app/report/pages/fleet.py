@@ -113,7 +113,7 @@ def compared(entries: Sequence[Entry]) -> list[Entry]:
     if len(maps) < 2 or any(low > high for low, high in shared):
         return list(entries)
     omega, beta = (float(f"{0.5 * (low + high):.3g}") for low, high in shared)
-    name = f"thrust.at_{omega:g}_rpm_{beta:g}_deg"
+    name = f"thrust_at_{omega:g}_rpm_{beta:g}_deg"
     return [replace(e, sizes={**e.sizes, name: e.map.thrust(omega, beta)}) if e.map else e for e in entries]
 
 
@@ -191,7 +191,7 @@ def fleet_page(entries: Sequence[Entry]) -> Page:
         page.section("Errors", "Held-out thrust error of the base and of the exported model.")
         page.figure(_errors(done), "If the two are equal, nothing was added to the model.")
     if several:
-        page.section("Sizes", "Parameters found in more than one campaign.")
+        page.section("Sizes", "Parameters that more than one campaign has, and the thrust of their maps at the same commands.")
     for name, own in several.items():
         _add_size(page, name, own)
     page.section("All campaigns")
