@@ -45,13 +45,7 @@ def _correlation(lines: Mapping[str, np.ndarray], lags_s: np.ndarray, band: floa
     add_ground(fig, band, _no_evidence(band))
     colours = style.colours(lines)
     for name, values in lines.items():
-        fig.add_scatter(
-            x=lags_s,
-            y=values,
-            mode="lines",
-            name=style.label(name).partition(" [")[0],
-            line={"color": colours[name], "width": 1.6},
-        )
+        add_line(fig, lags_s, values, style.label(name).partition(" [")[0], colours[name], 1.6)
     fig.update_xaxes(zeroline=True)
     fig.update_yaxes(zeroline=True)
     fig.update_layout(hovermode="x unified")

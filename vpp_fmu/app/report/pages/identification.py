@@ -96,7 +96,7 @@ def key_figures(found: Identification) -> list[tuple[str, str, str]]:
 
 
 def _newton(value: float | None) -> str:
-    return size(value, "N")
+    return "–" if value is None else f"{number(value)} N"
 
 
 def remarks(found: Identification) -> list[str]:
