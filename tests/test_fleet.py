@@ -166,6 +166,8 @@ def test_the_rig_with_less_thrust_is_named_and_leads_to_its_report():
     page = fleet_page(compared([measured("one", 1.0), measured("two", 1.0001, 5800.0), measured("rig 3", 0.95)]))
     assert page.summary.startswith("Thrust at 3900 rpm 2.5 deg: rig 3 is 5.0 % below the median.")
     assert '<a href="rig%203/report.html">rig 3</a>' in page.html()
+    pair = fleet_page(compared([measured("one", 1.0), measured("rig 3", 0.95)]))
+    assert "rig 3 is 5.0 % below one" in pair.summary
     alike = fleet_page(compared([measured("one", 1.0), measured("two", 1.0001)]))
     assert alike.summary.startswith("No parameter differs between the campaigns by more than its uncertainty.")
 

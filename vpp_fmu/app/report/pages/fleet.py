@@ -213,15 +213,15 @@ def _shown(e: Entry) -> tuple[str, ...]:
 
 
 def _farthest(name: str, own: Sequence[Entry]) -> str:
-    """The campaign whose value is farthest from the median, if by more than its 95 % interval."""
+    """The campaign whose value is farthest from the median, of two from the first, if by more than its 95 % interval."""
     values = np.array([e.sizes[name][0] for e in own])
-    middle = float(np.median(values))
+    middle, of = (float(values[0]), own[0].name) if len(own) == 2 else (float(np.median(values)), "the median")
     far = np.abs(values - middle)
     k = int(np.argmax(far))
     if middle == 0.0 or far[k] <= 1.96 * (own[k].sizes[name][1] or 0.0):
         return ""
     way = "below" if abs(values[k]) < abs(middle) else "above"
-    return f"{titled(name)}: {own[k].name} is {100.0 * far[k] / abs(middle):.1f} % {way} the median"
+    return f"{titled(name)}: {own[k].name} is {100.0 * far[k] / abs(middle):.1f} % {way} {of}"
 
 
 def _errors(done: Sequence[Entry]) -> go.Figure:
