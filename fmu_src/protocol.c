@@ -29,13 +29,13 @@ TELLING(report, void, EVENTS, OK, return)
 static bool allowed(Slave *s, const char *call, int states) {
   if (!s) return false;
   if (s->state & states) return true;
-  refuse(s, MODEL_NAME ": %s is not allowed %s", call, IN_WORDS[s->state]);
+  refuse(s, MODEL_NAME ": %s: found a call %s, expected one that is allowed then", call, IN_WORDS[s->state]);
   return false;
 }
 
 static bool given(Slave *s, const char *call, size_t n, const void *references, const void *values) {
   if (n == 0 || (references && values)) return true;
-  refuse(s, MODEL_NAME ": %s was given a null pointer", call);
+  refuse(s, MODEL_NAME ": %s: found a null pointer, expected data", call);
   return false;
 }
 
@@ -54,7 +54,7 @@ static const char *number(char *text, double x) {
 }
 
 static bool unknown(Slave *s, unsigned r) {
-  refuse(s, MODEL_NAME ": value reference %u is unknown, allowed is 0 to %d", r, N_VALUES - 1);
+  refuse(s, MODEL_NAME ": value reference: found %u, expected 0 to %d", r, N_VALUES - 1);
   return true;
 }
 
@@ -62,7 +62,7 @@ static bool unknown(Slave *s, unsigned r) {
 static bool is_of(Slave *s, const char *call, unsigned r, int type) {
   if (r >= N_VALUES) return !unknown(s, r);
   if (TYPES[r] == type) return true;
-  refuse(s, MODEL_NAME ": %s: %s is of type %s", call, NAMES[r], TYPE_NAMES[TYPES[r]]);
+  refuse(s, MODEL_NAME ": %s: found %s of type %s, expected the call's own type", call, NAMES[r], TYPE_NAMES[TYPES[r]]);
   return false;
 }
 
@@ -70,7 +70,7 @@ static bool in_range(Slave *s, int parameter) {
   char text[32];
   const double x = s->m.v[FIRST_PARAMETER + parameter];
   if (RANGES[parameter].minimum <= x && x <= RANGES[parameter].maximum) return true;
-  refuse(s, MODEL_NAME ": %s is %s%s, allowed is %s", NAMES[FIRST_PARAMETER + parameter], number(text, x),
+  refuse(s, MODEL_NAME ": %s: found %s%s, expected %s", NAMES[FIRST_PARAMETER + parameter], number(text, x),
          RANGES[parameter].unit, RANGES[parameter].text);
   return false;
 }
@@ -80,13 +80,13 @@ static bool set_value(Slave *s, const char *call, unsigned r, int type, double x
   if (!is_of(s, call, r, type)) return false;
   const bool is_parameter = r >= FIRST_PARAMETER && r < FIRST_STATE, is_state = r >= FIRST_STATE;
   if (r >= N_INPUTS && !is_parameter && !is_state)
-    refuse(s, MODEL_NAME ": %s is computed, it can't be set", NAMES[r]);
+    refuse(s, MODEL_NAME ": %s: found a value, expected none: it is computed", NAMES[r]);
   else if (is_state && s->state == STEPPING)
-    refuse(s, MODEL_NAME ": %s can't be set after initialisation, it is computed from then on", NAMES[r]);
+    refuse(s, MODEL_NAME ": %s: found a value after initialisation, expected it before: it is computed", NAMES[r]);
   else if (is_parameter && s->state == STEPPING && !TUNABLE[r - FIRST_PARAMETER])
-    refuse(s, MODEL_NAME ": %s is fixed, it can't be set after initialisation", NAMES[r]);
+    refuse(s, MODEL_NAME ": %s: found a value after initialisation, expected it before: it is fixed", NAMES[r]);
   else if (!is_finite(x))
-    refuse(s, MODEL_NAME ": %s can't be set to %s, a finite number is needed", NAMES[r], number(text, x));
+    refuse(s, MODEL_NAME ": %s: found %s, expected a finite number", NAMES[r], number(text, x));
   else {
     s->m.v[r] = x;
     if (is_state) s->chosen[r - FIRST_STATE] = true;
@@ -145,7 +145,7 @@ static Status no_numbers(Slave *s, double time) {
   text[0] = '\0';
   for (int i = 0; i < N_INPUTS && used < sizeof text; i++)
     used += snprintf(text + used, sizeof text - used, "%s%s = %s", i ? ", " : "", NAMES[i], number(one, s->m.v[i]));
-  return refuse(s, MODEL_NAME ": no finite numbers come of %s at %s s", text, number(at, time));
+  return refuse(s, MODEL_NAME ": step at %s s: found no finite numbers from %s, expected finite ones", number(at, time), text);
 }
 
 /* During initialisation what is read must follow what was set; from then on steps alone move outputs and states. Refused
@@ -184,7 +184,7 @@ static void settle_along(Slave *s, double *along) {
 static Status setup(Slave *s, const char *call, int states, double time) {
   char text[32];
   if (!allowed(s, call, states)) return REFUSED;
-  if (!is_finite(time)) return refuse(s, MODEL_NAME ": start time is %s s, a finite number is needed", number(text, time));
+  if (!is_finite(time)) return refuse(s, MODEL_NAME ": start time: found %s s, expected a finite number", number(text, time));
   s->time = time;
   return OK;
 }
@@ -234,12 +234,12 @@ static Status do_step(Slave *s, const char *call, double time, double size) {
   double kept[N_VALUES];
   if (!s || s->state != STEPPING) return allowed(s, call, STEP_STATES), REFUSED;
   if (!(size > 0.0 && is_finite(size)))
-    return refuse(s, MODEL_NAME ": communication step is %s s, a positive number is needed", number(one, size));
+    return refuse(s, MODEL_NAME ": communication step: found %s s, expected a positive number", number(one, size));
   if (size > longest(s))
-    return refuse(s, MODEL_NAME ": communication step is %s s, allowed is up to %s s", number(one, size),
+    return refuse(s, MODEL_NAME ": communication step: found %s s, expected up to %s s", number(one, size),
                   number(other, longest(s)));
   if (time != s->time && !(fabs(time - s->time) <= SLACK * size + NOW * fabs(time)))
-    return refuse(s, MODEL_NAME ": the step is to begin at %s s, the instance is at %s s", number(one, time),
+    return refuse(s, MODEL_NAME ": start of the step: found %s s, expected the instance's time, %s s", number(one, time),
                   number(other, s->time));
   memcpy(kept, s->m.v, sizeof kept);
 #if EXACT
@@ -248,7 +248,8 @@ static Status do_step(Slave *s, const char *call, double time, double size) {
   run_sampled(&s->m, size);
 #else
   if (!run_held(&s->m, size))
-    return refuse(s, MODEL_NAME ": more than %d command changes wait in one delay: take longer communication steps", SLOTS);
+    return refuse(s, MODEL_NAME ": delay: found more than %d waiting command changes, expected fewer. "
+                     "Try: longer communication steps", SLOTS);
 #endif
   if (!has_numbers(s)) {
     no_numbers(s, time);
@@ -293,7 +294,8 @@ static Status none_such(Slave *s, const char *call, int states, const unsigned r
   if (!allowed(s, call, states) || !given(s, call, n, r, r)) return REFUSED;
   if (n == 0) return OK;
   if (r[0] >= N_VALUES) return unknown(s, r[0]), REFUSED;
-  return refuse(s, MODEL_NAME ": %s: %s is of type %s", call, NAMES[r[0]], TYPE_NAMES[TYPES[r[0]]]);
+  return refuse(s, MODEL_NAME ": %s: found %s of type %s, expected the call's own type", call, NAMES[r[0]],
+                TYPE_NAMES[TYPES[r[0]]]);
 }
 
 /* The derivative of outputs and states (unknowns) along a move of knowns.
@@ -318,10 +320,10 @@ static Status derivative(Slave *s, const char *call, const unsigned unknowns[], 
       continue;
     }
     if (r < FIRST_PARAMETER || r >= FIRST_STATE)
-      return refuse(s, MODEL_NAME ": %s: %s is no known, allowed are inputs and parameters", call, NAMES[r]);
+      return refuse(s, MODEL_NAME ": %s: found the known %s, expected an input or a parameter", call, NAMES[r]);
     if (starting && !carry_sensitivities(s)) return refuse(s, MODEL_NAME ": out of memory");
     if (!s->carried)
-      return refuse(s, MODEL_NAME ": %s: ask for %s in initialization mode first, sensitivities are carried from there on",
+      return refuse(s, MODEL_NAME ": %s: found the known %s after initialisation, expected it in initialization mode first",
                     call, NAMES[r]);
     along[r] += moved[j];
     for (int i = 0; i < N_VALUES && !starting; i++)
@@ -332,7 +334,7 @@ static Status derivative(Slave *s, const char *call, const unsigned unknowns[], 
     const unsigned r = unknowns[i];
     if (r >= N_VALUES && unknown(s, r)) return REFUSED;
     if (r < N_INPUTS || (r >= FIRST_PARAMETER && r < FIRST_STATE))
-      return refuse(s, MODEL_NAME ": %s: %s is no unknown, allowed are outputs and states", call, NAMES[r]);
+      return refuse(s, MODEL_NAME ": %s: found the unknown %s, expected an output or a state", call, NAMES[r]);
     found[i] = along[r];
   }
   return OK;
@@ -342,7 +344,7 @@ static Status set_logging(Slave *s, const char *call, bool on, size_t n, const c
   if (!allowed(s, call, LOG_STATES) || !given(s, call, n, categories, categories)) return REFUSED;
   for (int i = 0; i < N_CATEGORIES && n == 0; i++) s->tells[i] = on;
   for (size_t k = 0; k < n; k++) {
-    if (!categories[k]) return refuse(s, MODEL_NAME ": %s was given a null pointer", call);
+    if (!categories[k]) return refuse(s, MODEL_NAME ": %s: found a null pointer, expected data", call);
     const bool all = strcmp(categories[k], "logAll") == 0;
     bool known = all;
     for (int i = 0; i < N_CATEGORIES; i++)
@@ -363,7 +365,8 @@ static Status get_state(Slave *s, const char *call, void **state) {
 
 static Status set_state(Slave *s, const char *call, void *state) {
   if (!allowed(s, call, STATE_STATES) || !given(s, call, 1, state, state)) return REFUSED;
-  if (((Saved *)state)->data[TAG] != MODEL_TAG) return refuse(s, MODEL_NAME ": this is no state of this FMU");
+  if (((Saved *)state)->data[TAG] != MODEL_TAG)
+    return refuse(s, MODEL_NAME ": state: found one of another FMU, expected one of this FMU");
   return restore(s, state) ? OK : refuse(s, MODEL_NAME ": out of memory");
 }
 
@@ -384,7 +387,7 @@ static Status state_to_bytes(Slave *s, const char *call, void *state, void *byte
   Saved *saved = state;
   if (!allowed(s, call, STATE_STATES) || !given(s, call, 1, state, bytes)) return REFUSED;
   if (size < saved->count * sizeof(double))
-    return refuse(s, MODEL_NAME ": the state needs %zu bytes, given are %zu", saved->count * sizeof(double), size);
+    return refuse(s, MODEL_NAME ": state: found room for %zu bytes, expected %zu", size, saved->count * sizeof(double));
   saved->data[CHECKSUM] = checksum(saved->data, saved->count);
   memcpy(bytes, saved->data, saved->count * sizeof(double));
   return OK;
@@ -398,7 +401,7 @@ static Status state_from_bytes(Slave *s, const char *call, const void *bytes, si
   memcpy(saved->data, bytes, size);
   if (size % sizeof(double) || !is_whole(saved->data, saved->count)) {
     free(saved);
-    return refuse(s, MODEL_NAME ": these %zu bytes are no serialised state of this FMU", size);
+    return refuse(s, MODEL_NAME ": state: found %zu bytes that hold none, expected a serialised state of this FMU", size);
   }
   free(*state);
   *state = saved;
@@ -412,9 +415,9 @@ static Slave *new_slave(Logger logger, void *environment, const char *name, cons
   if (why)
     refuse(&nameless, MODEL_NAME ": %s", why);
   else if (!guid || strcmp(guid, MODEL_GUID) != 0)
-    refuse(&nameless, MODEL_NAME ": guid is %s, allowed is " MODEL_GUID, guid ? guid : "missing");
+    refuse(&nameless, MODEL_NAME ": guid: found %s, expected " MODEL_GUID, guid ? guid : "none");
   else if (!name || !*name)
-    refuse(&nameless, MODEL_NAME ": instance name is missing");
+    refuse(&nameless, MODEL_NAME ": instance name: found none, expected a text");
   else {
     Slave *s = malloc(sizeof *s);
     char *own = malloc(strlen(name) + 1);

@@ -10,7 +10,7 @@ FMI(fmi2Component, Instantiate)
   (void)resources, (void)visible;
   if (!functions || !functions->logger) return NULL; /* the standard wants both, and without them nobody can be told so */
   return new_slave(functions->logger, functions->componentEnvironment, name, guid, logging != 0,
-                   type == fmi2CoSimulation ? NULL : "is for co-simulation only");
+                   type == fmi2CoSimulation ? NULL : "type: found another one, expected co-simulation");
 }
 
 FMI(void, FreeInstance)(fmi2Component c) { free_slave(c); }

@@ -12,21 +12,21 @@ FMI(fmi3Instance, InstantiateCoSimulation)
  fmi3Boolean early_return, const fmi3ValueReference required[], size_t n_required, void *environment, Logger logger,
  void *intermediate_update) {
   (void)resources, (void)visible, (void)event_mode, (void)early_return, (void)required, (void)intermediate_update;
-  return new_slave(logger, environment, name, token, logging, n_required ? "has no intermediate variables" : NULL);
+  return new_slave(logger, environment, name, token, logging, n_required ? "intermediate variables: found some asked for, expected none" : NULL);
 }
 
 FMI(fmi3Instance, InstantiateModelExchange)
 (fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible, fmi3Boolean logging, void *environment,
  Logger logger) {
   (void)resources, (void)visible;
-  return new_slave(logger, environment, name, token, logging, "is for co-simulation only");
+  return new_slave(logger, environment, name, token, logging, "type: found another one, expected co-simulation");
 }
 
 FMI(fmi3Instance, InstantiateScheduledExecution)
 (fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible, fmi3Boolean logging, void *environment,
  Logger logger, void *clock_update, void *lock, void *unlock) {
   (void)resources, (void)visible, (void)clock_update, (void)lock, (void)unlock;
-  return new_slave(logger, environment, name, token, logging, "is for co-simulation only");
+  return new_slave(logger, environment, name, token, logging, "type: found another one, expected co-simulation");
 }
 
 FMI(void, FreeInstance)(fmi3Instance c) { free_slave(c); }
@@ -68,7 +68,7 @@ FMI(fmi3Status, DoStep)
 static bool scalar(Slave *s, const char *call, size_t n, size_t n_values) {
   if (!s) return false;
   if (n == n_values) return true;
-  refuse(s, MODEL_NAME ": %s was given %zu references and %zu values", call, n, n_values);
+  refuse(s, MODEL_NAME ": %s: found %zu references and %zu values, expected as many", call, n, n_values);
   return false;
 }
 

@@ -138,7 +138,7 @@ class TracedSlave(Fmi2Slave):
         """pythonfmu hands the start time over as the initialization begins."""
         self._allow("fmi2EnterInitializationMode", ENTER_STATES)
         if not isfinite(start_time):
-            raise Refused(f"{self.NAME}: start time is {start_time} s, a finite number is needed")
+            raise Refused(f"{self.NAME}: start time: found {start_time} s, expected a finite number")
         self.time = start_time
 
     @call
@@ -244,7 +244,7 @@ class TracedSlave(Fmi2Slave):
     @call
     def _set_fmu_state(self, state):
         if not isinstance(state, dict) or state.get("tag") != self.TAG:
-            raise Refused(f"{self.NAME}: this is no state of this FMU")
+            raise Refused(f"{self.NAME}: state: found one of another FMU, expected one of this FMU")
         self.v[:], self.chosen, self.lines = state["v"], dict(state["chosen"]), []
         if state["scheduled"]:
             self._schedule()
@@ -270,7 +270,8 @@ class TracedSlave(Fmi2Slave):
         except (ValueError, KeyError, TypeError, RecursionError):
             # The call does not name the instance, so all are kept.
             _kept(*(instance for instance in ALIVE if type(instance) is cls))
-            raise Refused(f"{cls.NAME}: these {len(data)} bytes are no serialised state of this FMU") from None
+            found = f"{len(data)} bytes that hold none"
+            raise Refused(f"{cls.NAME}: state: found {found}, expected a serialised state of this FMU") from None
         return state
 
     def _fail(self):
@@ -279,7 +280,7 @@ class TracedSlave(Fmi2Slave):
 
     def _allow(self, name, states):
         if not self.state & states:
-            raise Refused(f"{self.NAME}: {name} is not allowed {IN_WORDS[self.state]}")
+            raise Refused(f"{self.NAME}: {name}: found a call {IN_WORDS[self.state]}, expected one that is allowed then")
 
     def _report(self, text):
         self.log(f"{self.NAME}: {text}", Fmi2Status.ok, "logEvents")
@@ -300,23 +301,24 @@ class TracedSlave(Fmi2Slave):
     def _check_type(self, name, kind, vr):
         if not 0 <= vr < len(self.v):  # pythonfmu takes references for signed
             reference = vr % 2**32
-            raise Refused(f"{self.NAME}: value reference {reference} is unknown, allowed is 0 to {len(self.v) - 1}")
+            raise Refused(f"{self.NAME}: value reference: found {reference}, expected 0 to {len(self.v) - 1}")
         if self.TYPES[vr] != kind:
-            raise Refused(f"{self.NAME}: {name}: {self.VARIABLES[vr]} is of type {self.TYPES[vr]}")
+            found = f"{self.VARIABLES[vr]} of type {self.TYPES[vr]}"
+            raise Refused(f"{self.NAME}: {name}: found {found}, expected the call's own type")
 
     def _set(self, name, kind, vr, value):
         self._check_type(name, kind, vr)
         variable, k = self.VARIABLES[vr], vr - self.first_parameter
         is_parameter, is_state = self.first_parameter <= vr < self.first_state, vr >= self.first_state
         if vr >= self.N_INPUTS and not is_parameter and not is_state:
-            raise Refused(f"{self.NAME}: {variable} is computed, it can't be set")
+            raise Refused(f"{self.NAME}: {variable}: found a value, expected none: it is computed")
         if is_state and self.state == STEPPING:
-            raise Refused(f"{self.NAME}: {variable} can't be set after initialisation, it is computed from then on")
+            raise Refused(f"{self.NAME}: {variable}: found a value after initialisation, expected it before: it is computed")
         if is_parameter and self.state == STEPPING and not self.TUNABLE[k]:
-            raise Refused(f"{self.NAME}: {variable} is fixed, it can't be set after initialisation")
+            raise Refused(f"{self.NAME}: {variable}: found a value after initialisation, expected it before: it is fixed")
         value = float(value)
         if not isfinite(value):
-            raise Refused(f"{self.NAME}: {variable} can't be set to {value}, a finite number is needed")
+            raise Refused(f"{self.NAME}: {variable}: found {value}, expected a finite number")
         self.v[vr] = value
         if is_state:
             self.chosen[vr] = value
@@ -330,7 +332,7 @@ class TracedSlave(Fmi2Slave):
         (low, high, unit, words), value = self.RANGES[k], self.v[self.first_parameter + k]
         if not low <= value <= high:
             name = self.VARIABLES[self.first_parameter + k]
-            raise Refused(f"{self.NAME}: {name} is {value}{unit}, allowed is {words}")
+            raise Refused(f"{self.NAME}: {name}: found {value}{unit}, expected {words}")
 
     def _settle(self):
         """During initialisation what is read must follow what was set; from then on steps alone move outputs and states."""
@@ -364,17 +366,17 @@ class TracedSlave(Fmi2Slave):
 
     def _no_numbers(self, time):
         inputs = ", ".join(f"{name} = {value}" for name, value in zip(self.VARIABLES, self.v[: self.N_INPUTS], strict=False))
-        return Refused(f"{self.NAME}: no finite numbers come of {inputs} at {time} s")
+        return Refused(f"{self.NAME}: step at {time} s: found no finite numbers from {inputs}, expected finite ones")
 
     def _check_step(self, step_size):
         if not (step_size > 0.0 and isfinite(step_size)):
-            raise Refused(f"{self.NAME}: communication step is {step_size} s, a positive number is needed")
+            raise Refused(f"{self.NAME}: communication step: found {step_size} s, expected a positive number")
         if step_size > self.longest:
-            raise Refused(f"{self.NAME}: communication step is {step_size} s, allowed is up to {self.longest} s")
+            raise Refused(f"{self.NAME}: communication step: found {step_size} s, expected up to {self.longest} s")
 
     def _check_time(self, time, step_size):
         if not abs(time - self.time) <= SLACK * step_size + NOW * abs(time):
-            raise Refused(f"{self.NAME}: the step is to begin at {time} s, the instance is at {self.time} s")
+            raise Refused(f"{self.NAME}: start of the step: found {time} s, expected the instance's time, {self.time} s")
 
     def _take(self, time, step_size):
         try:

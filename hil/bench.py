@@ -142,7 +142,7 @@ def locked(chip: Path) -> int:
     except BlockingIOError as error:
         holder = _holder(os.fstat(descriptor))
         os.close(descriptor)
-        raise DeviceFault("rig", FaultKind.NOT_READY, f"in use by {holder}; nothing was written") from error
+        raise DeviceFault("rig", FaultKind.NOT_READY, f"found in use by {holder}, expected none; nothing written") from error
     return descriptor
 
 

@@ -163,13 +163,13 @@ def line(forces: Sequence[float], counts: Sequence[float]) -> LoadCell:
     x, y = np.asarray(forces, float), np.asarray(counts, float)
     if np.ptp(x) == 0.0 or len(x) < 3:
         found = f"{len(x)} readings under {len(set(x.tolist()))} weights"
-        raise CalibrationRefused(f"load cell: {found}, needed are 3 under 2 at least")
+        raise CalibrationRefused(f"load cell: weights: found {found}, expected 3 under 2 at least")
     spread = x - x.mean()
     slope = float(spread @ y / (spread @ spread))
     zero = float(y.mean() - slope * x.mean())
     error = float(np.sqrt(np.sum((y - zero - slope * x) ** 2) / (len(x) - 2) / (spread @ spread)))
     if abs(slope) <= 3.0 * error or slope == 0.0:
-        raise CalibrationRefused(f"load cell: {slope:.4g} ± {error:.2g} counts per N: the weights do not show")
+        raise CalibrationRefused(f"load cell: slope: found {slope:.4g} ± {error:.2g} counts per N, expected one beyond 3 std")
     found = (y - zero) / slope - x
     same = [np.ptp(y[x == force]) for force in set(x.tolist())]
     hysteresis = float(max(same) / abs(slope))
@@ -201,10 +201,10 @@ def _check_sign(bench: Bench, guide: Guide, found: LoadCell) -> None:
     _hand(bench, 0.0)
     push = found.newton_per_count * (pressed - free)
     if abs(push) < SURE * error * abs(found.newton_per_count):
-        raise CalibrationRefused(f"load cell: the push does not show, {push:+.3f} N")
+        raise CalibrationRefused(f"load cell: push: found {push:+.3f} N, expected more than its uncertainty")
     if push < 0.0:
         found = f"a push the way of the thrust reads {push:+.2f} N"
-        raise CalibrationRefused(f"load cell: wrong polarity: {found}: do the weights pull the other way?")
+        raise CalibrationRefused(f"load cell: polarity: found {found}, expected a positive one. Try: weights the other way")
 
 
 def pitched(bench: Bench, guide: Guide, pulses: Sequence[float]) -> PitchTable:
@@ -227,7 +227,7 @@ def pitched(bench: Bench, guide: Guide, pulses: Sequence[float]) -> PitchTable:
     moves = np.diff(found.pitches)
     if not (np.all(moves > 0.0) or np.all(moves < 0.0)):
         shown = ", ".join(f"{pitch:g}" for pitch in found.pitches)
-        raise CalibrationRefused(f"pitch: {shown} deg over rising pulses: they must only rise or only fall")
+        raise CalibrationRefused(f"pitch: found {shown} deg over rising pulses, expected them to rise only or to fall only")
     return found
 
 
@@ -258,12 +258,13 @@ def started(bench: Bench, report: Path, supervised: bool) -> float:
         bench.tachometer.arm()
         before = held(idle, 1.0 + bench.esc_boot)
         if held(idle, 1.0) > before:
-            raise CalibrationRefused(f"throttle: the motor turns at {1e6 * idle:g} us, its idle pulse: teach the ESC its range")
+            found = f"a turning motor at its idle pulse of {1e6 * idle:g} us"
+            raise CalibrationRefused(f"throttle: found {found}, expected rest. Try: teach the ESC its range")
         for k in range(1, round(HIGHEST / STEP) + 1):
             pulse = idle + k * STEP
             if held(pulse, HOLD) - before >= TURNS:
                 return pulse
-        raise CalibrationRefused(f"throttle: the motor does not start up to {1e6 * pulse:g} us: has the ESC its supply?")
+        raise CalibrationRefused(f"throttle: found no turn up to {1e6 * pulse:g} us, expected a start: has the ESC its supply?")
     finally:
         bench.esc.set(idle)
         with contextlib.suppress(DeviceFault):

@@ -192,7 +192,7 @@ class Cycle:
         sensors = self.sensors
         if sensors.revolution is not None and self.states.state is SafetyState.RUN and not sensors.revolution.closed:
             why = "100 ms without a request" if sensors.revolution.silent else "commanded, or the board has restarted"
-            self.fault(Fault("relay", FaultKind.RELAY_OPEN, f"the board has opened it: {why}"))
+            self.fault(Fault("relay", FaultKind.RELAY_OPEN, f"found it open, expected it closed in a run: {why}"))
         if sensors.revolution is not None:
             reading = Reading(
                 *(self.ticks.time, sensors.counts, sensors.saturated, sensors.thrust, sensors.thrust_age, sensors.omega),
@@ -222,16 +222,16 @@ class Cycle:
         """A tick that came too late, too many that never came, a run that takes too long."""
         limits, late, share = self.limits, self._tick.late, self.ticks.missed_share
         if late > limits.late:
-            return Fault("loop", FaultKind.OVERRUN, f"{1e3 * late:.1f} ms late, allowed are {1e3 * limits.late:g} ms")
+            return Fault("loop", FaultKind.OVERRUN, f"found {1e3 * late:.1f} ms late, expected at most {1e3 * limits.late:g}")
         if share > limits.missed_share:
-            found = f"{share:.0%} of a second's ticks missed, allowed are {limits.missed_share:.0%}"
+            found = f"found {share:.0%} of a second's ticks missed, expected at most {limits.missed_share:.0%}"
             return Fault("loop", FaultKind.OVERRUN, found)
         if self.states.state is not SafetyState.RUN:
             self._driven_since = None
         elif self._driven_since is None:
             self._driven_since = self.ticks.time
         elif self.ticks.time - self._driven_since > limits.run_time:
-            return Fault("loop", FaultKind.RUN_TIME, f"{limits.run_time:g} s")
+            return Fault("loop", FaultKind.RUN_TIME, f"found a run of more than {limits.run_time:g} s, the limit run_time")
         return None
 
 

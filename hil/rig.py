@@ -232,7 +232,7 @@ class Rig:
             if rest >= REST:
                 break
         else:
-            raise RunEnded(f"tare: the rotor still turns at {sensors.omega:.0f} rpm after {RUN_OUT:g} s")
+            raise RunEnded(f"tare: speed: found {sensors.omega:.0f} rpm after {RUN_OUT:g} s, expected a rotor at rest")
         for left in reversed(range(TARE_TRIES)):
             try:
                 return self._zeroed()
@@ -264,7 +264,7 @@ class Rig:
             if cycle.sensors.revolution and cycle.sensors.revolution.closed:
                 break
         else:
-            cycle.fault(Fault("relay", FaultKind.NOT_READY, f"not closed {RELAY:g} s after the command to the board"))
+            cycle.fault(Fault("relay", FaultKind.NOT_READY, f"found open {RELAY:g} s after the command, expected closed"))
             self._end()
         cycle.keep(relay="closed")
         for _ in range(1 + round(self.bench.esc_boot / self.dt)):

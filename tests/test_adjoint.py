@@ -151,7 +151,7 @@ def test_without_a_compiler_it_is_said(no_compiler):
 def test_wrong_names_and_lengths():
     with pytest.raises(KeyError, match="c99"):
         Adjoint(BASE, ["c99"])
-    with pytest.raises(SimulationFailed, match="10 rows need 9 steps"):
+    with pytest.raises(SimulationFailed, match="steps: found 8, expected 9"):
         Adjoint(BASE).record({}, random_steps(10, 2), np.full(8, 0.004))
 
 

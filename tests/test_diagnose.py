@@ -319,8 +319,10 @@ def test_a_refuted_effect_is_the_best_guess_with_its_size_and_what_speaks_agains
     label, value, note = key_figures(found)[-1]  # the command's last lines
     assert (label, shown in value, found.refuted in note) == ("best guess", True, True)
     assert "next_experiment.csv distinguishes it from the model without it" in note
-    assert f"Best guess: {name} half_gap {shown}" in headline(found)
-    assert f"Best guess: {name} half_gap {shown}" in diagnosis_page(found).html()
+    page = diagnosis_page(found).html()
+    assert f"Best guess: {name.replace('_', ' ')}, half gap {shown}" in headline(found)
+    assert headline(found) in page
+    assert '<a href="next_experiment.csv">' in page
 
 
 def test_where_no_candidate_comes_near_the_report_says_so():

@@ -12,21 +12,21 @@ from vpp_fmu.structured import as_json
 @pytest.mark.parametrize(
     ("value", "text"),
     [
-        (0.123456, "0.1235"),
-        (0.0118734, "0.01187"),  # a micro rig's error, and the same rig a little better
-        (0.0103351, "0.01034"),
-        (124.7312, "124.7"),
+        (0.123456, "0.123"),
+        (0.0118734, "0.0119"),  # a micro rig's error, and the same rig a little better
+        (0.0103351, "0.0103"),
+        (124.7312, "125"),
         (np.float64(5604.61), "5605"),
         (np.int64(22500), "22500"),
         (20000.0, "20000"),
-        (1234567.8, "1.235e+06"),
-        (0.00020702, "2.070e-04"),
+        (1234567.8, "1.23e+06"),
+        (0.00020702, "2.07e-04"),
         (0.0002, "2e-04"),
         (-3e-7, "-3e-07"),
         (0.5, "0.5"),
-        (0.50004, "0.5000"),  # four digits are known to be these
-        (0.99999, "1.000"),
-        (999999.9, "1.000e+06"),
+        (0.50004, "0.500"),  # three digits are known to be these
+        (0.99999, "1.00"),
+        (999999.9, "1.00e+06"),
         (0.0, "0"),
         (None, "–"),
         (float("nan"), "–"),
@@ -35,14 +35,14 @@ from vpp_fmu.structured import as_json
         ("as it is", "as it is"),
     ],
 )
-def test_numbers_are_written_with_four_digits(value, text):
+def test_numbers_are_written_with_three_digits_and_all_before_the_point(value, text):
     assert number(value) == text
 
 
 def test_digits_do_not_depend_on_the_unit():
     rng = np.random.default_rng(0)
     for value in rng.uniform(0.1, 1.0, 200) * 10.0 ** rng.uniform(-9.0, 9.0, 200):
-        assert float(number(value)) == pytest.approx(value, rel=5e-4)
+        assert float(number(value)) == pytest.approx(value, rel=5e-3)
         assert float(number(value, 2)) == pytest.approx(value, rel=5e-2)
 
 

@@ -13,7 +13,7 @@ from tests.studies.cases import WHOLE, draw
 from tests.studies.rig import save
 from vpp_fmu.app.cli import diagnose as command
 from vpp_fmu.app.cli import main
-from vpp_fmu.app.report.pages.fleet import Entry, as_csv, fleet_page
+from vpp_fmu.app.report.pages.fleet import Entry, ThrustMap, as_csv, compared, fleet_page
 from vpp_fmu.campaign import measured_on
 
 FEW = ["--effects", "pitch_command_deadband,sensor_drift"]
@@ -55,6 +55,9 @@ def test_each_line_is_what_the_campaigns_own_files_say(fleet):
     width = json.loads((fleet / "2026-03-01" / "diagnosis.json").read_text())["effects"][0]["parameters"]["half_width"]
     assert float(first["pitch_command_deadband.half_width"]) == width["value"]
     assert second["pitch_command_deadband.half_width"] == ""
+    (compared,) = (name for name in first if name.startswith("thrust_at_") and not name.endswith("_std"))
+    assert float(first[compared]) == pytest.approx(float(second[compared]), rel=0.5)
+    assert 0.0 < float(first[f"{compared}_std"]) < 0.1 * float(first[compared])
     assert "campaign folder: found none" in empty["refused"]
     assert not (fleet / "empty").exists()
 
@@ -151,6 +154,22 @@ def test_the_date_of_a_campaign_that_hil_measured_goes_first(tmp_path):
     folder.mkdir()
     (folder / "hil.json").write_text(json.dumps({"begun": "2026-04-02T08:00:00+00:00"}))
     assert measured_on(folder) == "2026-04-02T08:00:00+00:00"
+
+
+def test_the_rig_with_less_thrust_is_named_and_leads_to_its_report():
+    def measured(name, share, speed=6000.0):
+        values = [share * c for c in (0.35, 0.06, 0.75, -0.19, -0.08)]
+        scales = {"omega_scale": 6000.0, "beta_scale": 15.0, "beta_offset": 5.0, "thrust_scale": 15.0}
+        own = ThrustMap(values, (1e-6 * np.eye(5)).tolist(), scales, (2000.0, speed), (-5.0, 10.0))
+        return Entry(name, name, "", "none", (), 0.2, 0.2, 0.2, map=own)
+
+    page = fleet_page(compared([measured("one", 1.0), measured("two", 1.0001, 5800.0), measured("rig 3", 0.95)]))
+    assert page.summary.startswith("Thrust at 3900 rpm 2.5 deg: rig 3 is 5.0 % below the median.")
+    assert '<a href="rig%203/report.html">rig 3</a>' in page.html()
+    pair = fleet_page(compared([measured("one", 1.0), measured("rig 3", 0.95)]))
+    assert "rig 3 is 5.0 % below one" in pair.summary
+    alike = fleet_page(compared([measured("one", 1.0), measured("two", 1.0001)]))
+    assert alike.summary.startswith("No parameter differs between the campaigns by more than its uncertainty.")
 
 
 def test_sizes_stand_over_their_dates_with_their_intervals():

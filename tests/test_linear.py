@@ -84,7 +84,7 @@ def test_python_control_has_the_same_system_with_names():
 
 def test_without_python_control_one_line_says_what_installs_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "control", None)
-    with pytest.raises(ExtraMissing, match="pip install control"):
+    with pytest.raises(ExtraMissing, match=r"Try: pip install 'vpp-fmu\[control\]'"):
         Found().to_control(4000.0, 2.0)
 
 

@@ -105,6 +105,7 @@ def rig_page() -> Page:
     content = {
         "ended": "",
         "real_time": "no real-time kernel",
+        "limits": {"omega_min": 2000.0, "omega_max": 6000.0, "beta_min": -5.0, "beta_max": 10.0},
         "log": {"rows": 2000, "ticks": 2000, "lost": 0},
         "tares": [{"zero_counts": 12.0, "noise_N": 0.1}],
         "counters": {"adc": {"repeated": 3}},
@@ -157,6 +158,12 @@ def browser(tmp_path_factory):
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_is_small(pages, name):
     assert pages[name].stat().st_size < BOUND
+
+
+def test_names_with_underscores_are_in_tables_only(pages):
+    markup = test_report.Markup(pages["identification"].read_text(encoding="utf-8"))
+    assert any(tag == "td" and text == "tau_beta_1" for tag, text in markup.texts)
+    assert not any("tau_beta" in text for tag, text in markup.texts if tag != "td")  # those of figures are in scripts
 
 
 @pytest.mark.parametrize("reader", READERS)

@@ -49,8 +49,10 @@ from vpp_fmu.app.report.figures.residual import (
     residual_spectrum,
 )
 from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted, planned_commands, stacked, two_records
-from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.page import Link, Page
 from vpp_fmu.app.report.pages.diagnosis import headline
+from vpp_fmu.app.report.pages.effect import around
+from vpp_fmu.app.report.sentences import limited, words
 from vpp_fmu.app.report.style import AFTER, BEFORE, MEASURED, colours
 from vpp_fmu.app.report.summary import LEFT_OUT, reached
 from vpp_fmu.kernel.plant import plant
@@ -261,6 +263,29 @@ def test_numbers_stand_flush_right_and_texts_left():
     assert '<td class="number">0.5</td>' in html
 
 
+def test_a_cell_and_a_note_lead_to_files():
+    report = Page("A", "B")
+    report.table(["campaign", "error [N]"], [[Link("<rig>", "a%20b/report.html"), 0.123456]], "C")
+    report.note("Next:", Link("commands", "next.csv"))
+    assert '<td class="name"><a href="a%20b/report.html">&lt;rig&gt;</a></td><td class="number">0.1235</td>' in report.html()
+    assert '<a href="next.csv">commands</a></p></aside>' in report.html()
+
+
+def test_names_are_words_and_an_unreached_limit_is_none():
+    assert words("pitch_backlash.half_gap") == "pitch backlash, half gap"
+    (limit,) = (p for p in plant(["speed_saturation"]).parameters if p.name == "speed_saturation.maximum")
+    assert [limited(limit, value) for value in (0.9999 * limit.unlimited, 5400.0)] == ["no limit", "5400 rpm"]
+
+
+def test_a_moment_near_an_end_is_shown_as_long_as_any_other():
+    time = np.linspace(0.0, 60.0, 6001)
+    for center in (0.5, 30.0, 59.9):
+        shown = time[around(time, center, 3.0)]
+        assert np.ptp(shown) == pytest.approx(6.0)
+        assert shown[0] <= center <= shown[-1]
+    assert around(time[:200], 1.0, 3.0).all()
+
+
 @pytest.mark.parametrize("name", FIGURES)
 def test_every_axis_names_its_quantity_and_unit(name):
     layout = FIGURES[name].layout
@@ -270,6 +295,8 @@ def test_every_axis_names_its_quantity_and_unit(name):
             axes.append(value)
     assert len(axes) >= 2
     for axis in axes:
+        if axis.get("type") == "category":  # its names say what they are
+            continue
         assert re.search(r"\w.*\[.+\]$", axis["title"]["text"].replace("<br>", " "))
 
 
@@ -327,6 +354,17 @@ def test_residual_and_its_size_are_those_of_the_data():
     np.testing.assert_allclose(residual.y, 0.1)
     assert residual.yaxis == "y2"
     assert [fig.layout.shapes[0].y0, fig.layout.shapes[0].y1] == [-0.2, 0.2]
+
+
+def test_speed_and_pitch_are_shown_as_measured_beside_their_commands():
+    r = record(500)
+    measured = {trace.yaxis: trace for trace in prediction().data if trace.legendgroup == "measured"}
+    np.testing.assert_array_equal(measured["y3"].y, r["omega"])
+    np.testing.assert_array_equal(measured["y4"].y, r["beta"])
+    bare = {name: column for name, column in r.items() if name not in ("omega", "beta")}
+    drawn = measured_against_predicted(bare, {"model": r["thrust"]}, "T")
+    assert [t.yaxis for t in drawn.data if t.legendgroup == "commands"] == ["y3", "y4"]
+    assert [t.yaxis for t in drawn.data if t.legendgroup == "measured"] == ["y"]
 
 
 def test_band_stands_around_the_prediction_and_in_the_residual():
@@ -390,7 +428,7 @@ def test_the_same_thing_has_the_same_colour_everywhere():
 def test_an_effects_parameter_is_folded_between_their_names():
     told = {f"{kind}pitch_offset.offset": np.array([0.1, 0.2, 0.3]) for kind in ("adapted.", "std.")}
     figure = adapted_parameters(np.arange(3.0), told, {"pitch_offset.offset": "deg"})
-    assert figure.layout.yaxis.title.text == "pitch_offset.<br>offset [deg]"
+    assert figure.layout.yaxis.title.text == "pitch offset,<br>offset [deg]"
 
 
 @pytest.mark.parametrize("name", ["correlations", "spectrum", "curve", "stacked"])
@@ -410,20 +448,21 @@ def test_one_legend_entry_a_line_and_one_for_the_band_over_all_panels():
 
 def test_candidates_are_ranked_and_say_at_which_gate_they_failed():
     fig = FIGURES["evidence"]
-    assert fig.layout.yaxis.categoryarray[-1] == "pitch_command_deadband"  # plotly draws the last on top
-    assert fig.layout.yaxis.categoryarray[0] == "sensor_gain"
+    assert fig.layout.yaxis.categoryarray[-1] == "pitch command deadband"  # plotly draws the last on top
+    assert fig.layout.yaxis.categoryarray[0] == "sensor gain"
     bars = {trace.name: trace for trace in fig.data}
     assert set(bars) == {TAKEN, PASSED, FAILED}
     assert bars[TAKEN].x == (5000.0,)
-    assert bars[FAILED].x == (1.0,)  # a rise has no bar on a logarithmic axis
+    assert bars[FAILED].x == (-4.0,)
+    assert fig.layout.xaxis.type is None  # a logarithm has no place for it
     assert "-4  evidence too weak" in bars[FAILED].text[0]
     assert fig.layout.shapes[0].x0 == 10.0
 
 
 def test_no_reason_runs_out_of_the_figure():
     low, high = FIGURES["evidence"].layout.xaxis.range
-    assert low == 0.0
-    assert high >= 2.0 * np.log10(5000.0)
+    assert low == -4.0
+    assert high >= 2.0 * 5000.0
 
 
 def test_moves_that_reverse_are_told_from_those_that_go_on():

@@ -119,7 +119,7 @@ def test_a_run_that_leaves_all_bounds_costs_infinitely_much():
 
 def test_noise_must_be_as_long_as_the_course():
     loop, _, sets = loop_and_sets((), DUAL, {})
-    with pytest.raises(SimulationFailed, match="501 points, but noise for 7"):
+    with pytest.raises(SimulationFailed, match="noise: found 7 values, expected 501"):
         loop.run(sets, Course.of(SHORT, 0.004, 15.0, np.zeros(7)))
 
 

@@ -6,8 +6,11 @@ A fixed number of decimals suits quantities of the same scale on every rig: shar
 import math
 from numbers import Integral, Real
 
-DIGITS = 4
-"""A thrust error is known to some per cent, a parameter to less. The fourth digit still shows which of two is smaller."""
+DIGITS = 3
+"""Of a sentence, title, legend or card: a thrust error is known to some per cent, a parameter to less."""
+
+TABLE = 4
+"""Of a table: the fourth digit still shows which of two is smaller."""
 
 UNCERTAINTY = 2
 """Significant digits of a standard deviation: from a hundred readings it is known to 7 %."""
@@ -22,7 +25,7 @@ _MISSING = "–"
 
 
 def number(value, digits: int = DIGITS) -> str:
-    """A value with `digits` significant digits; a missing value as a dash, text unchanged.
+    """A value with `digits` significant digits, and all those before the point; a missing value as a dash, text unchanged.
 
     Trailing zeros of exact values are dropped (0.5, 6000). Below 1e-3, and from 1e6 on, a power of ten is used.
     """
@@ -37,7 +40,7 @@ def number(value, digits: int = DIGITS) -> str:
     if not -3 <= exponent < 6:
         text = f"{rounded:.{digits - 1}e}"
         return _short(text, value)
-    return _short(f"{rounded:.{max(0, digits - 1 - exponent)}f}", value)
+    return _short(f"{value:.0f}" if exponent >= digits else f"{rounded:.{digits - 1 - exponent}f}", value)
 
 
 def signed(value, digits: int = DIGITS) -> str:

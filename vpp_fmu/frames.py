@@ -25,7 +25,7 @@ def library(name: str) -> Any:
     try:
         return import_module(name)
     except ImportError as error:
-        raise ExtraMissing(f"{name} is not installed: pip install {name}, or the extra '{EXTRA}' of vpp-fmu") from error
+        raise ExtraMissing(f"{name}: found no library, expected one. Try: pip install {name}, or 'vpp-fmu[{EXTRA}]'") from error
 
 
 def to_pandas(columns: Mapping[str, np.ndarray]) -> Any:

@@ -224,7 +224,7 @@ def policy_from_onnx(path: str | os.PathLike, **scaling: Any) -> Policy:
     try:
         import onnx  # noqa: PLC0415 of an extra
     except ImportError as error:
-        raise ExtraMissing("onnx is not installed: pip install onnx, or the extra 'onnx' of vpp-fmu") from error
+        raise ExtraMissing("onnx: found no library, expected one. Try: pip install 'vpp-fmu[onnx]'") from error
     content = read_bytes(path)
     try:
         graph = onnx.load_model_from_string(content).graph

@@ -77,10 +77,11 @@ class Ads1115:
             self._last = _signed(self._register(CONVERSION))
         except OSError as error:
             self.close()
-            raise DeviceFault(self.name, FaultKind.NOT_READY, f"bus {self._bus_name}: {error.strerror or error}") from error
+            detail = f"bus {self._bus_name}: found {error.strerror or error}, expected an ADS1115"
+            raise DeviceFault(self.name, FaultKind.NOT_READY, detail) from error
         if found & ~_READY & 0xFFFF != self._settings:
             self.close()
-            detail = f"settings read back as 0x{found:04x}, written 0x{self._settings:04x}: is it an ADS1115?"
+            detail = f"settings: found 0x{found:04x}, expected 0x{self._settings:04x}, as written: is it an ADS1115?"
             raise DeviceFault(self.name, FaultKind.NOT_READY, detail)
         self._read_at = self._verified_at = self._clock.now()
         self._repeats, self._losses = 0, []
@@ -116,7 +117,8 @@ class Ads1115:
         self.counters["settings lost"] += 1
         self._losses = [t for t in self._losses if now - t < _LOSSES_WITHIN] + [now]
         if len(self._losses) >= _LOSSES:
-            raise DeviceFault(self.name, FaultKind.RECONFIGURED, f"settings found as 0x{found:04x}, for the second time")
+            detail = f"settings: found 0x{found:04x} for the second time, expected 0x{self._settings:04x}"
+            raise DeviceFault(self.name, FaultKind.RECONFIGURED, detail)
 
     def select(self, channel: str) -> None:
         """Convert another input from now on; readings are held until it has been. DeviceFault as `read`."""
@@ -153,7 +155,8 @@ class Ads1115:
         without = now - self._read_at
         if without > self._hold:
             kind = FaultKind.TIMEOUT if error.errno == errno.ETIMEDOUT else FaultKind.REFUSED
-            raise DeviceFault(self.name, kind, f"no reading for {1e3 * without:.0f} ms: {error.strerror or error}") from error
+            found = f"no reading for {1e3 * without:.0f} ms ({error.strerror or error})"
+            raise DeviceFault(self.name, kind, f"found {found}, expected one within {1e3 * self._hold:.0f} ms") from error
         self.counters["held"] += 1
         return self._conversion(self._last, now, fresh=False)
 

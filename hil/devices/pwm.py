@@ -27,8 +27,8 @@ def find_chip(device: str, root: str | os.PathLike = ROOT) -> Path:
     for chip in sorted(Path(root).glob("pwmchip*")):
         found[(chip / "device").resolve().name] = chip
     if device not in found:
-        there = ", ".join(sorted(found)) or "none: is the overlay in config.txt?"
-        raise DeviceFault("pwm", FaultKind.NOT_READY, f"no PWM chip {device} in {root}; there is {there}")
+        there = ", ".join(sorted(found)) or "none (is the overlay in config.txt?)"
+        raise DeviceFault("pwm", FaultKind.NOT_READY, f"{root}: found {there}, expected the PWM chip {device}")
     return found[device]
 
 
@@ -73,7 +73,7 @@ class PwmChannel:
             self._shown = [os.open(self.folder / name, os.O_RDONLY) for name in ("enable", "period", "polarity")]
         except (OSError, ValueError) as error:
             self._let_go()
-            detail = f"{self.folder}: {getattr(error, 'strerror', None) or error}"
+            detail = f"{self.folder}: found {getattr(error, 'strerror', None) or error}, expected an output"
             raise DeviceFault(self.name, FaultKind.NOT_READY, detail) from error
 
     def set(self, pulse: float) -> None:
@@ -83,7 +83,7 @@ class PwmChannel:
             pwrite(self._duty, b"%d\n" % wanted, 0)
         except (OSError, ValueError, OverflowError, TypeError) as error:  # refused by the kernel; NaN; infinite; not open
             found = getattr(error, "strerror", None) or error
-            raise DeviceFault(self.name, FaultKind.OUTPUT_LOST, f"pulse of {pulse} s: {found}") from error
+            raise DeviceFault(self.name, FaultKind.OUTPUT_LOST, f"pulse of {pulse} s: found {found}, expected none") from error
         self._pulse = wanted
         self.counters["pulses"] += 1
 
@@ -95,12 +95,12 @@ class PwmChannel:
         try:
             found = [os.pread(file, 64, 0).split(b"\n", 1)[0] for file in (*self._shown, self._duty)]
         except (OSError, TypeError) as error:  # gone; not open
-            detail = f"{self.folder}: {getattr(error, 'strerror', None) or 'not open'}"
+            detail = f"{self.folder}: found {getattr(error, 'strerror', None) or 'it closed'}, expected an open output"
             raise DeviceFault(self.name, FaultKind.OUTPUT_LOST, detail) from error
         enabled, period, polarity, pulse = (text.decode(errors="replace").strip() for text in found)
         if (enabled, period, polarity, pulse) != ("1", str(self._period), "normal", str(self._pulse)):
             shown = f"enable {enabled}, period {period} ns, polarity {polarity}, pulse {pulse} ns"
-            detail = f"{shown}; set were 1, {self._period} ns, normal, {self._pulse} ns: somebody else writes here"
+            detail = f"found {shown}, expected 1, {self._period} ns, normal, {self._pulse} ns: somebody else writes here"
             raise DeviceFault(self.name, FaultKind.OUTPUT_LOST, detail)
 
     def restore(self) -> None:

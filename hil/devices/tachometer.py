@@ -104,10 +104,11 @@ class Tachometer:
                     self._port.write(encoded(Frame(frames.ASK_HELLO, 0)))
         except OSError as error:
             self.close()
-            raise DeviceFault(self.name, FaultKind.NOT_READY, f"port {self._open}: {_reason(error)}") from error
+            raise DeviceFault(self.name, FaultKind.NOT_READY, f"port {self._open}: found {_reason(error)}") from error
         self.close()
-        heard = f"{self._reader.received} bytes, none of them a greeting" if self._reader.received else "nothing"
-        raise DeviceFault(self.name, FaultKind.NOT_READY, f"port {self._open}: heard {heard} in {HELLO_WITHIN:g} s")
+        heard = f"{self._reader.received} bytes that are none" if self._reader.received else "nothing"
+        detail = f"port {self._open}: found {heard} in {HELLO_WITHIN:g} s, expected a greeting"
+        raise DeviceFault(self.name, FaultKind.NOT_READY, detail)
 
     def request(self) -> None:
         """Ask for the rotor's state, unless an answer is still due. A damaged one has come and is not waited for."""
@@ -122,7 +123,7 @@ class Tachometer:
         try:
             self._port.write(encoded(Frame(frames.ASK_ANSWER, self._sequence)))
         except OSError as error:
-            raise DeviceFault(self.name, FaultKind.UNPLUGGED, _reason(error)) from error
+            raise DeviceFault(self.name, FaultKind.UNPLUGGED, f"found {_reason(error)}, expected an open port") from error
 
     def arm(self) -> None:
         """Close the relay in the ESC's supply; the next answers show it. Requests hold it, 0.1 s without opens it."""
@@ -137,7 +138,7 @@ class Tachometer:
             if self._port is not None:
                 self._port.write(encoded(Frame(kind, 0, payload)))
         except OSError as error:
-            raise DeviceFault(self.name, FaultKind.UNPLUGGED, _reason(error)) from error
+            raise DeviceFault(self.name, FaultKind.UNPLUGGED, f"found {_reason(error)}, expected an open port") from error
 
     def poll(self) -> Revolution | None:
         """The answer to the newest request that has one, if it has come and wasn't returned yet.
@@ -149,10 +150,10 @@ class Tachometer:
         try:
             heard = self._frames()
         except OSError as error:
-            raise DeviceFault(self.name, FaultKind.UNPLUGGED, _reason(error)) from error
+            raise DeviceFault(self.name, FaultKind.UNPLUGGED, f"found {_reason(error)}, expected an open port") from error
         for frame in heard:
             if frame.type == frames.HELLO:
-                raise DeviceFault(self.name, FaultKind.RESTARTED, "the board has greeted anew")
+                raise DeviceFault(self.name, FaultKind.RESTARTED, "found a new greeting, expected one at the start")
             asked = self._due.pop(frame.sequence, None) if frame.type == frames.ANSWER else None
             if asked is not None:
                 answer = self._revolution(frame, now, asked)
@@ -185,7 +186,7 @@ class Tachometer:
         if (hello.version, hello.tick) != (frames.VERSION, round(frames.TICK * 1e6)):
             self.close()
             needed = f"{frames.VERSION} and {1e6 * frames.TICK:g} us"
-            detail = f"firmware version {hello.version}, timer of {hello.tick} us; needed are {needed}"
+            detail = f"firmware: found version {hello.version} and a timer of {hello.tick} us, expected {needed}"
             raise DeviceFault(self.name, FaultKind.NOT_READY, detail)
         self._asked, self._due = None, {}
         self._answered, self._received_then = self._clock.now(), self._reader.received
@@ -202,7 +203,7 @@ class Tachometer:
     def _refuse(self, now: float) -> None:
         received = self._reader.received - self._received_then
         kind = FaultKind.GARBLED if received else FaultKind.SILENT
-        detail = f"no valid answer for {1e3 * (now - self._answered):.0f} ms, {received} bytes heard meanwhile"
+        detail = f"found no valid answer for {1e3 * (now - self._answered):.0f} ms in {received} bytes, expected one"
         raise DeviceFault(self.name, kind, detail)
 
 

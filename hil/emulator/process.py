@@ -75,7 +75,7 @@ def _start(rig: Rig, at: Path, ends: contextlib.ExitStack) -> None:
 
     ends.callback(stop)
     if process.stdout.readline() != b"ready\n":
-        raise DeviceFault("emulated rig", FaultKind.NOT_READY, "its process has ended at its start")
+        raise DeviceFault("emulated rig", FaultKind.NOT_READY, "found its process ended, expected it ready")
 
 
 def main(task: dict) -> None:

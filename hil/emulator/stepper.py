@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from importlib.resources import files
 
 from vpp_fmu.errors import CompilerMissing, SimulationFailed
+from vpp_fmu.kernel.schedule import FULL
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native.compiler import compiled
@@ -48,7 +49,7 @@ def _compiled(owner: Stepper, parameters: Mapping[str, float], inputs: Mapping[s
     def advance(inputs, dt, count):
         held[:] = inputs
         if not step(instance, held, step_of(dt), count_of(count), shown):
-            raise SimulationFailed(f"{model.name}: too many command changes wait in a delay")
+            raise SimulationFailed(f"{model.name}: {FULL}")
         return [shown[k : k + n_out] for k in range(0, count * n_out, n_out)]
 
     return advance

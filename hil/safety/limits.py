@@ -193,7 +193,8 @@ class Limiter:
 
     def _step(self, omega_ref: float, omega_min: float, omega_step: float, beta_ref: float, beta_step: float) -> Limited:
         if not (math.isfinite(omega_ref) and math.isfinite(beta_ref)):
-            fault = Fault("controller", FaultKind.NOT_A_NUMBER, f"omega_ref {omega_ref} rpm, beta_ref {beta_ref} deg")
+            found = f"found omega_ref {omega_ref} rpm, beta_ref {beta_ref} deg, expected finite numbers"
+            fault = Fault("controller", FaultKind.NOT_A_NUMBER, found)
             return Limited(self._omega, self._beta, Cut.NONE, fault)
         omega = min(max(omega_ref, omega_min), self.limits.omega_max)
         beta = min(max(beta_ref, self.limits.beta_min), self.limits.beta_max)

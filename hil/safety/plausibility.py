@@ -129,15 +129,16 @@ class Plausibility:
     def _numbers(self, now: Reading, before: Reading) -> Fault | None:
         if not math.isfinite(sum(now)):
             wrong = ", ".join(f"{name} {value}" for name, value in now._asdict().items() if not math.isfinite(value))
-            return Fault("loop", FaultKind.NOT_A_NUMBER, wrong or "sum of the readings is infinite")
+            found = wrong or "an infinite sum of the readings"
+            return Fault("loop", FaultKind.NOT_A_NUMBER, f"found {found}, expected finite numbers")
         if now.t <= before.t:
-            return Fault("loop", FaultKind.TIME_BACKWARDS, f"{now.t:.6f} s after {before.t:.6f} s")
+            return Fault("loop", FaultKind.TIME_BACKWARDS, f"found {now.t:.6f} s, expected more than {before.t:.6f} s")
         return None
 
     def _ages(self, now: Reading) -> Fault | None:
         for device, age in (("adc", now.thrust_age), ("tachometer", now.speed_age)):
             if age > self._thresholds.stale:
-                return Fault(device, FaultKind.STALE, f"reading {1e3 * age:.0f} ms old")
+                return Fault(device, FaultKind.STALE, f"found a reading {1e3 * age:.0f} ms old, expected a newer one")
         return None
 
     def _adc(self, now: Reading, before: Reading) -> Fault | None:
@@ -148,11 +149,11 @@ class Plausibility:
         self._saturated = self._saturated + 1 if now.saturated else 0
         self._heavy = self._heavy + 1 if abs(now.thrust) > trip else 0
         if self._saturated >= own.saturated:
-            return Fault("adc", FaultKind.SATURATED, f"{now.counts} counts, {self._saturated} times in a row")
+            return Fault("adc", FaultKind.SATURATED, f"found {now.counts} counts {self._saturated} times, expected less")
         if self._equal >= own.frozen:
-            return Fault("adc", FaultKind.FROZEN, f"{now.counts} counts, {self._equal} times in a row")
+            return Fault("adc", FaultKind.FROZEN, f"found {now.counts} counts {self._equal} times in a row, expected noise")
         if self._heavy >= own.over_thrust:
-            return Fault("rig", FaultKind.OVER_THRUST, f"{now.thrust:.1f} N, allowed is {trip:g} N")
+            return Fault("rig", FaultKind.OVER_THRUST, f"found {now.thrust:.1f} N, expected at most {trip:g} N")
         return None
 
     def _speed(self, now: Reading, before: Reading) -> Fault | None:
@@ -177,14 +178,14 @@ class Plausibility:
         if first is None or now.t - first.t < max(own.hold, HELD_REVOLUTIONS * 60.0 / max(low, own.slow)):
             return None
         if now.pulses == first.pulses or now.omega == 0.0:
-            detail = f"no revolution for {1e3 * now.mark_age:.0f} ms, the rotor turns at {low:.0f} rpm at least"
+            detail = f"found no revolution for {1e3 * now.mark_age:.0f} ms, expected {low:.0f} rpm or more"
             return Fault("tachometer", FaultKind.NO_ROTATION, detail)
-        detail = f"{now.omega:.0f} rpm, possible are {low:.0f} to {high:.0f} rpm"
+        detail = f"found {now.omega:.0f} rpm, expected {low:.0f} to {high:.0f} rpm"
         return Fault("tachometer", FaultKind.SPEED_JUMP, detail)
 
     def _over_speed(self, now: Reading) -> Fault | None:
         if self._doubted is None and now.omega > self._limits.omega_trip:
-            detail = f"{now.omega:.0f} rpm, allowed are {self._limits.omega_trip:g} rpm"
+            detail = f"found {now.omega:.0f} rpm, expected at most {self._limits.omega_trip:g} rpm"
             return Fault("rig", FaultKind.OVER_SPEED, detail)
         return None
 
@@ -195,7 +196,7 @@ class Plausibility:
         self._open_since = now.t if self._open_since is None else self._open_since
         if now.t - self._open_since < self._thresholds.starts and now.throttle < self._thresholds.wide:
             return None
-        detail = f"throttle {now.throttle:.2f} for {now.t - self._open_since:.1f} s"
+        detail = f"found none at throttle {now.throttle:.2f} for {now.t - self._open_since:.1f} s, expected revolutions"
         return Fault("tachometer", FaultKind.NO_ROTATION, detail)
 
     def _blades(self, now: Reading) -> Fault | None:
@@ -203,7 +204,7 @@ class Plausibility:
         pitch.update(now.thrust, now.omega, now.beta_ref)
         if pitch.moved < own.moved or pitch.bound > own.effect:
             return None
-        detail = f"{100.0 * pitch.effect:.0f} % of the thrust that the commanded pitch should have changed"
+        detail = f"found {100.0 * pitch.effect:.0f} % of the change of thrust that the pitch command gives, expected 100 %"
         return Fault("pitch actuator", FaultKind.STUCK_ACTUATOR, detail)
 
 
@@ -235,5 +236,5 @@ class SupplyLimits:
             self._beyond[name] = 0 if inside else self._beyond[name] + 1
             if self._beyond[name] >= BEYOND:
                 unit, bound = UNITS[name], f"at least {low:g}" if read[name] < low else f"at most {high:g}"
-                return Fault("supply", FaultKind.SUPPLY, f"{name} {read[name]:.1f} {unit}, allowed is {bound} {unit}")
+                return Fault("supply", FaultKind.SUPPLY, f"{name}: found {read[name]:.1f} {unit}, expected {bound} {unit}")
         return None

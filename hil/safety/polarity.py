@@ -69,20 +69,17 @@ class Polarity:
     def judge(self, low: Level, high: Level) -> Fault | None:
         """The fault that the two levels show with certainty, or None."""
         rise, error = high.thrust - low.thrust, SURE * (low.error**2 + high.error**2) ** 0.5
-        seen = (
-            f"from {low.beta:g} to {high.beta:g} deg at {high.omega:.0f} rpm the thrust goes from {low.thrust:.2f} to "
-            f"{high.thrust:.2f} N"
-        )
+        seen = f"found {low.thrust:.2f} to {high.thrust:.2f} N from {low.beta:g} to {high.beta:g} deg at {high.omega:.0f} rpm"
         expected = self._thrust(high) - self._thrust(low) if self._known else abs(rise)
         level = self._thrust(high) + self._thrust(low) if self._known else 0.0
         negative = high.thrust + low.thrust < -error
         if rise * expected < 0.0 and abs(rise) > error:
             device, what = ("load cell", "the load cell's") if negative and level >= 0.0 else ("pitch actuator", "the pitch's")
-            return Fault(device, FaultKind.POLARITY, f"{seen}: wrong sign, most likely {what}")
+            return Fault(device, FaultKind.POLARITY, f"{seen}, expected the other sign, likely {what}")
         if level > error and negative:
-            return Fault("load cell", FaultKind.POLARITY, f"{seen}: wrong sign, of the load cell and of the pitch")
+            return Fault("load cell", FaultKind.POLARITY, f"{seen}, expected the other sign of both")
         if self._known and abs(expected) > 2.0 * error and not SLOPES[0] <= rise / expected <= SLOPES[1]:
-            found = f"{seen}: {rise / expected:.2f} of the map's {expected:.2f} N, allowed is {SLOPES[0]:g} to {SLOPES[1]:g}"
+            found = f"{seen}, {rise / expected:.2f} of the map's {expected:.2f} N, expected {SLOPES[0]:g} to {SLOPES[1]:g}"
             return Fault("pitch actuator", FaultKind.SLOPE, found)
         return None
 

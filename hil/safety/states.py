@@ -57,7 +57,7 @@ class StateMachine:
         """Ready to run. Only in SAFE, only with a tare."""
         self._only_in("arm", SafetyState.SAFE)
         if self.tare is None:
-            raise IllegalMove("arm: not tared since the last run")
+            raise IllegalMove("arm: found no tare since the last run, expected one")
         self._move(SafetyState.ARMED, "armed")
 
     def run(self) -> None:
@@ -90,13 +90,13 @@ class StateMachine:
         """Someone has looked at the fault. Only in FAULT, only with the idle pulse standing."""
         self._only_in("reset", SafetyState.FAULT)
         if not self.idle:
-            raise IllegalMove("reset: the idle pulse does not stand yet")
+            raise IllegalMove("reset: found no idle pulse yet, expected it")
         self.faults, self.tare = [], None
         self._move(SafetyState.SAFE, "reset")
 
     def _only_in(self, move: str, *allowed: SafetyState) -> None:
         if self.state not in allowed:
-            raise IllegalMove(f"{move}: the rig is in {self.state.name}, allowed in {', '.join(s.name for s in allowed)}")
+            raise IllegalMove(f"{move}: found the rig in {self.state.name}, expected {' or '.join(s.name for s in allowed)}")
 
     def _move(self, state: SafetyState, reason: str) -> None:
         self.state, self.reason = state, reason

@@ -74,7 +74,7 @@ class Supervisor:
             if self._process.poll() is not None or time.monotonic() > end:
                 self._process.kill()
                 _, output = self._process.communicate()
-                detail = " ".join(output.decode(errors="replace").split()) or "it did not start"
+                detail = " ".join(output.decode(errors="replace").split()) or "found no start, expected one"
                 raise DeviceFault("supervisor", FaultKind.NOT_READY, detail)
             time.sleep(0.002)
 
@@ -92,10 +92,11 @@ class Supervisor:
         self._page[watchdog.BEAT] = now
         if self._page[watchdog.TRIPPED]:
             self._page[watchdog.CONFIRMED] = now
-            return Fault("supervisor", FaultKind.SUPERVISOR_TRIPPED, "the loop was silent; the outputs are at idle")
+            return Fault("supervisor", FaultKind.SUPERVISOR_TRIPPED, "found a silent loop; the outputs are at idle")
         silent = now - self._page[watchdog.ALIVE]
         if silent > LOST:
-            return Fault("supervisor", FaultKind.SUPERVISOR_LOST, f"no sign of process {self.pid} for {1e3 * silent:.0f} ms")
+            found = f"found no sign of process {self.pid} for {1e3 * silent:.0f} ms, expected one within {1e3 * LOST:.0f} ms"
+            return Fault("supervisor", FaultKind.SUPERVISOR_LOST, found)
         return None
 
     def close(self) -> None:

@@ -59,17 +59,17 @@ def tare(counts: Sequence[float], newton_per_count: float, calibrated_zero: floa
     """
     gate, counts = gate or TareGate(), np.asarray(counts, float)
     if len(counts) < gate.samples_min:
-        raise TareRefused(f"tare: {len(counts)} readings, at least {gate.samples_min} are needed")
+        raise TareRefused(f"tare: readings: found {len(counts)}, expected {gate.samples_min} or more")
     if not np.isfinite(counts).all():
-        raise TareRefused("tare: a reading is not a finite number")
+        raise TareRefused("tare: readings: found one that is not finite, expected finite numbers")
     scale = abs(newton_per_count)
     noise, zero = float(counts.std(ddof=1)), float(counts.mean())
     if noise == 0.0:
-        raise TareRefused(f"tare: all {len(counts)} readings are {counts[0]:g} counts: the ADC is frozen")
+        raise TareRefused(f"tare: readings: found {counts[0]:g} counts {len(counts)} times, expected noise: the ADC is frozen")
     if noise * scale > gate.noise_max:
         raise TareRefused(
-            f"tare: the readings scatter by {noise * scale:.3g} N, allowed is {gate.noise_max:g} N: is the rotor at rest, "
-            "does wind or a hand touch the stand?"
+            f"tare: scatter: found {noise * scale:.3g} N, expected at most {gate.noise_max:g} N. "
+            "Try: let the rotor come to rest, keep wind and hands off the stand"
         )
     means = counts[: len(counts) // BLOCKS * BLOCKS].reshape(BLOCKS, -1).mean(axis=1)
     error = float(means.std(ddof=1)) / BLOCKS**0.5
@@ -78,13 +78,13 @@ def tare(counts: Sequence[float], newton_per_count: float, calibrated_zero: floa
     drift = abs(float(means[BLOCKS // 2 :].mean() - means[: BLOCKS // 2].mean()))
     if drift * scale > gate.drift_max + SURE * still * scale:
         raise TareRefused(
-            f"tare: the reading moved by {drift * scale:.3g} N from first to second half, allowed is {gate.drift_max:g} N: "
-            "wait until the rotor is at rest and the amplifier is warm"
+            f"tare: drift: found {drift * scale:.3g} N from first to second half, expected at most {gate.drift_max:g} N. "
+            "Try: wait until the rotor is at rest and the amplifier is warm"
         )
     offset = abs(zero - calibrated_zero) * scale
     if offset > gate.offset_max:
         raise TareRefused(
-            f"tare: the zero is {offset:.3g} N from the calibration's, allowed is {gate.offset_max:g} N: "
-            "what hangs on the load cell?"
+            f"tare: zero: found {offset:.3g} N from the calibration's, expected at most {gate.offset_max:g} N. "
+            "Try: take off what hangs on the load cell"
         )
     return Tare(zero, noise, error, len(counts))

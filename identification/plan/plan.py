@@ -37,7 +37,8 @@ class Plan:
     model; `rig`: its ranges and slew rates limit the commands.
 
     Forecasts of standard errors: `before` the experiment (None: no prior), `after` it, and after a plan of the `paper` of the
-    same length (median of DRAWS). `not_identifiable`: parameters that are held fixed, with the reason.
+    same length (median of DRAWS). `not_identifiable`: parameters that are held fixed, with the reason; `units`
+    of all parameters by name.
     """
 
     commands: Record
@@ -50,6 +51,7 @@ class Plan:
     after: Forecast
     paper: Forecast
     not_identifiable: Mapping[str, str]
+    units: Mapping[str, str]
 
     @property
     def gain(self) -> float:
@@ -129,6 +131,7 @@ def plan(
         after=information.forecast(search.known + information.of(commands, step)),
         paper=_paper(search, np.random.default_rng([seed, 1])),
         not_identifiable=unidentifiable,
+        units={p.name: p.unit for p in model.parameters},
     )
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from identification.tune.margins import Margins, least
+from identification.tune.margins import least
 from identification.tune.objective import SLACK
 from identification.tune.tune import JUDGED, Tuned, Tuning
 from identification.tune.verdict import Verdict
@@ -117,26 +117,26 @@ def headline(found: Tuning) -> str:
 
 
 def key_figures(found: Tuning) -> list[tuple[str, str, str]]:
-    """(label, value, note) of each key figure."""
+    """(label, value, note) of each key figure, the most important first."""
     figures = []
+    for row in against(found) if len(found.tuned) > 1 else ():
+        errors = [row[name]["squared_error"] for name in found.tuned]
+        times = [settling(row[name]["settling"]) for name in found.tuned]
+        note = f"settling; {times[1]} with speed alone; squared error {number(errors[0])} against {number(errors[1])} s"
+        figures.append((f"step {row['before']:.3g} → {row['after']:.3g} N, both actuators", times[0], note))
     for name, tuned in found.tuned.items():
         for which, each in tuned.verdicts.items():
             word = "better" if each.better else "no better"
             figures.append((f"{which} gains, {NAMES[name]}", word, each.words().partition(": ")[2]))
         figures.append((f"cost, {NAMES[name]}", *_cost_words(found, tuned)))
-        figures.append((f"margins, {NAMES[name]}", *_margins_note(found, tuned)))
-    for row in against(found) if len(found.tuned) > 1 else ():
-        errors = [row[name]["squared_error"] for name in found.tuned]
-        times = " against ".join(settling(row[name]["settling"]) for name in found.tuned)
-        label = f"step {row['before']:.3g} → {row['after']:.3g} N, dual against speed alone"
-        figures.append((label, times, f"squared error {errors[0]:.4g} against {errors[1]:.4g} s"))
+        figures.append((f"phase margin, {NAMES[name]}", *_margins_note(found, tuned)))
     for name, tuned in found.tuned.items():
         if tuned.judged:
             over = np.mean if found.task.robust == "mean" else np.max
             costs = [over(tuned.judged[which]) for which in ("tuned", "robust")]
             price = _percent(tuned.cost("robust") / tuned.cost("tuned") - 1.0)
             note = f"{found.task.robust} of {JUDGED} other plants, nominal against robust; on the nominal plant {price}"
-            figures.append((f"robust, {NAMES[name]}", f"{costs[0]:.4g} → {costs[1]:.4g}", note))
+            figures.append((f"robust, {NAMES[name]}", f"{number(costs[0])} → {number(costs[1])}", note))
     largest = max(tuned.fmu_difference for tuned in found.tuned.values())
     figures.append(("through the FMUs", f"{largest:.2g} N", "largest difference of thrust to the compiled loop"))
     return figures
@@ -146,10 +146,10 @@ def _cost_words(found: Tuning, tuned: Tuned) -> tuple[str, str]:
     """(cost of the initial and of the chosen gains, their labels)."""
     start, others = tuned.cost("start"), {which: tuned.cost(which) for which in tuned.verdicts}
     if tuned.chosen == "start":
-        changes = (f"{which} {cost:.4g}, {_percent(cost / start - 1.0)}" for which, cost in others.items())
-        return f"{start:.4g}, kept", f"{found.task.reference}; {'; '.join(changes)}"
+        changes = (f"{which} {number(cost)}, {_percent(cost / start - 1.0)}" for which, cost in others.items())
+        return f"{number(start)}, kept", f"{found.task.reference}; {'; '.join(changes)}"
     cost = others[tuned.chosen]
-    return f"{start:.4g} → {cost:.4g}", f"{_percent(cost / start - 1.0)}, {found.task.reference} → {tuned.chosen}"
+    return f"{number(start)} → {number(cost)}", f"{_percent(cost / start - 1.0)}, {found.task.reference} → {tuned.chosen}"
 
 
 def _percent(share: float) -> str:
@@ -157,23 +157,19 @@ def _percent(share: float) -> str:
 
 
 def _margins_note(found: Tuning, tuned: Tuned) -> tuple[str, str]:
-    """(smallest margins of the chosen gains, note)."""
+    """(smallest phase margin of the chosen gains, note)."""
     own, first = (least(tuned.margins[which]) for which in (tuned.chosen, "start"))
     if own is None:
         return "none", "no operating point with a command within its limits"
     if not own.stable:
         return "unstable", "at one operating point at least"
     points = len(tuned.margins[tuned.chosen])
-    note = f"gain, phase, delay: the smallest over {points} operating points; sensitivity up to {own.sensitivity:.3g}"
+    gain = "any" if own.gain is None else f"{20.0 * np.log10(own.gain):.3g} dB"
+    delay = "" if own.delay is None else f", delay {1e3 * own.delay:.3g} ms"
+    note = f"gain {gain}{delay}: the smallest over {points} operating points; sensitivity up to {own.sensitivity:.3g}"
     before = f", {found.task.reference} {first.sensitivity:.3g}" if first else ""
     over = f", more than the limit {found.task.sensitivity:g}" if own.sensitivity > SLACK * found.task.sensitivity else ""
-    return margin_words(own), note + before + over
-
-
-def margin_words(margins: Margins) -> str:
-    """Gain, phase and delay margin as text."""
-    gain = "any gain" if margins.gain is None else f"{20.0 * np.log10(margins.gain):.3g} dB"
-    return f"{gain}, any phase" if margins.phase is None else f"{gain}, {margins.phase:.3g} deg, {1e3 * margins.delay:.3g} ms"
+    return "any" if own.phase is None else f"{own.phase:.3g} deg", note + before + over
 
 
 def change_rows(verdict: Verdict) -> list[tuple[str, str, str, str]]:

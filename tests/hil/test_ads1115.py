@@ -302,5 +302,5 @@ def test_what_is_not_there_at_the_start_is_said(bench, spoil, says):
 def test_another_chip_at_the_address_is_found_out(bench, monkeypatch):
     monkeypatch.setattr(i2c._Kernel, "_store", lambda self, bus, name, word: None)  # its registers take nothing
     adc = Ads1115(bench.path, clock=bench.clock)
-    with pytest.raises(DeviceFault, match=r"0x8583, written 0x42e3: is it an ADS1115\?"):
+    with pytest.raises(DeviceFault, match=r"0x8583, expected 0x42e3, as written: is it an ADS1115\?"):
         adc.start()

@@ -46,8 +46,8 @@ def test_what_is_commanded_is_low():
         (-0.55, -1.29, False, FaultKind.POLARITY, "load cell's"),
         (1.29, 0.55, True, FaultKind.POLARITY, "pitch's"),
         (1.29, 0.55, False, FaultKind.POLARITY, "pitch's"),
-        (-1.29, -0.55, True, FaultKind.POLARITY, "of the load cell and of the pitch"),
-        (0.9, 0.92, True, FaultKind.SLOPE, "allowed is 0.3 to 3"),
+        (-1.29, -0.55, True, FaultKind.POLARITY, "expected the other sign of both"),
+        (0.9, 0.92, True, FaultKind.SLOPE, "expected 0.3 to 3"),
         (0.9, 0.92, False, None, ""),
     ],
 )
@@ -67,7 +67,7 @@ def test_a_wrong_sign_ends_below_2500_rpm_with_that_word(wrong, known):
     rig, log = virtual_rig(COLUMNS, polarity=Polarity(LIMITS, PAPERS, known=known))
     rig.bench.calibration = WRONG[wrong]  # the loop's; the emulated rig keeps the right one
     rig._cycle.zero = WRONG[wrong].zero
-    with pytest.raises(RunEnded, match=r"wrong polarity.*wrong sign"):
+    with pytest.raises(RunEnded, match=r"wrong polarity.*expected the other sign"):
         rig.start(4000.0, 2.0)
     assert log["omega"].max() < 2500.0
     assert duties(rig)[0] == round(1e9 * CALIBRATION.esc_idle)
@@ -86,7 +86,7 @@ def test_a_second_opener_is_told_and_writes_nothing():
     rig, _ = virtual_rig(COLUMNS)
     rig.start(3000.0, 2.0)
     before = duties(rig)
-    with pytest.raises(Exception, match=r"rig: not ready: in use by process \d+ .*; nothing was written"):
+    with pytest.raises(Exception, match=r"rig: not ready: found in use by process \d+ .*; nothing written"):
         locked(rig.bench.esc.folder.parent)
     assert duties(rig) == before
     rig.close()

@@ -55,7 +55,7 @@ def test_a_relay_that_opens_in_a_run_ends_it_at_once():
     rig, _ = virtual_rig(COLUMNS)
     rig.start(3000.0, 2.0)
     rig.bench.tachometer.stop()
-    with pytest.raises(RunEnded, match="relay: relay open: the board has opened it: commanded"):
+    with pytest.raises(RunEnded, match="relay: relay open: found it open, expected it closed in a run: commanded"):
         drive(rig)
     assert rig.states.state.value == "fault"
     rig.close()
@@ -64,7 +64,7 @@ def test_a_relay_that_opens_in_a_run_ends_it_at_once():
 def test_a_relay_that_does_not_close_keeps_the_rotor_from_turning(monkeypatch):
     rig, log = virtual_rig(COLUMNS)
     monkeypatch.setattr(rig.bench.tachometer, "arm", lambda: None)
-    with pytest.raises(RunEnded, match=r"relay: not ready: not closed 0\.5 s after"):
+    with pytest.raises(RunEnded, match=r"relay: not ready: found open 0\.5 s after"):
         rig.start(3000.0, 2.0)
     assert log["throttle"].max() == 0.0
     rig.close()

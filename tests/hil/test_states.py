@@ -134,13 +134,13 @@ def running():
 
 def test_a_refusal_says_where_the_rig_is_and_where_the_move_is_allowed():
     machine = StateMachine()
-    with pytest.raises(IllegalMove, match=r"^run: the rig is in SAFE, allowed in ARMED$"):
+    with pytest.raises(IllegalMove, match=r"^run: found the rig in SAFE, expected ARMED$"):
         machine.run()
-    with pytest.raises(IllegalMove, match=r"^arm: not tared since the last run$"):
+    with pytest.raises(IllegalMove, match=r"^arm: found no tare since the last run, expected one$"):
         machine.arm()
     machine = running()
     machine.fault(HARD)
-    with pytest.raises(IllegalMove, match=r"^reset: the idle pulse does not stand yet$"):
+    with pytest.raises(IllegalMove, match=r"^reset: found no idle pulse yet, expected it$"):
         machine.reset()
 
 

@@ -95,11 +95,11 @@ def test_thrust_is_what_it_is_without(tmp_path):
 @pytest.mark.parametrize(
     ("limits", "words"),
     [
-        ({"voltage_min": 23.99}, r"voltage 23\.\d V, allowed is at least 23\.99 V"),
-        ({"voltage_max": 20.0}, r"voltage \d\d\.\d V, allowed is at most 20 V"),
-        ({"current_max": 2.0}, r"current \d+\.\d A, allowed is at most 2 A"),
-        ({"power_max": 40.0}, r"power \d+\.\d W, allowed is at most 40 W"),
-        ({"temperature_max": 20.5}, r"temperature 20\.\d degC, allowed is at most 20\.5 degC"),
+        ({"voltage_min": 23.99}, r"voltage: found 23\.\d V, expected at least 23\.99 V"),
+        ({"voltage_max": 20.0}, r"voltage: found \d\d\.\d V, expected at most 20 V"),
+        ({"current_max": 2.0}, r"current: found \d+\.\d A, expected at most 2 A"),
+        ({"power_max": 40.0}, r"power: found \d+\.\d W, expected at most 40 W"),
+        ({"temperature_max": 20.5}, r"temperature: found 20\.\d degC, expected at most 20\.5 degC"),
     ],
 )
 def test_a_limit_exceeded_ramps_down(tmp_path, limits, words):
@@ -118,7 +118,7 @@ def test_one_reading_is_a_spark_and_two_are_none():
     assert limits.check({**values, "current": 1.0}, ("current",)) is None
     assert limits.check(values, ("current",)) is None
     assert limits.check(values, ()) is None  # the same one, held
-    assert "current 31.0 A" in str(limits.check(values, ("current",)))
+    assert "current: found 31.0 A" in str(limits.check(values, ("current",)))
 
 
 def test_a_second_adc_that_is_not_there_is_found_before_arming(tmp_path, monkeypatch):

@@ -279,7 +279,7 @@ def test_a_board_that_was_not_reset_is_asked_after_two_seconds():
     assert port.written == [encoded(Frame(0x96, 0))]
 
 
-@pytest.mark.parametrize(("heard", "says"), [(b"", "heard nothing in 3 s"), (b"junk", "4 bytes, none of them a greeting")])
+@pytest.mark.parametrize(("heard", "says"), [(b"", "found nothing in 3 s"), (b"junk", "4 bytes that are none")])
 def test_no_greeting_within_three_seconds(heard, says):
     clock, port = VirtualClock(), Script(heard)
     with pytest.raises(DeviceFault, match=says) as raised:
@@ -291,7 +291,7 @@ def test_no_greeting_within_three_seconds(heard, says):
 
 def test_another_firmware_is_refused():
     port = Script(encoded(Frame(HELLO, 0, Hello(1, 4, 1250, 50000).packed())))
-    with pytest.raises(DeviceFault, match="firmware version 1, timer of 4 us; needed are 2 and 4 us"):
+    with pytest.raises(DeviceFault, match="firmware: found version 1 and a timer of 4 us, expected 2 and 4 us"):
         Tachometer(lambda: port, VirtualClock()).hello()
     assert port.closed
 

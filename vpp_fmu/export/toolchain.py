@@ -116,7 +116,7 @@ def _with_own_compiler(text: str) -> bytes:
 
 def _check_zig() -> None:
     if not find_spec("ziglang"):
-        raise CompilerMissing("no compiler for other platforms found: pip install 'vpp-fmu[cross]' brings it (ziglang)")
+        raise CompilerMissing("compiler for other platforms: found none, expected ziglang. Try: pip install 'vpp-fmu[cross]'")
 
 
 def _with_zig(name: str, text: str, target: str) -> bytes:

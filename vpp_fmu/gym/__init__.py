@@ -8,7 +8,7 @@ from vpp_fmu.errors import ExtraMissing
 try:
     import gymnasium
 except ImportError as error:
-    raise ExtraMissing("gymnasium is not installed: pip install gymnasium, or the extra 'gym' of vpp-fmu") from error
+    raise ExtraMissing("gymnasium: found no library, expected one. Try: pip install 'vpp-fmu[gym]'") from error
 
 from vpp_fmu.gym.envs import VppFmuEnv, VppThrustEnv, VppThrustVectorEnv
 from vpp_fmu.gym.reward import Moment, Reward

@@ -22,7 +22,7 @@ IN_WORDS = {
     INITIALISING: "in initialization mode",
     STEPPING: "after the initialization mode",
     TERMINATED: "after it was terminated",
-    FAILED: "after an error; a reset or a saved state mends it",
+    FAILED: "after an error (a reset or a saved state mends it)",
 }
 
 SLACK = 1e-3

@@ -11,6 +11,7 @@ from math import ceil, isinf
 NOW = 1e-9  # s; events within a nanosecond are simultaneous, so that rounding cuts no tiny steps
 NUDGE = 1e-7  # s; short enough for a derivative at an instant, long enough to keep its digits
 SLOTS = 4096  # commands that may wait in one delay; C needs the bound, so Python has it too
+FULL = f"delay: found more than {SLOTS} waiting command changes, expected fewer. Try: longer communication steps"
 PIECES = 100_000  # of the model's own steps in one communication step of an FMU: seconds of work, where 1e9 s would not return
 LONGEST_EXACT = 1e5  # s; of an FMU that takes any communication step in one: beyond a day the number is a mistake
 
@@ -32,7 +33,7 @@ class DelayLine:
         if value == self.latest:
             return
         if len(self.waits) == SLOTS:
-            raise DelayFull(f"more than {SLOTS} command changes wait in one delay: take longer communication steps")
+            raise DelayFull(FULL)
         self.waits.append(delay - self.span if self.waits else delay)
         self.values.append(value)
         self.latest, self.span = value, delay

@@ -8,13 +8,14 @@ from importlib.resources import files
 import numpy as np
 
 from vpp_fmu.errors import CompilerMissing, SimulationFailed
+from vpp_fmu.kernel.schedule import FULL
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native.compiler import compiled
 from vpp_fmu.native.simulator import completed, split
 from vpp_fmu.tracer import c_source, trace
 from vpp_fmu.tracer.adjoints import c_adjoints
 
-FAILURES = {-1: "out of memory", -2: "too many command changes wait in a delay"}
+FAILURES = {-1: "out of memory", -2: FULL}
 
 
 class Adjoint:
@@ -37,7 +38,7 @@ class Adjoint:
         inputs = completed(self.model, inputs, steps)
         columns = np.column_stack([inputs[name] for name in self._inputs]).astype(float, order="C", copy=False)
         if len(steps) != len(columns) - 1:
-            raise SimulationFailed(f"{self.model.name}: {len(columns)} rows need {len(columns) - 1} steps, got {len(steps)}")
+            raise SimulationFailed(f"{self.model.name}: steps: found {len(steps)}, expected {len(columns) - 1}")
         commanded = np.array([name not in self.model.measured_inputs for name in self._inputs])
         columns, steps, rows = split(columns, np.ascontiguousarray(steps, float), commanded, late)
         n = len(columns)

@@ -13,7 +13,7 @@ import numpy as np
 from vpp_fmu.errors import CompilerMissing, SimulationFailed
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.measurement import MEASUREMENT
-from vpp_fmu.kernel.schedule import SLOTS, DelayFull
+from vpp_fmu.kernel.schedule import FULL, DelayFull
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native.compiler import compiled
 from vpp_fmu.native.part import CompiledPart, InterpretedPart
@@ -26,7 +26,7 @@ JUMP = 0.05
 ROW = ("omega_ref", "beta_ref", "thrust", "omega", "beta")
 """Outputs of a run at each communication point."""
 
-FAILURES = {1: "out of memory", 2: f"more than {SLOTS} command changes wait in one delay"}
+FAILURES = {1: "out of memory", 2: FULL}
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +129,7 @@ def _compiled(models: Sequence[Model]):
     def run(sets, course, inputs, merits, rows):
         wanted, noise = (np.ascontiguousarray(column, float) for column in (course.wanted, course.noise))
         if len(noise) != len(wanted):
-            raise SimulationFailed(f"closed loop: {len(wanted)} points, but noise for {len(noise)}")
+            raise SimulationFailed(f"closed loop: noise: found {len(noise)} values, expected {len(wanted)}")
         rest = np.array(inputs)
         pointed = (each.ctypes.data for each in (wanted, noise, rest))
         profile = _Profile(len(wanted), course.dt, course.scale, course.jump, *pointed, len(rest))

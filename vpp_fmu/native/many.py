@@ -6,7 +6,7 @@ from importlib.resources import files
 import numpy as np
 
 from vpp_fmu.errors import CompilerMissing, SimulationFailed
-from vpp_fmu.kernel.schedule import SLOTS, DelayFull
+from vpp_fmu.kernel.schedule import FULL, DelayFull
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native.compiler import compiled
 from vpp_fmu.native.part import InterpretedPart
@@ -66,7 +66,7 @@ class ManyPlants:
             return self._advance_parts(hold)
         done = self._library.many_advance(self._memory.ctypes.data, self.count, self._inputs, self.dt, hold, self._shown)
         if done < self.count:
-            raise SimulationFailed(f"{self.model.name} {done}: more than {SLOTS} command changes wait in one delay")
+            raise SimulationFailed(f"{self.model.name} {done}: {FULL}")
         return self._shown
 
     def _advance_parts(self, hold: int) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 
 from vpp_fmu.errors import CompilerMissing, SimulationFailed
 from vpp_fmu.kernel.plant import LIBRARY
-from vpp_fmu.kernel.schedule import NUDGE, SLOTS, DelayFull, DelayLine, run_held, run_sampled
+from vpp_fmu.kernel.schedule import FULL, NUDGE, DelayFull, DelayLine, run_held, run_sampled
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native.compiler import compiled, compiled_as
 from vpp_fmu.tracer import LANES, Program, c_lanes, c_source, python_source, trace
@@ -139,8 +139,8 @@ class Simulator:
         inputs = completed(self.model, inputs, steps)
         rows = {name: len(inputs[name]) for name in self._inputs}
         if set(rows.values()) != {len(steps) + 1}:
-            counts = ", ".join(f"{name} has {count}" for name, count in rows.items())
-            raise SimulationFailed(f"{self.model.name}: {len(steps)} steps need {len(steps) + 1} rows, {counts}")
+            counts = ", ".join(f"{count} rows of {name}" for name, count in rows.items())
+            raise SimulationFailed(f"{self.model.name}: inputs: found {counts}, expected {len(steps) + 1} rows each")
         columns = np.column_stack([inputs[name] for name in self._inputs]).astype(float, order="C", copy=False)
         commanded = np.array([name not in self.model.measured_inputs for name in self._inputs])
         return values, *split(columns, np.ascontiguousarray(steps, float), commanded, late)
@@ -247,8 +247,7 @@ def _compiled(chain: _Chain, wrt: tuple[str, ...]):
                 for i, part in tangents.items():
                     places[i] = part.ctypes.data
                 if library.proceed(begun, inputs[at], steps[at], at.stop - at.start, last, outputs, places):
-                    cause = f"more than {SLOTS} command changes wait in one delay: take longer communication steps"
-                    raise SimulationFailed(f"{name}: {cause}")
+                    raise SimulationFailed(f"{name}: {FULL}")
                 asked = yield
         finally:
             library.end(begun)

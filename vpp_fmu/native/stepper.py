@@ -4,7 +4,7 @@ import ctypes
 from collections.abc import Mapping, Sequence
 
 from vpp_fmu.errors import CompilerMissing, SimulationFailed
-from vpp_fmu.kernel.schedule import SLOTS, DelayFull
+from vpp_fmu.kernel.schedule import FULL, DelayFull
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native.part import CompiledPart, InterpretedPart
 from vpp_fmu.native.simulator import _say_once
@@ -45,7 +45,7 @@ class Stepper:
         def step(inputs: Sequence[float], span: float) -> list[float]:
             given[:] = inputs
             if not advance(memory, given, span, shown):
-                raise DelayFull(f"more than {SLOTS} command changes wait in one delay: take longer communication steps")
+                raise DelayFull(FULL)
             return shown[:]
 
         self.start, self._advance = start, step

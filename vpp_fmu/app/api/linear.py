@@ -100,7 +100,7 @@ class Linearisable(ABC):
         try:
             import control  # noqa: PLC0415 - an extra, only needed here
         except ImportError as error:
-            raise ExtraMissing("control is not installed: pip install control, or the extra 'control' of vpp-fmu") from error
+            raise ExtraMissing("control: found no library, expected one. Try: pip install 'vpp-fmu[control]'") from error
         found = self._linear(omega, beta)
         names = {"inputs": list(INPUTS), "states": list(STATES), "outputs": list(OUTPUTS), "name": "VppPlant"}
         return control.ss(found.a, found.b, found.c, found.d, **names)

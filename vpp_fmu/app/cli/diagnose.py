@@ -19,7 +19,7 @@ from vpp_fmu.app.cli.identify import named_records
 from vpp_fmu.app.cli.options import SEED, WORKERS, Number, near
 from vpp_fmu.app.cli.output import add_accept, add_effects_from, add_output, dated, stages, written
 from vpp_fmu.app.report.pages.diagnosis import diagnosis_page, headline, key_figures, not_tried
-from vpp_fmu.app.report.pages.fleet import Entry, as_csv, as_parquet, entry, fleet_page, refusal
+from vpp_fmu.app.report.pages.fleet import Entry, as_csv, as_parquet, compared, entry, fleet_page, refusal
 from vpp_fmu.app.report.summary import identification_of, summary
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.errors import BadInput, VppError
@@ -122,7 +122,7 @@ def _fleet(options) -> Answer:
         (options, name, str(own), str(Path(options.output, name).resolve()))
         for name, own in zip(_names(there), there, strict=True)
     ]
-    entries = spread(_of_fleet, jobs, options.workers, options.scheduler, "campaigns")
+    entries = compared(spread(_of_fleet, jobs, options.workers, options.scheduler, "campaigns"))
     folder.write("fleet.csv", as_csv(entries))
     if (packed := as_parquet(entries)) is not None:
         folder.write("fleet.parquet", packed)

@@ -74,7 +74,7 @@ EITHER = Number(BETA_REF.minimum, OMEGA_REF.maximum)
 
 def configure(parser):
     if sys.platform != "linux":
-        parser.error(f"this is {sys.platform}; a rig, emulated or real, needs Linux: its clock, PWM files, I2C and terminals")
+        parser.error(f"platform: found {sys.platform}, expected Linux: a rig needs its clock, PWM files, I2C and terminals")
     parts = parser.add_subparsers(dest="what", required=True, metavar="WHAT", parser_class=type(parser))
     for name, (text, example, add_options, do) in VERBS.items():
         own = parts.add_parser(name, help=text, description=inspect.getdoc(do), formatter_class=parser.formatter_class)

@@ -25,7 +25,7 @@ EXAMPLE = "vpp paper -o paper"
 
 def configure(parser):
     if sys.platform != "linux":
-        parser.error(f"this is {sys.platform}; the emulated rig needs Linux: its clock, PWM files, I2C and terminals")
+        parser.error(f"platform: found {sys.platform}, expected Linux: the rig needs its clock, PWM files, I2C, terminals")
     parser.add_argument("--quick", action="store_true", help="a smaller campaign, to see what the study does")
     parser.add_argument(
         "--seed", type=whole(0, 999_999), default=0, metavar="N", help="of everything random (default: %(default)s)"

@@ -1,7 +1,6 @@
 """Parts of all figures: the empty figure, panels over a common axis, lines, bands, heat maps; thinning of long records."""
 
 import math
-import re
 import textwrap
 from collections.abc import Iterable, Sequence
 
@@ -200,5 +199,4 @@ def _lines(title: str) -> list[str]:
 
 def _folded(label: str, height: int) -> str:
     """The label in lines that fit along `height` pixels, at some 8 pixels per letter."""
-    at_dots = re.sub(r"\.(?=[a-z])", ". ", label)  # an effect's name, and its parameter's
-    return "<br>".join(line.replace(". ", ".") for line in textwrap.wrap(at_dots, height // 8))
+    return "<br>".join(textwrap.wrap(label, height // 8))

@@ -385,7 +385,7 @@ function horizontal(parent, y, panel, kind) {
 
 // ------------------------------------------------------------------------------------------------------------------- marks
 
-const DASHES = { dot: "2 3", dash: "7 4" };
+const DASHES = { dot: "2 3", dash: "7 4", dashdot: "8 3 2 3" };
 
 const PAINTERS = {
   line(parent, mark, panel, own) {
@@ -426,8 +426,9 @@ const PAINTERS = {
       const told = mark.text?.[k] ?? (mark.shown ? filled(mark.shown, mark, k) : "");
       if (!told) continue;
       if (mark.flat) {
-        const whole = end + 5 + wide(told, FONT.tick) < width;
-        svg("text", { x: end + 5, y: middle + 4, class: "tick" }, root, whole ? told : told.split("  ")[0]);
+        const beside = Math.max(base, end) + 5;
+        const whole = beside + wide(told, FONT.tick) < width;
+        svg("text", { x: beside, y: middle + 4, class: "tick" }, root, whole ? told : told.split("  ")[0]);
       } else if (wide(told, 11) < thick * 1.2) svg("text", { x: middle, y: end - 4, "text-anchor": "middle", class: "small" }, root, told);
     }
   },

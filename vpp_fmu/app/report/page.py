@@ -12,7 +12,7 @@ from plotly import graph_objects as go
 from vpp_fmu.app.report.drawing import SCRIPT, Arrays, drawing, heading
 from vpp_fmu.app.report.style import FONT, SCHEME
 from vpp_fmu.date import now
-from vpp_fmu.digits import number
+from vpp_fmu.digits import TABLE, number
 
 _NUMBER = re.compile(r"[<>≈~±+\-−]?\s*(?!\d{4}-\d\d-\d\d)\d|[–∞]?$|−∞$")
 """Start of a number; a date is none, nor is a name that begins with one."""
@@ -53,6 +53,17 @@ _STYLE = (
 """The style sheet: for wide and narrow screens, light and dark, and for paper."""
 
 
+class Link(str):
+    """Text of a table or note that leads to a file, given relative to the page's folder."""
+
+    file: str
+
+    def __new__(cls, text: str, file: str) -> "Link":
+        made = super().__new__(cls, text)
+        made.file = file
+        return made
+
+
 class Page:
     """A report, built from top to bottom; `tiles` are always above everything else.
 
@@ -74,7 +85,7 @@ class Page:
         """Key figures (label, value, note) at the top of the page."""
         for label, value, note in tiles:
             self._tiles.append(
-                f'<div class="tile"><div class="label">{escape(label).replace("_", "_<wbr>")}</div>'
+                f'<div class="tile"><div class="label">{escape(label)}</div>'
                 f'<div class="value">{escape(number(value))}</div><div class="small">{escape(note)}</div></div>'
             )
 
@@ -104,9 +115,9 @@ class Page:
         self._tables += 1
         self._parts.append(_table(columns, rows, f"<b>Table {self._tables}.</b> {escape(caption)}"))
 
-    def note(self, text: str) -> None:
-        """An important remark."""
-        self._parts.append(f"<aside>{_paragraphs(text)}</aside>")
+    def note(self, text: str, *links: Link) -> None:
+        """An important remark, and files that it names."""
+        self._parts.append(f"<aside>{_paragraphs(text)}{''.join(f'<p>{_html(link)}</p>' for link in links)}</aside>")
 
     def remarks(self, lines: Sequence[str]) -> None:
         """Remarks without capital and full stop, as paragraphs of one note."""
@@ -148,14 +159,14 @@ def _paragraphs(text: str) -> str:
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence], caption: str) -> str:
     """A table of texts and numbers; columns of numbers are aligned right. `caption` is HTML."""
-    cells = [[number(value) for value in row] for row in rows]
+    cells = [[value if isinstance(value, Link) else number(value, TABLE) for value in row] for row in rows]
     kinds = [_kind([row[k] for row in cells]) for k in range(len(columns))]
     if kinds.count("prose") > 1:
         kinds = ["words" if kind == "prose" else kind for kind in kinds]
     marks = [f' class="{kind}"' if kind else "" for kind in kinds]
 
     def line(tag: str, texts: Sequence[str]) -> str:
-        parts = (f"<{tag}{mark}>{escape(text)}</{tag}>" for text, mark in zip(texts, marks, strict=True))
+        parts = (f"<{tag}{mark}>{_html(text)}</{tag}>" for text, mark in zip(texts, marks, strict=True))
         return f"<tr>{''.join(parts)}</tr>"
 
     body = "\n".join(line("td", row) for row in cells)
@@ -163,6 +174,10 @@ def _table(columns: Sequence[str], rows: Sequence[Sequence], caption: str) -> st
         f'<div class="table"><table>\n<caption>{caption}</caption>\n<thead>{line("th", columns)}</thead>\n'
         f"<tbody>\n{body}\n</tbody></table></div>"
     )
+
+
+def _html(text: str) -> str:
+    return f'<a href="{escape(text.file)}">{escape(text)}</a>' if isinstance(text, Link) else escape(text)
 
 
 def _kind(cells: Sequence[str]) -> str:

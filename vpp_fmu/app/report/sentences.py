@@ -1,28 +1,28 @@
-"""Findings as sentences: the first line of a verb and the first screen of its report, plain text in ASCII, three digits."""
+"""Findings as sentences: the first line of a verb and the first screen of its report, plain text in ASCII."""
 
+import math
+import re
 from collections.abc import Mapping, Sequence
 
 from vpp_fmu.digits import number
 from vpp_fmu.kernel.types import Effect, Parameter
 
-DIGITS = 3
-
 
 def size(value: float | None, unit: str = "1") -> str:
     """A value with its unit."""
-    return f"{number(value, DIGITS)} {unit}".removesuffix(" 1")
+    return f"{number(value)} {unit}".removesuffix(" 1")
 
 
 def change(before: float | None, after: float | None, unit: str) -> str:
     """A value before and after: "0.182 -> 0.132 N"."""
-    return f"{number(before, DIGITS)} -> {size(after, unit)}"
+    return f"{number(before)} -> {size(after, unit)}"
 
 
 def clause(effect: Effect, values: Mapping[str, float]) -> str:
     """An effect in words with its sizes; `values`: parameters by full name."""
     if not effect.says:
         return effect.description
-    return effect.says.format_map({p.name: _shown(p, values[effect.full(p.name)]) for p in effect.parameters})
+    return effect.says.format_map({p.name: limited(p, values[effect.full(p.name)]) for p in effect.parameters})
 
 
 def sentence(clauses: Sequence[str]) -> str:
@@ -37,10 +37,23 @@ def thrust_error(unseen: bool, values: str, noise: float | None) -> str:
     return f"{of} thrust error {values}; noise {size(noise, 'N')}."
 
 
+def words(name: str) -> str:
+    """The name of an effect or parameter in a text or figure: "pitch backlash, half gap"; names as typed are in tables."""
+    return re.sub(r"\.(?=[a-z])", ", ", name.replace("_", " "))
+
+
 def titled(name: str) -> str:
-    """A name as the first word of a title: "Pitch command deadband"."""
-    return name.replace("_", " ").capitalize()
+    """A name as the first word of a title."""
+    return words(name).capitalize()
 
 
-def _shown(parameter: Parameter, value: float) -> str:
-    return "no limit" if value == parameter.unlimited else size(value, parameter.unit)
+def labelled(names: Sequence[str], parameters: Sequence[Parameter]) -> list[str]:
+    """Names of parameters in words with their units, for a figure."""
+    units = {p.name: p.unit for p in parameters}
+    return [f"{words(name)} [{units[name]}]".removesuffix(" [1]") for name in names]
+
+
+def limited(parameter: Parameter, value: float) -> str:
+    """A parameter's value with its unit, or that it limits nothing."""
+    free = parameter.unlimited is not None and math.isclose(value, parameter.unlimited, rel_tol=1e-3)
+    return "no limit" if free else size(value, parameter.unit)

@@ -8,6 +8,7 @@ from plotly import graph_objects as go
 
 from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import add_envelope, add_line, add_points, axis, figure, panels, places, to_the_eye
+from vpp_fmu.app.report.sentences import words
 
 REACH = 2.5
 """Half-width of the Nyquist plot, which must show the region around -1."""
@@ -144,10 +145,10 @@ def adapted_parameters(time: np.ndarray, twin: Mapping[str, np.ndarray], units: 
     """Each adapted parameter over time [s] with +-2 standard deviations; `units` by its name."""
     names = [name.removeprefix(ADAPTED) for name in twin if name.startswith(ADAPTED)]
     kept = places([twin[part + name] for name in names for part in (ADAPTED, STD)])
-    fig = panels("Adapted parameters", [f"{name} [{units[name]}]" for name in names], [150] * len(names))
+    fig = panels("Adapted parameters", [f"{words(name)} [{units[name]}]" for name in names], [150] * len(names))
     for panel, name in enumerate(names):
         value, std = twin[ADAPTED + name][kept], twin[STD + name][kept]
         band = value - 2.0 * std, value + 2.0 * std
         add_envelope(fig, time[kept], *band, "± 2 standard deviations", style.BAND, panel)
-        add_line(fig, time[kept], value, name, style.AFTER, 1.6, panel, "adapted")
+        add_line(fig, time[kept], value, words(name), style.AFTER, 1.6, panel, "adapted")
     return fig

@@ -8,20 +8,18 @@ from plotly import graph_objects as go
 
 from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import CELLS, add_line, add_points, figure, heatmap, panels
+from vpp_fmu.app.report.sentences import words
 from vpp_fmu.digits import interval, number
 
 MOST = 300.0
 """Half-widths beyond this, in %, are drawn at the edge: the parameter is unknown."""
 
-TAKEN, PASSED, FAILED = "taken", "strong evidence, not taken", "does not stand"
+TAKEN, PASSED, FAILED = "accepted", "strong evidence, not accepted", "rejected"
 COLOURS = {TAKEN: style.AFTER, PASSED: style.LIGHT_BLUE, FAILED: style.FAINT}
 
 BINS = 60
 
-_LEAST = 1.0
-"""Start of the bars on the logarithmic axis."""
-
-_NAMES = {"title_text": "parameter [-]", "type": "category", "autorange": "reversed", "tickfont_size": 12}
+_NAMES = {"type": "category", "autorange": "reversed", "tickfont_size": 12}
 """Axis of parameters, the first on top."""
 
 
@@ -54,7 +52,7 @@ def correlation_heatmap(names: Sequence[str], matrix: np.ndarray, title: str) ->
     blank = np.where(np.eye(len(names)), np.nan, matrix)
     height = 170 + max(28 * len(names), 200)
     more = {"texttemplate": "%{z:.2f}", "hovertemplate": "%{y}, %{x}: %{z:.3f}<extra></extra>"}
-    return _pairs(title, height, names, names, blank, (-1, 1), style.DIVERGING, ("parameter [-]", "correlation [-]"), **more)
+    return _pairs(title, height, names, names, blank, (-1, 1), style.DIVERGING, "correlation [-]", **more)
 
 
 def overlap_heatmap(names: Sequence[str], matrix: np.ndarray, title: str, least: float = 0.5) -> go.Figure:
@@ -63,14 +61,13 @@ def overlap_heatmap(names: Sequence[str], matrix: np.ndarray, title: str, least:
     texts = np.where(shown >= least, np.char.mod("%.2f", np.nan_to_num(shown)), "")
     height, colours = 190 + max(30 * len(names), 120), ((0.0, style.ZERO), (1.0, style.BEFORE))
     more = {"text": texts, "texttemplate": "%{text}", "hovertemplate": "%{y}, %{x}: %{z:.2f}<extra></extra>"}
-    labels = "effect [-]", "squared cosine [-]"
-    return _pairs(title, height, names[:-1], names[1:], shown, (0, 1), colours, labels, **more)
+    return _pairs(title, height, names[:-1], names[1:], shown, (0, 1), colours, "squared cosine [-]", **more)
 
 
-def _pairs(title: str, height: int, x, y, z, ends, colours, labels: tuple[str, str], **more) -> go.Figure:
-    """A value for each pair of names; `labels`: of both axes, and of the values."""
-    x, y = ([style.escaped(name) for name in names] for names in (x, y))
-    fig = heatmap(title, height, x, y, z, ends, colours, (labels[0], *labels), **CELLS, **more)
+def _pairs(title: str, height: int, x, y, z, ends, colours, label: str, **more) -> go.Figure:
+    """A value for each pair of names; `label`: of the values."""
+    x, y = ([_named(name) for name in names] for names in (x, y))
+    fig = heatmap(title, height, x, y, z, ends, colours, ("", "", label), **CELLS, **more)
     fig.update_xaxes(type="category")
     fig.update_yaxes(type="category", autorange="reversed")
     return fig
@@ -87,10 +84,14 @@ def learning_curve(evaluations: np.ndarray, cost: np.ndarray, title: str, quanti
     return fig
 
 
+def _named(name: str) -> str:
+    return style.escaped(words(name))
+
+
 def _row(name: str, start: float, final: float, low: float, high: float) -> str:
     """The label of a parameter: its values, and its interval below."""
     ends = interval(low, high) if np.isfinite(high - low) else "interval unknown"
-    return f"<b>{style.escaped(name)}</b>  {number(start)} → {number(final)}<br>{ends}"
+    return f"<b>{_named(name)}</b>  {number(start)} → {number(final)}<br>{ends}"
 
 
 def _ticks(cost: np.ndarray) -> str | int:
@@ -114,7 +115,7 @@ def interval_widths(names: Sequence[str], widths: Mapping[str, np.ndarray], titl
 
     A line per parameter joins the widest with the last.
     """
-    labels = [style.escaped(name) for name in names]
+    labels = [_named(name) for name in names]
     shown = {name: np.minimum(np.asarray(values, float), MOST) for name, values in widths.items()}
     fig = figure(title, 130 + 34 * len(labels), "half-width of the 95 % interval [% of the value]")
     last, widest = list(shown.values())[-1], np.max(list(shown.values()), axis=0)
@@ -141,24 +142,20 @@ class Bar:
     why: str
 
 
-def evidence_bars(bars: Sequence[Bar], gate: float, title: str, taken: float | None = None) -> go.Figure:
-    """Candidates by evidence [nat], the best on top, the threshold `gate` as a line, the reason beside each bar.
-
-    `taken`: evidence of the accepted candidate. A shaded band marks candidates within `gate` of it, which fit as well.
-    Candidates below 1 have no bar.
-    """
+def evidence_bars(bars: Sequence[Bar], gate: float, title: str) -> go.Figure:
+    """Candidates by evidence [nat], the best on top, the threshold `gate` as a line, the reason beside each bar."""
     ranked = sorted(bars, key=lambda bar: -bar.likelihood_gain)
-    fig = figure(title, 140 + 30 * len(ranked), "evidence [nat]", "candidate [-]")
+    fig = figure(title, 140 + 30 * len(ranked), "evidence [nat]")
     for outcome, colour in COLOURS.items():
         own = [bar for bar in ranked if bar.outcome == outcome]
         if own:
             fig.add_bar(
-                y=[style.escaped(bar.name) for bar in own],
-                x=[max(bar.likelihood_gain, _LEAST) for bar in own],
+                y=[_named(bar.name) for bar in own],
+                x=[bar.likelihood_gain for bar in own],
                 orientation="h",
                 name=outcome,
                 marker_color=colour,
-                text=[f"{bar.likelihood_gain:,.0f}  {style.escaped(bar.why)}" for bar in own],
+                text=[f"{bar.likelihood_gain:.0f}  {style.escaped(bar.why)}" for bar in own],
                 textposition="outside",
                 textfont={"size": 12},
                 cliponaxis=False,
@@ -166,13 +163,9 @@ def evidence_bars(bars: Sequence[Bar], gate: float, title: str, taken: float | N
             )
     line = {"color": style.MEASURED, "width": 1.6, "dash": "dash"}
     fig.add_vline(x=gate, line=line, name=f"very strong: {gate:g}", layer="below", showlegend=True)
-    if taken is not None:
-        fig.add_vrect(x0=max(taken - gate, _LEAST), x1=taken + gate, fillcolor=style.AFTER, opacity=0.15, line_width=0)
-    reach = np.log10(max(10.0 * gate, *(bar.likelihood_gain for bar in ranked)))
-    # The reasons are beside the bars and take half of the width.
-    decades = [10.0**k for k in range(int(np.ceil(reach)) + 1)]
-    fig.update_xaxes(type="log", range=[0.0, 2.0 * reach], tickvals=decades)
-    order = [style.escaped(bar.name) for bar in ranked]
+    low, high = min(0.0, ranked[-1].likelihood_gain), max(gate, ranked[0].likelihood_gain)
+    fig.update_xaxes(range=[low, 2.0 * high - low])  # the reasons are beside the bars and take half of the width
+    order = [_named(bar.name) for bar in ranked]
     fig.update_yaxes(type="category", categoryorder="array", categoryarray=order[::-1])
     fig.update_layout(bargap=0.35, barmode="overlay")
     return fig

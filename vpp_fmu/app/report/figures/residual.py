@@ -15,7 +15,7 @@ def residual_by_section(
 ) -> go.Figure:
     """The rmse [N] of each section before and after, both (n,), with a line for the noise alone."""
     sections = [style.escaped(label) for label in labels]
-    fig = figure(title, 380, "section [-]", "rmse [N]")
+    fig = figure(title, 380, y="rmse [N]")
     shown = {"texttemplate": "%{y:.3r}", "textposition": "outside", "cliponaxis": False}
     for name, values, colour in (("before", before, style.BEFORE), ("after", after, style.AFTER)):
         hover = f"%{{y:{style.SHOWN}}} N"
@@ -45,7 +45,7 @@ def _correlation(lines: Mapping[str, np.ndarray], lags_s: np.ndarray, band: floa
     add_ground(fig, band, _no_evidence(band))
     colours = style.colours(lines)
     for name, values in lines.items():
-        fig.add_scatter(x=lags_s, y=values, mode="lines", name=style.label(name), line={"color": colours[name], "width": 1.6})
+        add_line(fig, lags_s, values, style.label(name).partition(" [")[0], colours[name], 1.6)
     fig.update_xaxes(zeroline=True)
     fig.update_yaxes(zeroline=True)
     fig.update_layout(hovermode="x unified")

@@ -11,7 +11,8 @@ from vpp_fmu.app.report.canvas import add_band, add_envelope, add_line, axis, fi
 from vpp_fmu.digits import number
 from vpp_fmu.record import Record
 
-COMMANDS = "omega_ref", "beta_ref"
+COMMANDS = {"omega_ref": "omega", "beta_ref": "beta"}
+"""Commands, and what is measured of them."""
 
 Columns = Record | Mapping[str, np.ndarray]
 """Arrays (n,) by column name."""
@@ -47,16 +48,18 @@ def measured_against_predicted(
     noise: float | None = None,
     band: np.ndarray | None = None,
 ) -> go.Figure:
-    """Measured and predicted thrust [N], their difference with a band of +-2 `noise`, and a record's commands, over time [s].
+    """Measured and predicted thrust [N], their difference with a band of +-2 `noise`, and a record's commands with what is
+    measured of them, over time [s].
 
     Predictions are (n,) by name; `noise`: standard deviation [N] of a reading. `band`: standard deviation (n,) of a reading
     about the first prediction; 1.96 of it are drawn around the prediction and in the residual.
     """
-    fig = panels(title, ["thrust [N]", "residual [N]", *map(style.label, COMMANDS)], [260, 160, 110, 110])
+    fig = panels(title, ["thrust [N]", "residual [N]", *map(style.label, COMMANDS.values())], [260, 160, 110, 110])
     time = np.asarray(record["time"])
     measured = np.asarray(record["thrust"] if "thrust" in record else np.full(len(time), np.nan), float)
     residuals = {name: measured - values for name, values in predictions.items()}
-    kept = places([measured, *predictions.values(), *residuals.values(), *(record[name] for name in COMMANDS)])
+    beside = [record[name] for both in COMMANDS.items() for name in both if name in record]
+    kept = places([measured, *predictions.values(), *residuals.values(), *beside])
     time = time[kept]
     if band is not None:
         reach, middle = _NORMAL_95 * np.asarray(band)[kept], np.asarray(next(iter(predictions.values())))[kept]
@@ -71,8 +74,13 @@ def measured_against_predicted(
         error = f"rmse {number(np.sqrt(np.mean(seen**2)))} N" if len(seen) else "nothing measured beside it"
         add_line(fig, time, np.asarray(predictions[name])[kept], f"{name}, {error}", colours[name], 1.6, 0)
         add_line(fig, time, residual[kept], f"{name}, residual", colours[name], 1, 1, f"{name}, {error}")
-    for panel, name in enumerate(COMMANDS, start=2):
-        add_line(fig, time, np.asarray(record[name])[kept], name, style.SET_POINT, 1.4, panel, "commands", shape=_HELD)
+    for panel, (name, output) in enumerate(COMMANDS.items(), start=2):
+        if output in record:
+            add_line(fig, time, np.asarray(record[output])[kept], output, style.MEASURED, 1, panel, "measured")
+        group = None if panel == 2 else "commands"
+        add_line(
+            fig, time, np.asarray(record[name])[kept], "commands", style.SET_POINT, 1.4, panel, group, shape=_HELD, dash="dash"
+        )
     return fig
 
 
@@ -100,7 +108,7 @@ def closed_loop(runs: Mapping[str, Columns], title: str, limits: Mapping[str, tu
     for panel, column in ((1, "omega_ref"), (2, "beta_ref")):
         for k, end in enumerate(dict.fromkeys((limits or {}).get(column, ()))):
             group = None if panel == 1 and k == 0 else "limits"
-            add_line(fig, ends, np.full(2, end), "limits", style.FAINT, 1, panel, group, dash="dashdot")
+            add_line(fig, ends, np.full(2, end), "limits", style.SET_POINT, 1, panel, group, dash="dashdot")
     return fig
 
 

@@ -6,7 +6,7 @@ from identification.fit.uncertainty import NORMAL_95
 from identification.power.allocation import Allocation
 from vpp_fmu.app.report.figures.map import best_pairs, least_power
 from vpp_fmu.app.report.page import Page
-from vpp_fmu.app.report.sentences import DIGITS, size
+from vpp_fmu.app.report.sentences import size
 from vpp_fmu.digits import number
 
 
@@ -29,7 +29,7 @@ def key_figures(found: Allocation) -> list[tuple[str, str, str]]:
 def headline(found: Allocation) -> str:
     """The saving in a sentence."""
     verb = "save" if found.saving >= 0.0 else "cost"
-    ends = f"{number(found.thrust[0], DIGITS)} to {number(found.thrust[-1], DIGITS)} N"
+    ends = f"{number(found.thrust[0])} to {number(found.thrust[-1])} N"
     return (
         f"The pairs of speed and pitch {verb} {100.0 * abs(found.saving):.1f} % of the {found.model.kind} power over {ends}, "
         f"against the best fixed pitch of {size(found.fixed_beta, 'deg')}."

@@ -10,7 +10,7 @@ from vpp_fmu.app.report.pages.diagnosis import headline as diagnosis_headline
 from vpp_fmu.app.report.pages.diagnosis import key_figures as diagnosed
 from vpp_fmu.app.report.pages.identification import add_found, add_static
 from vpp_fmu.app.report.pages.loop import STEP_COLUMNS, row
-from vpp_fmu.app.report.sentences import DIGITS, change, size
+from vpp_fmu.app.report.sentences import change, size
 from vpp_fmu.digits import number
 from vpp_fmu.response import steps
 
@@ -19,7 +19,7 @@ def key_figures(done: Demo) -> list[tuple[str, str, str]]:
     """(label, value, note): those of the diagnosis, and the errors of the FMUs."""
     before, after = done.rmse["before"], done.rmse["after"]
     note = f"unseen record, noise of one reading {size(done.diagnosis.noise.floor, 'N')}"
-    through = ("thrust error, FMU in fmpy", f"{number(before, DIGITS)} → {size(after, 'N')}", note)
+    through = ("thrust error, FMU in fmpy", f"{number(before)} → {size(after, 'N')}", note)
     return [through if label.startswith("thrust error") else (label, *rest) for label, *rest in diagnosed(done.diagnosis)]
 
 

@@ -14,11 +14,11 @@ from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures.parameters import FAILED, PASSED, TAKEN, Bar, evidence_bars, overlap_heatmap, parameter_change
 from vpp_fmu.app.report.figures.residual import residual_by_section
 from vpp_fmu.app.report.figures.time import measured_against_predicted
-from vpp_fmu.app.report.page import Page
-from vpp_fmu.app.report.pages.effect import add_attempt, add_effects, add_learned
+from vpp_fmu.app.report.page import Link, Page
+from vpp_fmu.app.report.pages.effect import add_attempt, add_effects, add_learned, around
 from vpp_fmu.app.report.pages.identification import add_quality, quality_tile
 from vpp_fmu.app.report.pages.residual import add_residual
-from vpp_fmu.app.report.sentences import DIGITS, change, clause, sentence, size, thrust_error
+from vpp_fmu.app.report.sentences import change, clause, labelled, limited, sentence, size, thrust_error, titled, words
 from vpp_fmu.app.report.summary import LEFT_OUT, NEXT, artefact, errors, summary, why_not
 from vpp_fmu.digits import chance, interval, number, signed, with_uncertainty
 
@@ -58,7 +58,7 @@ def headline(found: Diagnosis) -> str:
 
 def _guessed(guess: Guess) -> str:
     share = f"{100.0 * guess.explains:.0f} %"
-    rest = f" beside {' and '.join(guess.beside)}" if guess.beside else ""
+    rest = f" beside {_and(guess.beside)}" if guess.beside else ""
     if guess.near:
         return f"Best guess{rest}: {_sized(guess)}; it would explain {share} of the lack of fit, and is not accepted."
     most = f"{100.0 * guess.most:.0f} %"
@@ -73,15 +73,19 @@ def _sized(guess: Guess) -> str:
         for s in (s for s in guess.sizes if s.effect == name):
             unit = "" if s.unit == "1" else s.unit
             known = f" ({UNIDENTIFIABLE})" if s.std is None else ""
-            sizes.append(f"{s.name} {with_uncertainty(s.value, s.std or 0.0, unit)}{known}")
-        found.append(" ".join([name, ", ".join(sizes)]))
+            sizes.append(f"{words(s.name)} {with_uncertainty(s.value, s.std or 0.0, unit)}{known}")
+        found.append(", ".join([words(name), *sizes]))
     return " and ".join(found)
+
+
+def _and(names: Sequence[str]) -> str:
+    return " and ".join(map(words, names))
 
 
 def _guess(guess: Guess) -> tuple[str, str, str]:
     """Evidence for and against the best guess, and the model from which the next experiment distinguishes it."""
     share = f"would explain {100.0 * guess.explains:.0f} % of the lack of fit; ± is one standard error"
-    rival = guess.rival or "the model without it"
+    rival = words(guess.rival) or "the model without it"
     plan = f"{NEXT} distinguishes it from {rival}: their thrusts differ by {number(guess.there, 2)} N rms there, by"
     plan += f" {number(guess.here, 2)} N so far"
     value = _sized(guess) if guess.near else f"none is close; the most likely is {_sized(guess)}"
@@ -129,7 +133,7 @@ def _effects(found: Diagnosis) -> list[str]:
 def _rivals(found: Diagnosis) -> str:
     """Effects that the records do not distinguish from those found, as a sentence."""
     names = sorted({other for others in found.selection.family.values() for other in others})
-    return f" These records do not distinguish it from {' or '.join(names)}." if names else ""
+    return f" These records do not distinguish it from {' or '.join(map(words, names))}." if names else ""
 
 
 def _where_judged(found: Diagnosis) -> str:
@@ -151,9 +155,10 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
             if "acts_times" in p:
                 times = "once" if p["acts_times"] == 1 else f"{p['acts_times']} times"
                 note += f"; the fitted commands reach it {times}, {number(p['acts_seconds'], 2)} s in all"
-            figures.append((f"{effect['name']}, {name}".replace("_", " "), size(p["value"], unit), note))
+            value = "no limit" if p.get("acts_times") == 0 else size(p["value"], unit)
+            figures.append((words(f"{effect['name']}.{name}"), value, note))
     (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
-    both = f"{number(before, DIGITS)} → {size(after, 'N')}" if found.final.effects else size(before, "N")
+    both = f"{number(before)} → {size(after, 'N')}" if found.final.effects else size(before, "N")
     noise = f"noise of one reading {size(found.noise.floor, 'N')}: {found.reading_noise.basis}"
     figures.append((f"thrust error {_where_judged(found)}".rstrip(","), both, noise))
     if found.given is not None:
@@ -164,7 +169,11 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
         figures.append(
             ("of the error beyond the noise", f"{100 * found.explained:.0f} %", f"removed {_where_judged(found)}".rstrip(","))
         )
-    rivals = [f"{name} could as well be {' or '.join(others)}" for name, others in found.selection.family.items() if others]
+    rivals = [
+        f"{words(name)} could as well be {' or '.join(map(words, others))}"
+        for name, others in found.selection.family.items()
+        if others
+    ]
     note = found.refuted or "; ".join(rivals) or SURE[found.verdict]
     figures.append(("verdict", found.verdict, note))
     figures.append(_lack(found))
@@ -207,13 +216,14 @@ def diagnosis_page(found: Diagnosis) -> Page:
     """The page of one diagnosis."""
     page = Page(f"Diagnosis of {found.campaign.folder.name}", headline(found), found.campaign.label)
     page.tiles(key_figures(found))
+    _add_next(page, found)
     if text := not_tried(found):
         page.note(f"{text[0].upper()}{text[1:]}.")
     for effect in found.left_out:
-        page.note(f"{effect}: {LEFT_OUT}.")
+        page.note(f"{titled(effect)}: {LEFT_OUT}.")
     for effect in found.final.effects:
         if text := artefact(found, effect):
-            page.note(f"{effect}: {text}.")
+            page.note(f"{titled(effect)}: {text}.")
     add_quality(page, found.quality)
     _add_effect(page, found)
     page.section("Before and after" if found.final.effects else "The model")
@@ -226,8 +236,20 @@ def diagnosis_page(found: Diagnosis) -> Page:
 
 def add_diagnosis(page: Page, found: Diagnosis) -> None:
     """Add figures and tables of a diagnosis to a page that already shows the unseen record."""
+    _add_next(page, found)
     _add_effect(page, found)
     _add_rest(page, found)
+
+
+def _add_next(page: Page, found: Diagnosis) -> None:
+    """The next experiment, unless nothing is open."""
+    if found.verdict not in ("none", "attributed"):
+        ranges = ", ".join(found.rig.command_lines())
+        page.note(
+            "Next step: run the commands of the next experiment on the rig twice, and diagnose the campaign again with both "
+            f"records (--record). They distinguish effects that these commands do not, within {ranges}.",
+            Link(NEXT, NEXT),
+        )
 
 
 def _add_effect(page: Page, found: Diagnosis) -> None:
@@ -255,11 +277,6 @@ def _add_rest(page: Page, found: Diagnosis) -> None:
     _add_location(page, found)
     page.section("Which effects these commands distinguish")
     add_apart(page, found)
-    if found.verdict not in ("none", "attributed"):
-        ranges = ", ".join(found.rig.command_lines())
-        page.note(
-            f"next_experiment.csv has commands that distinguish effects that these do not, within {ranges}. Run it twice."
-        )
 
 
 def _add_whole(page: Page, found: Diagnosis) -> None:
@@ -286,12 +303,13 @@ def _add_worst(page: Page, found: Diagnosis) -> None:
             continue  # in the same window
         block = int(np.argmin(np.abs(at.time - center)))
         there = " and ".join(f"{number(mean[block], 3)} N {other}" for other, mean in means.items()).removesuffix(" model")
-        near = np.abs(record.time - center) <= ZOOM
+        near = around(record.time, center, ZOOM)
         when = "" if name == "model" else f" {name}"
         title = f"The worst moment{when}, around {center:.0f} s: the error is {there}"
         part = {other: thrust[near] for other, thrust in lines.items()}
         figure = measured_against_predicted(record.part(near), part, title, found.noise.floor)
-        page.figure(figure, f"Six seconds around the worst mean over {SMOOTHED:g} s.")
+        shown = number(float(np.ptp(record.time[near])), 2)
+        page.figure(figure, f"{shown} s around the worst mean over {SMOOTHED:g} s.")
 
 
 def _add_sections(page: Page, found: Diagnosis) -> None:
@@ -360,35 +378,36 @@ def add_evidence(page: Page, found: Diagnosis) -> None:
         if fitted:
             _add_round(page, found, count, fitted)
     rows = []
-    for entry in (e for e in summary(found)["candidates"] if "delta_bic" in e):
-        beside = " + ".join(entry["beside"]) or "nothing"
-        form = ", ".join(f"{v:g}" for v in entry["form"].values()) or "only"
-        size = ", ".join(f"{n.partition('.')[2]} {number(v, 3)}" for n, v in entry["parameters"].items())
-        rows.append((entry["name"], form, beside, f"{0.5 * entry['delta_bic']:.1f}", size, entry["why_not"] or "accepted"))
+    for tried in (t for each in found.selection.rounds for t in each if t.fit is not None):
+        candidate, fit = tried.candidate, tried.fit
+        beside = " + ".join(tried.beside) or "nothing"
+        form = ", ".join(f"{v:g}" for v in candidate.form.values()) or "only"
+        own = [p for p in fit.problem.model.parameters if p.name in candidate.free]
+        sizes = ", ".join(f"{p.name.partition('.')[2]} {limited(p, fit.values[p.name])}" for p in own)
+        rows.append((candidate.name, form, beside, f"{tried.evidence:.1f}", sizes, why_not(found, tried) or "accepted"))
     columns = ("effect", "form", "beside", "evidence [nat]", "parameters", "verdict")
     page.table(columns, rows, "Candidates that were refitted in full.")
     for effect, judged in found.selection.judgements.items():
-        gains = ", ".join(f"{channel} {gain:+.4g}" for channel, gain in judged.gain.items())
+        gains = ", ".join(f"{channel} {signed(gain)}" for channel, gain in judged.gain.items())
         page.note(
-            f"{effect}: the log-likelihood increases by {judged.likelihood_gain:.4g}; chance exceeds {judged.needed:.3g} in "
-            f"one rig of {1.0 / ALPHA:.0f}. In cross-validation: {gains}. It changes the thrust by {judged.size:.3g} N rms; "
-            f"the minimum size of interest is {judged.least:.2g} N."
+            f"{titled(effect)}: the log-likelihood increases by {number(judged.likelihood_gain)}; chance exceeds "
+            f"{number(judged.needed)} in one rig of {1.0 / ALPHA:.0f}. In cross-validation: {gains}. It changes "
+            f"the thrust by {judged.size:.3g} N rms; the minimum size of interest is {judged.least:.2g} N."
         )
 
 
 def _add_round(page: Page, found: Diagnosis, count: int, fitted: list[CandidateFit]) -> None:
     bars = [_bar(found, t) for t in fitted]
-    beside = " and ".join(fitted[0].beside) or "nothing"
+    beside = _and(fitted[0].beside) or "nothing"
     best = max(bars, key=lambda bar: bar.likelihood_gain)
     taken = max((bar for bar in bars if bar.outcome == TAKEN), key=lambda bar: bar.likelihood_gain, default=None)
     if taken is None:
-        title = f"Round {count}, beside {beside}: no candidate is accepted, {best.name} has the most evidence"
+        title = f"Round {count}, beside {beside}: no candidate is accepted, {words(best.name)} has the most evidence"
     else:
-        title = f"Round {count}, beside {beside}: the evidence for {taken.name} is {taken.likelihood_gain:,.0f} nats"
+        title = f"Round {count}, beside {beside}: the evidence for {words(taken.name)} is {taken.likelihood_gain:.0f} nats"
     page.figure(
-        evidence_bars(bars, MIN_EVIDENCE, title, None if taken is None else taken.likelihood_gain),
-        "Evidence of each refitted candidate: half the decrease of the BIC on the fitted records. Candidates in the shaded "
-        "band fit as well as the accepted one.",
+        evidence_bars(bars, MIN_EVIDENCE, title),
+        "Evidence of each refitted candidate: half the decrease of the BIC on the fitted records; below 0 it increases.",
     )
 
 
@@ -419,6 +438,7 @@ def add_shift(page: Page, found: Diagnosis) -> None:
     before, after = (np.array(list(values.values())) for values in (before, after))
     reach = 1.96 * np.array([shift[n]["std"] or np.nan for n in names], float)
     k = int(np.argmax(np.abs(before - after) / np.maximum(np.abs(after), 1e-9)))
+    names = labelled(names, found.final.problem.model.parameters)
     title = f"Without the effect {names[k]} is biased to {number(before[k])}; with it, it is {number(after[k])}"
     figure = parameter_change(names, before, after, after - reach, after + reach, title)
     caption = "Start: the best fit without the effects; fitted: with them, 95 % intervals. Lags in the order of the latter."
@@ -439,12 +459,13 @@ def add_apart(page: Page, found: Diagnosis) -> None:
         title = "These commands distinguish all visible effects"
         if pairs:
             one, other, _ = pairs[0]
-            title = f"These commands do not distinguish {len(pairs)} pairs of effects; the most similar are {one} and {other}"
+            alike = f"the most similar are {words(one)} and {words(other)}"
+            title = f"These commands do not distinguish {len(pairs)} pairs of effects; {alike}"
         labels = [similarity.labels[i] for i in chosen]
         figure = overlap_heatmap(labels, similarity.overlap[np.ix_(chosen, chosen)], title)
         caption = (
             "Squared cosine of the responses to two effects, orthogonal to the base parameters' sensitivities; 1: the same."
         )
         page.figure(figure, f"{caption} Similar effects, and those found.")
-    unseen = ", ".join(similarity.invisible()) or "none"
+    unseen = ", ".join(map(words, similarity.invisible())) or "none"
     page.note(f"Not visible at a plausible size under these commands: {unseen}.")

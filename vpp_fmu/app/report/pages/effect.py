@@ -53,6 +53,12 @@ def add_effects(page: Page, found: Diagnosis) -> None:
         _add_in_time(page, found, effect, channel, change)
 
 
+def around(time: np.ndarray, center: float, half: float) -> np.ndarray:
+    """Mask (n,) of the times [s] up to `half` s around a moment; at an end of the record as long, but one-sided."""
+    first = max(time[0], min(center - half, time[-1] - 2.0 * half))
+    return (time >= first) & (time <= first + 2.0 * half)
+
+
 class Outputs(dict):
     """Outputs (rows,) by name."""
 
@@ -121,7 +127,7 @@ def _add_in_time(page: Page, found: Diagnosis, effect: str, channel: str, change
     record = found.shown
     at = blocks(record, 0.2)
     center = float(at.time[np.argmax(np.abs(at.mean(change[channel])))])
-    near = np.flatnonzero(np.abs(record.time - center) <= NEAR)
+    near = np.flatnonzero(around(record.time, center, NEAR))
     shown = {name: found.prediction(fit, record) for name, fit in found.fits.items()}
     rows = {}
     word, unit, _ = QUANTITIES.get(channel, ("thrust", "N", 0.0))
@@ -154,11 +160,12 @@ def add_learned(page: Page, found: Diagnosis) -> None:
             at, f, 1.96 * std, lines, data(found), title, (driver.words, driver.unit), (port.words, port.unit)
         )
         page.figure(figure, "Band: 95 % at each knot. Below: histogram of the fitted records. Constant beyond both ends.")
+    own = [(p, term.effect.full(p.name)) for p in term.effect.parameters if p.name in term.values]
     rows = [
-        (n, "fitted" if term.effect.full(n) in term.fit.free else "fixed", number(v), number(stds.get(term.effect.full(n)), 2))
-        for n, v in term.values.items()
+        (p.name, p.unit, "fitted" if n in term.fit.free else "fixed", term.values[p.name], number(stds.get(n), 2))
+        for p, n in own
     ]
-    page.table(("parameter", "how", "value", "std"), rows, f"Parameters of {term.effect.name}.")
+    page.table(("parameter", "unit", "how", "value", "std"), rows, f"Parameters of {term.effect.name}.")
     if learned.laws:
         laws = [(name, SHAPES[name].equation, f"{evidence:.1f}") for name, evidence in learned.laws]
         page.table(("law", "f over the driver v", "evidence over the table [nat]"), laws, "Simple laws in place of the curve.")
@@ -172,10 +179,7 @@ def add_attempt(page: Page, found: Diagnosis) -> None:
     attempt = found.attempt
     if attempt.learned or not attempt.tried:
         return
-    rows = [
-        (sentence(term), number(judged.evidence), why_not_term(found, term, judged))
-        for term, judged in attempt.tried[:MOST_TRIED]
-    ]
+    rows = [(sentence(term), judged.evidence, why_not_term(found, term, judged)) for term, judged in attempt.tried[:MOST_TRIED]]
     caption = f"Terms outside the library: the best of {attempt.comparisons} by cross-validated gain. None is accepted."
     page.table(("the term", "evidence [nat]", "why it is rejected"), rows, caption)
 

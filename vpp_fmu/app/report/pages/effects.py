@@ -4,21 +4,31 @@ import numpy as np
 
 from vpp_fmu.app.report.figures.time import two_records
 from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.sentences import titled, words
 from vpp_fmu.digits import number
-from vpp_fmu.invariants import SHOWS
-from vpp_fmu.kernel.plant import BASE, plant
+from vpp_fmu.invariants import SHOWS, STEP
+from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 
-STEP = 0.01
+COMMANDS = (
+    *((4000.0, 2.0), (4000.0, 3.0), (4000.0, 8.0), (4000.0, -2.0), (6000.0, -2.0), (6000.0, 10.0), (0.0, 4.0), (3000.0, 4.0)),
+    *((5000.0, 4.0), (5000.0, 4.0), (5000.0, 4.0), (5000.0, 4.0)),
+)
+"""rpm, deg: small and large moves of the pitch to both sides, of the speed, a rest, both, and no move; each held for HOLD."""
 
-COMMANDS = ((4000.0, 2.0), (4000.0, 3.0), (4000.0, 8.0), (4000.0, -2.0), (5500.0, -2.0), (0.0, -2.0), (3000.0, 4.0))
-"""rpm, deg: small and large moves of the pitch to both sides, of the speed, a rest, and both; each held for HOLD."""
+HOLD = 3.0
+"""s, and the longest time that is drawn."""
 
-HOLD = 2.0
+LOW = 0.85
+"""Share of its nominal value of any other input, such as the supply's voltage, from LATE on."""
 
-MOVES = f"commands held for {HOLD:g} s: " + ", ".join(f"{omega:g} rpm {beta:g} deg" for omega, beta in COMMANDS)
+LATE = 4.0 * HOLD
+"""s"""
+
+SEEN, FADED = 0.1, 0.03
+"""Minimum share of the drawn range by which the lines must differ; share of the largest change at which the picture ends."""
 
 
 def effects_page(effects: list[Effect], library: tuple[Effect, ...]) -> Page:
@@ -27,12 +37,12 @@ def effects_page(effects: list[Effect], library: tuple[Effect, ...]) -> Page:
     page = Page(
         "The effects", f"{len(effects)} effects that the plant may have, in their order from command to reading. {text}"
     )
-    commands, steps = _commands()
-    without = Simulator(BASE).simulate({}, commands, steps)
+    omega, beta = np.repeat(np.array(COMMANDS), round(HOLD / STEP), axis=0).T
+    record = Record({"time": np.arange(len(omega)) * STEP, "omega_ref": omega, "beta_ref": beta}, "effects")
     for effect in effects:
-        page.section(effect.name, f"{effect.description[0].upper()}{effect.description[1:]}.\n\n{theory(effect)}")
+        page.section(titled(effect.name), f"{effect.description[0].upper()}{effect.description[1:]}.\n\n{theory(effect)}")
         _add_parameters(page, effect)
-        _add_response(page, effect, library, commands, steps, without)
+        _add_response(page, effect, library, record)
     return page
 
 
@@ -48,25 +58,40 @@ def _add_parameters(page: Page, effect: Effect) -> None:
     rows = [
         (p.name, p.unit, p.description, p.minimum, p.maximum, effect.probe.get(p.name, p.default)) for p in effect.parameters
     ]
-    caption = "Bounds and probe on a rig of the paper's size; the probe is what is drawn."
+    caption = f"{effect.name}: bounds and probe on a rig of the paper's size; the probe is what is drawn."
     page.table(("parameter", "unit", "what", "from", "to", "probe"), rows, caption)
 
 
-def _add_response(page: Page, effect: Effect, library, commands, steps, without: np.ndarray) -> None:
-    """The output that it changes most, relative to the visible change."""
-    model, values = plant([effect.name], library), {effect.full(name): value for name, value in effect.probe.items()}
-    on = Simulator(model).simulate(values, commands, steps)
-    moved = np.sqrt(np.mean((on - without) ** 2, axis=0))
+def _add_response(page: Page, effect: Effect, library, record: Record) -> None:
+    """The output that it changes most, relative to the visible change, over the hold that shows the change best."""
+    model, others = plant([effect.name], library), np.where(record.time < LATE, 1.0, LOW)
+    commands = {u.name: np.full(len(record), 2.0 * STEP) if u.clock else u.nominal * others for u in model.inputs}
+    values = [{effect.full(name): value for name, value in own.items()} for own in (effect.off, effect.probe)]
+    off, on = (Simulator(model).simulate(each, commands | dict(record.columns), record.steps) for each in values)
+    moved = np.sqrt(np.mean((on - off) ** 2, axis=0))
     k = int(np.argmax(moved / SHOWS)) if moved[0] < SHOWS[0] else 0
-    output, time = model.outputs[k], commands["time"]
-    title = f"At its probe it moves {output.description} by {number(float(moved[k]), 3)} {output.unit} rms"
-    pair = ("without", time, without[:, k]), (effect.name, time, on[:, k])
-    page.figure(two_records(*pair, title, output.name, output.unit), f"Without it and with it, under {MOVES}.")
+    hold = _best(off[:, k], on[:, k], SHOWS[k])
+    rows, output = _rows(hold), model.outputs[k]
+    change = np.abs(on[rows, k] - off[rows, k])
+    until = int(np.flatnonzero(change > FADED * change.max())[-1])
+    rows = slice(rows.start, rows.start + min(len(change), max(len(change) // 6, until + len(change) // 10)))
+    title = f"At its probe it changes {output.description} by {number(float(change.max()))} {output.unit} at most"
+    pair = ((name, record.time[rows], each[rows, k]) for name, each in (("without", off), (words(effect.name), on)))
+    before, after = (f"{omega:g} rpm, {beta:g} deg" for omega, beta in (COMMANDS[max(0, hold - 1)], COMMANDS[hold]))
+    now = f"; from {HOLD * hold:g} s on {after}" if after != before else ""
+    page.figure(two_records(*pair, title, output.description, output.unit), f"Commands: {before}{now}.")
 
 
-def _commands() -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """A record's columns, and its steps."""
+def _rows(hold: int) -> slice:
+    """Rows of a hold, and some before its start."""
     rows = round(HOLD / STEP)
-    omega, beta = np.repeat(np.array(COMMANDS), rows, axis=0).T
-    record = Record({"time": np.arange(len(omega)) * STEP, "omega_ref": omega, "beta_ref": beta}, "effects")
-    return dict(record.columns), record.steps
+    return slice(max(0, hold * rows - rows // 20), (hold + 1) * rows)
+
+
+def _best(off: np.ndarray, on: np.ndarray, least: float) -> int:
+    """The hold that shows the change best: one with a move of the commands, if the change is visible beside the response.
+    `least`: range that is drawn at least."""
+    spans = [_rows(k) for k in range(len(COMMANDS))]
+    shares = [np.max(np.abs(on[at] - off[at])) / max(np.ptp([on[at], off[at]]), least) for at in spans]
+    best = max((k for k in range(1, len(COMMANDS)) if COMMANDS[k] != COMMANDS[k - 1]), key=shares.__getitem__)
+    return best if shares[best] > SEEN else int(np.argmax(shares))

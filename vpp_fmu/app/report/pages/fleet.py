@@ -3,22 +3,42 @@
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from urllib.parse import quote
 
+import numpy as np
 from plotly import graph_objects as go
 
 from identification.diagnose.diagnose import Diagnosis
+from identification.static.static_map import TERMS, design
 from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import add_points, figure
-from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.page import Link, Page
 from vpp_fmu.app.report.pages.diagnosis import headline
+from vpp_fmu.app.report.sentences import size, titled, words
 from vpp_fmu.app.report.summary import summary
 from vpp_fmu.campaign import measured_on
-from vpp_fmu.digits import number
+from vpp_fmu.digits import TABLE, number
 
 WIDE = 20.0
 """Ratio of the largest to the smallest error from which the axis is logarithmic."""
+
+
+@dataclass(frozen=True)
+class ThrustMap:
+    """A rig's fitted map: `values` and `covariance` of TERMS, normalised by `scales`, and its commands' ranges [rpm], [deg]."""
+
+    values: list[float]
+    covariance: list[list[float]]
+    scales: Mapping[str, float]
+    speed: tuple[float, float]
+    pitch: tuple[float, float]
+
+    def thrust(self, omega: float, beta: float) -> tuple[float, float, str]:
+        """Thrust [N] at rest at a speed [rpm] and a pitch [deg], its standard error, and the unit."""
+        slopes = design(np.array([omega]), np.array([beta]), self.scales)[0] * self.scales["thrust_scale"]
+        return float(slopes @ self.values), float(np.sqrt(slopes @ np.array(self.covariance) @ slopes)), "N"
 
 
 @dataclass(frozen=True)
@@ -28,7 +48,7 @@ class Entry:
     `date`: ISO 8601, "" if unknown. `error_before`, `error_after`, `noise` [N]: held-out thrust error of the base and of the
     exported model, and the noise of one reading. `sizes`: (value, standard error or None, unit) of each parameter found, by
     full name, without those of learned terms, which differ from campaign to campaign. `refused`: why there is no diagnosis,
-    else "".
+    else "". `map`: None if refused.
     """
 
     name: str
@@ -43,6 +63,7 @@ class Entry:
     warnings: int = 0
     refused: str = ""
     said: str = ""
+    map: ThrustMap | None = None
 
     @property
     def line(self) -> str:
@@ -72,7 +93,28 @@ def entry(name: str, found: Diagnosis) -> Entry:
         sizes,
         len(found.quality),
         said=headline(found),
+        map=_map(found),
     )
+
+
+def _map(found: Diagnosis) -> ThrustMap:
+    values, known = found.parameters(found.final).values, found.final.uncertainty
+    chosen = np.array([[name == own for own in known.names] for name in TERMS], float)
+    scales = {name: values[name] for name in ("omega_scale", "beta_scale", "beta_offset", "thrust_scale")}
+    covariance = (chosen @ known.covariance @ chosen.T).tolist()
+    return ThrustMap([values[name] for name in TERMS], covariance, scales, found.rig.speed, found.rig.pitch)
+
+
+def compared(entries: Sequence[Entry]) -> list[Entry]:
+    """With the thrust of each map, at the middle of the commands that all rigs have, among the sizes; as they are if none."""
+    maps = [e.map for e in entries if e.map]
+    ranges = [m.speed for m in maps], [m.pitch for m in maps]
+    shared = [(max(low for low, _ in own), min(high for _, high in own)) for own in ranges if own]
+    if len(maps) < 2 or any(low > high for low, high in shared):
+        return list(entries)
+    omega, beta = (float(f"{0.5 * (low + high):.3g}") for low, high in shared)
+    name = f"thrust_at_{omega:g}_rpm_{beta:g}_deg"
+    return [replace(e, sizes={**e.sizes, name: e.map.thrust(omega, beta)}) if e.map else e for e in entries]
 
 
 def refusal(name: str, campaign: str, why: str) -> Entry:
@@ -131,34 +173,55 @@ def as_parquet(entries: Sequence[Entry]) -> bytes | None:
 
 def fleet_page(entries: Sequence[Entry]) -> Page:
     """The report: verdicts, errors before and after, sizes over the dates."""
+    entries = sorted(entries, key=lambda e: e.date)
     done = [e for e in entries if not e.refused]
+    several = {name: own for name in parameters(done) if len(own := [e for e in done if name in e.sizes]) > 1}
+    dates = [e.date[:10] for e in entries if e.date]
+    apart = "; ".join(said for name, own in several.items() if (said := _farthest(name, own)))
     verdicts = {word: sum(e.verdict == word for e in done) for word in dict.fromkeys(e.verdict for e in done)}
     page = Page(
         f"Diagnosis of {len(entries)} campaigns",
-        "Each campaign was diagnosed alone; its report is in the folder of its name beside this page.",
+        f"{apart or 'No parameter differs between the campaigns by more than its uncertainty'}. Each was diagnosed alone.",
+        " to ".join(dict.fromkeys(dates[:1] + dates[-1:])),
     )
-    page.tiles([("verdict", f"{word}: {count}", f"of {len(entries)} campaigns") for word, count in verdicts.items()])
+    page.tiles([(word, count, f"of {len(entries)} campaigns") for word, count in verdicts.items()])
     if len(done) < len(entries):
         page.tiles([("refused", len(entries) - len(done), "the table says why")])
     if done:
         page.section("Errors", "Held-out thrust error of the base and of the exported model.")
         page.figure(_errors(done), "If the two are equal, nothing was added to the model.")
-    several = {name: own for name in parameters(done) if len(own := [e for e in done if name in e.sizes]) > 1}
     if several:
-        page.section("Sizes", "Parameters found in more than one campaign.")
+        page.section("Sizes", "Parameters that more than one campaign has, and the thrust of their maps at the same commands.")
     for name, own in several.items():
         _add_size(page, name, own)
     page.section("All campaigns")
     rows = [
-        (e.name, e.date, e.verdict or "refused", " + ".join(e.effects) or e.refused, *_shown(e), e.warnings) for e in entries
+        (_linked(e), e.date, e.verdict or "refused", " + ".join(e.effects) or e.refused, *_shown(e), e.warnings)
+        for e in entries
     ]
     heads = ("campaign", "date", "verdict", "effects", "before [N]", "after [N]", "noise [N]", "warnings")
     page.table(heads, rows, "One line per campaign, with the thrust error before and after; fleet.csv has the parameters, too.")
     return page
 
 
+def _linked(e: Entry) -> str:
+    return e.name if e.refused else Link(e.name, quote(f"{e.name}/report.html"))
+
+
 def _shown(e: Entry) -> tuple[str, ...]:
-    return tuple("" if value is None else number(value) for value in (e.error_before, e.error_after, e.noise))
+    return tuple("" if value is None else number(value, TABLE) for value in (e.error_before, e.error_after, e.noise))
+
+
+def _farthest(name: str, own: Sequence[Entry]) -> str:
+    """The campaign whose value is farthest from the median, of two from the first, if by more than its 95 % interval."""
+    values = np.array([e.sizes[name][0] for e in own])
+    middle, of = (float(values[0]), own[0].name) if len(own) == 2 else (float(np.median(values)), "the median")
+    far = np.abs(values - middle)
+    k = int(np.argmax(far))
+    if middle == 0.0 or far[k] <= 1.96 * (own[k].sizes[name][1] or 0.0):
+        return ""
+    way = "below" if abs(values[k]) < abs(middle) else "above"
+    return f"{titled(name)}: {own[k].name} is {100.0 * far[k] / abs(middle):.1f} % {way} {of}"
 
 
 def _errors(done: Sequence[Entry]) -> go.Figure:
@@ -183,9 +246,12 @@ def _add_size(page: Page, name: str, having: Sequence[Entry]) -> None:
     own = sorted(having, key=lambda e: e.date) if dated else list(having)
     values = [e.sizes[name][0] for e in own]
     names = [style.escaped(e.name) for e in own]
-    what = f"{name}: {number(min(values))} to {number(max(values))}{'' if unit == '1' else f' {unit}'}"
-    label = name.partition(".")[2].replace("_", " ") + ("" if unit == "1" else f" [{unit}]")
-    fig = figure(f"{what} in {len(own)} campaigns", 340, "date" if dated else "campaign", label, legend=False)
+    what = f"{titled(name)}: {number(min(values))} to {size(max(values), unit)}"
+    label = words(name) + ("" if unit == "1" else f" [{unit}]")
+    far = _farthest(name, own).partition(": ")[2]
+    fig = figure(
+        f"{what} in {len(own)} campaigns{far and f'; {far}'}", 340, "date" if dated else "campaign", label, legend=False
+    )
     fig.add_scatter(
         x=[e.date for e in own] if dated else names,
         y=values,

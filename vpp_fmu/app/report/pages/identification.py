@@ -12,6 +12,7 @@ from identification.identify import Identification
 from identification.static.selection import Selection, select_terms
 from identification.static.static_map import TERMS, StaticFit, coefficient_grid, design
 from identification.static.steady import FEWEST, noise, resting, samples_needed
+from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures.map import (
     map_lines,
@@ -25,7 +26,7 @@ from vpp_fmu.app.report.figures.parameters import correlation_heatmap, learning_
 from vpp_fmu.app.report.figures.residual import autocorrelation, cross_correlation
 from vpp_fmu.app.report.figures.time import measured_against_predicted, step_responses
 from vpp_fmu.app.report.page import Page
-from vpp_fmu.app.report.sentences import size
+from vpp_fmu.app.report.sentences import labelled, size, words
 from vpp_fmu.campaign import StaticMap
 from vpp_fmu.digits import interval, number
 
@@ -90,7 +91,7 @@ def key_figures(found: Identification) -> list[tuple[str, str, str]]:
         figures.append(("static map", "–" if known is None else f"{known:.6f}", note))
     unidentified = found.not_identifiable
     names = {*found.uncertainty.names, *unidentified}
-    note = f"not: {', '.join(unidentified)}" if unidentified else "all fitted parameters"
+    note = f"not: {', '.join(map(words, unidentified))}" if unidentified else "all fitted parameters"
     return [*figures, ("identifiable parameters", f"{len(names) - len(unidentified)} of {len(names)}", note)]
 
 
@@ -166,13 +167,13 @@ def _add_tests(page: Page, found: Identification) -> None:
     tests, outside = found.tests, found.tests.outside
     title = f"The residual correlates with itself at {100 * outside['itself']:.0f} % of the lags; chance gives 5 %"
     page.figure(
-        autocorrelation(tests.lags, tests.own, tests.band, title), f"Thrust residual of {found.fitted[0]}, means over 20 ms."
+        autocorrelation(tests.lags, tests.own, tests.band, title),
+        f"Thrust residual of {found.fitted[0]}, means over 20 ms.",
     )
     if tests.crossed:
         worst = max((n for n in outside if n != "itself"), key=outside.get)
-        title = (
-            f"The residual is correlated with changes of {worst} at {100 * outside[worst]:.0f} % of the lags; chance gives 5 %"
-        )
+        share, command = f"{100 * outside[worst]:.0f} %", style.label(worst).partition(" [")[0]
+        title = f"The residual is correlated with changes of the {command} at {share} of the lags; chance gives 5 %"
         figure = cross_correlation(tests.lags, tests.crossed, tests.band, title)
         page.figure(figure, "Correlation of the residual with earlier changes of each command.")
 
@@ -204,8 +205,8 @@ def add_found(page: Page, found: Identification) -> None:
     page.remarks(not_identifiable(found))
     if uncertainty.profiled:
         page.note(
-            f"The cost is not quadratic in {', '.join(uncertainty.profiled)}: their 95 % intervals are those of the profile "
-            "likelihood."
+            f"The cost is not quadratic in {', '.join(map(words, uncertainty.profiled))}: their 95 % intervals are from the "
+            "profile likelihood."
         )
     _add_bootstrap(page, found)
     _add_forms(page, uncertainty)
@@ -223,9 +224,9 @@ def not_identifiable(found: Identification) -> list[str]:
     reasons: dict[str, list[str]] = {}
     for name, why in found.not_identifiable.items():
         state = "fitted to" if name in found.uncertainty.names else "stays at"
-        reasons.setdefault(why, []).append(f"{name} ({state} {number(found.parameters.values[name])})")
+        reasons.setdefault(why, []).append(f"{words(name)} ({state} {number(found.parameters.values[name])})")
     lines = [f"not identifiable from these data: {', '.join(names)}: {why}" for why, names in reasons.items()]
-    return lines + [f"on a bound: {name}, which ended at {number(bound)}" for name, bound in found.at_bounds.items()]
+    return lines + [f"on a bound: {words(name)}, which ended at {number(bound)}" for name, bound in found.at_bounds.items()]
 
 
 def _add_change(page: Page, found: Identification) -> None:
@@ -234,24 +235,25 @@ def _add_change(page: Page, found: Identification) -> None:
     start, (low, high) = np.array([found.start[n] for n in uncertainty.names]), uncertainty.intervals.T
     moved = _most_moved(uncertainty.names, start, uncertainty)
     caption = "Change in % of the start values from steps and static map; 95 % intervals."
-    page.figure(parameter_change(uncertainty.names, start, uncertainty.values, low, high, moved), caption)
+    names = labelled(uncertainty.names, found.parameters.model.parameters)
+    page.figure(parameter_change(names, start, uncertainty.values, low, high, moved), caption)
 
 
 def _add_values(page: Page, found: Identification) -> None:
     """Each value with its uncertainty."""
     uncertainty, rows = found.uncertainty, []
+    units = {p.name: p.unit for p in found.parameters.model.parameters}
     for k, name in enumerate(uncertainty.names):
         bound = "on its bound" if name in found.at_bounds else uncertainty.kind(name)
         ends = interval(*uncertainty.intervals[k].tolist())
         estimate = (float(uncertainty.values[k]), number(float(uncertainty.std[k]), 3), ends)
-        rows.append((name, found.start[name], *estimate, bound, number(uncertainty.inflation[k], 3)))
-    units = "Time constants in s, coefficients normalised"
+        rows.append((name, units[name], found.start[name], *estimate, bound, number(uncertainty.inflation[k], 3)))
     if found.refinement is not None:
-        columns = ("parameter", "start", "final", "std", "95 % interval", "by", "std over white")
-        page.table(columns, rows, f"{units}; std accounts for the autocorrelation of the residuals.")
+        columns = ("parameter", "unit", "start", "final", "std", "95 % interval", "by", "std over white")
+        page.table(columns, rows, "Unit 1: normalised; std accounts for the autocorrelation of the residuals.")
     else:
-        columns = ("parameter", "value", "std", "95 % interval")
-        page.table(columns, [(name, *estimate) for name, _, *estimate in (row[:5] for row in rows)], f"{units}.")
+        columns = ("parameter", "unit", "value", "std", "95 % interval")
+        page.table(columns, [(*row[:2], *row[3:6]) for row in rows], "Unit 1: normalised.")
 
 
 def _add_bootstrap(page: Page, found: Identification) -> None:
@@ -281,7 +283,9 @@ def _weakest(uncertainty: Uncertainty) -> str:
     """Caption that names the direction of the largest uncertainty."""
     condition, direction, spread = uncertainty.directions()
     named = [
-        f"{direction[k]:+.2f} {uncertainty.names[k]}" for k in np.argsort(-np.abs(direction)) if abs(direction[k]) >= TELLING
+        f"{direction[k]:+.2f} {words(uncertainty.names[k])}"
+        for k in np.argsort(-np.abs(direction))
+        if abs(direction[k]) >= TELLING
     ]
     weakest = f"Largest uncertainty: direction {', '.join(named)} (relative), ± {number(100 * NORMAL_95 * spread, 3)} %"
     return f"Correlation of the estimates. {weakest}; condition number {number(condition, 3)}."
@@ -304,13 +308,13 @@ def _most_moved(names, start: np.ndarray, uncertainty: Uncertainty) -> str:
         far = np.nan_to_num(np.abs(uncertainty.values - start) / uncertainty.std, posinf=0.0)
     k = int(np.argmax(far))
     change = f"by {number(far[k], 2)} standard errors, from {number(start[k])} to {number(uncertainty.values[k])}"
-    return f"The fit changes {names[k]} the most: {change}"
+    return f"The fit changes {words(names[k])} the most: {change}"
 
 
 def _strongest(names, correlation) -> str:
     pairs = np.abs(np.triu(correlation, 1))
     i, j = np.unravel_index(np.argmax(pairs), pairs.shape)
-    return f"{names[i]} and {names[j]} are correlated most strongly: {correlation[i, j]:.2f}"
+    return f"{words(names[i])} and {words(names[j])} are correlated most strongly: {correlation[i, j]:.2f}"
 
 
 def add_static(page: Page, found: Identification) -> None:
@@ -327,8 +331,8 @@ def add_static(page: Page, found: Identification) -> None:
     if static.not_identifiable:
         where = f"{static.used.sum()} steady points at {_count(speeds, 'speed')} and {_count(pitches, 'pitch')}"
         page.note(
-            f"{where} identify only combinations of {', '.join(static.not_identifiable)} with others: they stay near the "
-            "paper's."
+            f"{where} identify only combinations of {', '.join(map(words, static.not_identifiable))} with others: they stay "
+            "near the paper's."
         )
     elif static.used.sum() > len(TERMS) and static.r2_adjusted is not None:
         _add_selection(page, select_terms(points, found.parameters.values))

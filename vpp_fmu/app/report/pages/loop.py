@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures.loop import ADAPTED, adapted_parameters, residual_in_band
 from vpp_fmu.app.report.figures.time import closed_loop, two_records
 from vpp_fmu.app.report.page import Page
-from vpp_fmu.app.report.sentences import DIGITS
 from vpp_fmu.comparison import Comparison
 from vpp_fmu.digits import number
 from vpp_fmu.record import QUANTITIES, Record
@@ -23,11 +23,11 @@ def loop_page(done: Record, summary: str, limits: Mapping[str, tuple[float, floa
     page = Page("Closed loop", headline(found), summary.removesuffix("."))
     if found:
         settled = [step.settling for step in found if step.settling is not None]
-        slowest = f"{number(max(settled), DIGITS)} s" if settled else "none"
+        slowest = f"{number(max(settled))} s" if settled else "none"
         error = float(np.sqrt(np.mean((done["thrust_set"] - done["thrust"]) ** 2)))
         page.tiles([("slowest settling", slowest, f"{len(settled)} of {len(found)} steps settle")])
         page.tiles([("largest overshoot", f"{max(step.overshoot for step in found):.1f} %", "of the step")])
-        page.tiles([("error", f"{number(error, DIGITS)} N", "rms of set-point less thrust, the steps themselves included")])
+        page.tiles([("error", f"{number(error)} N", "rms of set-point less thrust, the steps themselves included")])
     title = sentence(found[0]) if found else "Thrust under a constant set-point"
     drawn = closed_loop({"loop": done}, title, limits)
     page.figure(drawn, "Thrust with its set-point, speed and pitch with their commands.")
@@ -44,13 +44,13 @@ def row(step: Step) -> tuple:
 
 def sentence(step: Step) -> str:
     """A step in words."""
-    change = f"The step from {number(step.before)} to {number(step.after)} N at {number(step.time)} s"
+    change = f"The step from {number(step.before)} to {number(step.after)} N at {number(step.time, 4)} s"
     if step.stuck:
         thrust, omega, beta = step.stuck
         at = f"{number(thrust)} N at {number(omega)} rpm, {number(beta)} deg"
         return f"{change}: the set-point of {number(step.after)} N is out of reach: {at}"
     never = "has not settled " + ("by the end of the run" if step.last else "before the next")
-    when = never if step.settling is None else f"has settled after {number(step.settling, 3)} s"
+    when = never if step.settling is None else f"has settled after {number(step.settling)} s"
     return f"{change} {when}, overshoot {step.overshoot:.1f} %"
 
 
@@ -64,8 +64,8 @@ def headline(found: Sequence[Step]) -> str:
     if missed:
         return f"{len(missed)} of {len(found)} steps do not settle; the first: {sentence(missed[0])}."
     slowest, largest = max(found, key=lambda s: s.settling), max(step.overshoot for step in found)
-    change = f"{number(slowest.before, DIGITS)} to {number(slowest.after, DIGITS)} N at {number(slowest.time, DIGITS)} s"
-    within = f"{number(slowest.settling, DIGITS)} s (slowest: {change})"
+    change = f"{number(slowest.before)} to {number(slowest.after)} N at {number(slowest.time, 4)} s"
+    within = f"{number(slowest.settling)} s (slowest: {change})"
     return f"All {len(found)} steps settle within {within}; overshoot {largest:.1f} % at most."
 
 
@@ -85,8 +85,9 @@ def comparison_page(found: Comparison, first: str, second: str) -> tuple[Page, l
     for name, figures in found.summary()["columns"].items():
         unit = QUANTITIES[name].unit if name in QUANTITIES else "as recorded"
         rows.append((f"{name} [{unit}]", figures["rms"], figures["mean"], figures["largest"]))
-        titles.append(f"{name} differs by {number(figures['rms'])} {unit} rms, at most {number(figures['largest'])} {unit}")
+        quantity = style.label(name).partition(" [")[0]
+        titles.append(f"{quantity} differs by {number(figures['rms'])} {unit} rms, at most {number(figures['largest'])} {unit}")
         pair = (first, found.time, found.first[name]), (second, found.time, found.second[name])
-        page.figure(two_records(*pair, titles[-1], name, unit), "Second less first below.")
+        page.figure(two_records(*pair, titles[-1], quantity, unit), "Second less first below.")
     page.table(("column", "rms", "mean", "largest"), rows, "Differences, second less first.")
     return page, titles

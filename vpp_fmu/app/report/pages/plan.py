@@ -11,6 +11,7 @@ from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures.parameters import interval_widths
 from vpp_fmu.app.report.figures.time import planned_commands
 from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.sentences import titled, words
 
 UNKNOWN = 10.0
 """Ratio of standard deviation to size above which a parameter counts as unknown."""
@@ -42,18 +43,16 @@ def plan_page(found: Plan, basis: Sequence[str] = (), remarks: Sequence[str] = (
     after = found.after
     page = Page(
         "The next experiment",
-        f"{_seconds(found)} s of commands, and the expected accuracy of the model, if a thrust reading every "
-        f"{1e3 * found.step:g} ms has white noise of {found.noise_std:.3g} N. What the model lacks, and any colour of the "
-        "noise, widens all intervals.",
+        f"{headline(found)} This holds if a thrust reading every {1e3 * found.step:g} ms has white noise of "
+        f"{found.noise_std:.3g} N. Effects that the model does not have, and any colour of the noise, widen all intervals.",
         source,
     )
     page.tiles(key_figures(found))
-    for line in basis:
-        page.remarks([line])
+    page.remarks(basis)
     for remark in remarks:
         page.note(remark)
     for name, why in found.not_identifiable.items():
-        page.note(f"{name} is not planned for and counts as known: {why}.")
+        page.note(f"{titled(name)} is not planned for and counts as known: {why}.")
     title = f"The paper's plan leaves {_percent(found.paper.weakest()[1])} in the weakest direction, this one"
     widths = {"before": found.before, "the paper's plan": found.paper, "after this plan": after}
     shown = {name: 100.0 * NORMAL_95 * forecast.relative for name, forecast in widths.items() if forecast is not None}
@@ -78,9 +77,10 @@ def _add_tables(page: Page, found: Plan) -> None:
     before, paper, after = found.before, found.paper, found.after
     unknown = [None] * len(after.names)
     known = unknown if before is None else np.where(before.relative < UNKNOWN, before.std, np.nan)
-    rows = zip(after.names, after.values, known, paper.std, after.std, *after.intervals.T, strict=True)
-    columns = ("parameter", "value", "std before", "std, paper's plan", "std after", "95 % from", "to")
-    page.table(columns, list(rows), "Time constants in s, coefficients normalised, effects' parameters in their units.")
+    units = [found.units[name] for name in after.names]
+    rows = zip(after.names, units, after.values, known, paper.std, after.std, *after.intervals.T, strict=True)
+    columns = ("parameter", "unit", "value", "std before", "std, paper's plan", "std after", "95 % from", "to")
+    page.table(columns, list(rows), "Unit 1: normalised.")
     directions = [unknown if f is None else f.weakest()[0] for f in (before, paper, after)]
     rows = list(zip(after.names, *directions, strict=True))
     page.table(("parameter", "before", "paper's plan", "after"), rows, "Weakest directions, in parts of the parameters' sizes.")
@@ -89,7 +89,7 @@ def _add_tables(page: Page, found: Plan) -> None:
 def combination(names, direction: np.ndarray, most: int = 3) -> str:
     """A direction in words: its largest components, by decreasing size."""
     largest = [k for k in np.argsort(-np.abs(direction))[:most] if abs(direction[k]) > 0.2]
-    return " ".join(f"{direction[k]:+.2f} {names[k]}" for k in largest).removeprefix("+")
+    return " ".join(f"{direction[k]:+.2f} {words(names[k])}" for k in largest).removeprefix("+")
 
 
 def _percent(share: float) -> str:

@@ -16,7 +16,7 @@ from vpp_fmu.app.report.canvas import add_band, figure, panels, places, thinning
 from vpp_fmu.app.report.figures.loop import add_twin_residual
 from vpp_fmu.app.report.figures.time import closed_loop, two_records
 from vpp_fmu.app.report.page import Page
-from vpp_fmu.app.report.pages.loop import add_adaptive, row
+from vpp_fmu.app.report.pages.loop import add_adaptive, headline, row
 from vpp_fmu.digits import number, signed
 from vpp_fmu.record import QUANTITIES, Record
 from vpp_fmu.response import smoothed
@@ -27,13 +27,13 @@ STEP_COLUMNS = ("loop", "at [s]", "from [N]", "to [N]", "within 5 % after [s]", 
 def run_page(found: Outcome) -> Page:
     """The page of a run."""
     content, loops, log = found.content, found.loops, found.log
-    when = (content.get("begun") or "a date not known")[:10]
-    page = Page("Hardware in the loop", _summary(content), f"{content.get('rig') or 'unknown'} rig, run of {when}")
+    result = headline(judged_steps(next(iter(loops.values())))) if loops else "There is no closed loop to judge."
+    page = Page("Hardware in the loop", result, _summary(content))
     _tiles(page, content, found.timing, loops)
     if content["ended"]:
         page.note(f"The run ended early. {content['ended']}.")
     if loops:
-        _add_loops(page, loops, "Pitch is not measured on the rig.")
+        _add_loops(page, loops, "Pitch is not measured on the rig.", content.get("limits", {}))
     if len(loops) > 1:
         _add_difference(page, *reversed(loops.items()))
     if log is not None and content.get("twin"):
@@ -49,7 +49,7 @@ def run_page(found: Outcome) -> Page:
 def fmu_page(plant: str, record: Record, profile: str) -> Page:
     """The page of a run with a plant FMU in the rig's place; `plant`, `profile`: their files."""
     page = Page("Hardware in the loop, with a plant FMU", f"{plant} over {profile}.")
-    _add_loops(page, {"plant FMU": record}, "")
+    _add_loops(page, {"plant FMU": record}, "", {})
     return page
 
 
@@ -78,14 +78,15 @@ def replay_page(found: Replay, text: str) -> Page:
     return page
 
 
-def _add_loops(page: Page, loops: Mapping[str, Record], notes: str) -> None:
-    """The closed loops over one profile, by name, and their steps."""
+def _add_loops(page: Page, loops: Mapping[str, Record], notes: str, limits: Mapping[str, float]) -> None:
+    """The closed loops over one profile, by name, and their steps; `limits` of the commands by name, drawn if known."""
+    ends = {f"{n}_ref": (limits[f"{n}_min"], limits[f"{n}_max"]) for n in ("omega", "beta") if f"{n}_max" in limits}
     judged = {name: judged_steps(loop) for name, loop in loops.items()}
     first, found = next(iter(judged.items()))
     title = said(found[0], first) if found else "Thrust under a constant set-point"
     rows = max(len(loop) for loop in loops.values())
     caption = f"Thrust with its set-point, speed and pitch with their commands. {notes} {thinning(rows)}"
-    page.figure(closed_loop(loops, title), caption)
+    page.figure(closed_loop(loops, title, ends), caption)
     table = [(name, *row(step)) for name, found in judged.items() for step in found]
     page.table(STEP_COLUMNS, table, f"Every change of the set-point, judged on the thrust's mean over {SPAN:g} s.")
 
@@ -118,7 +119,10 @@ def _add_counts(page: Page, content: Mapping) -> None:
     """Recovered device errors, and the states of the rig; `content`: hil.json."""
     states = [(one["time"], one["state"], one["why"]) for one in content["transitions"]]
     page.table(("at [s]", "state", "why"), states, "States of the rig.")
-    rows = [(device, name, count) for device, counts in content["counters"].items() for name, count in counts.items()]
+    log = content["log"]
+    rows = [("log", "rows", log["rows"]), ("log", "ticks lost", log["lost"])]
+    rows += [("load cell", "zero at the last tare [counts]", tare["zero_counts"]) for tare in content["tares"][-1:]]
+    rows += [(device, name, count) for device, counts in content["counters"].items() for name, count in counts.items()]
     page.table(("device", "what", "times"), rows, "What the devices counted.")
 
 
@@ -161,10 +165,10 @@ def _summary(content: dict) -> str:
         content.get("profile", {}).get("file", "a profile"),
         content.get("calibration", {}).get("sha256", "not known"),
     )
-    made = "" if "made_from" not in content else " Its loop was gone at the end: this was made from its log."
+    made = "" if "made_from" not in content else ". Its loop was gone at the end: this was made from its log"
     return (
         f"The {content.get('rig', '')} rig{hidden}, {content.get('time', 'not known')} time, over {profile}. "
-        f"Calibration {calibration[:12]}. Begun {content.get('begun', 'at a time not known')}.{made}"
+        f"Calibration {calibration[:12]}. Begun {content.get('begun', 'at a time not known')}{made}"
     )
 
 
@@ -173,22 +177,21 @@ def _tiles(page: Page, content: dict, found: Timing | None, loops: Mapping[str, 
     for name, loop in loops.items():
         if judged := judged_steps(loop):
             settled = [step.settling for step in judged if step.settling is not None]
-            slowest = f"{number(max(settled), 3)} s" if settled else "none"
+            slowest = f"{number(max(settled))} s" if settled else "none"
             of = f"{len(settled)} of {len(judged)} steps settle; overshoot up to {max(s.overshoot for s in judged):.0f} %"
             page.tiles([(f"slowest settling, {name}", slowest, of)])
     if "energy" in content:
         page.tiles([("energy from the supply", *energy_words(content["energy"]))])
     if "beside" in content:
         page.tiles([("rig against plant FMU", f"{number(content['beside']['rms_thrust'])} N", "rms of the thrust difference")])
-    log = content["log"]
-    page.tiles([("rows in the log", f"{log['rows']}", f"{log['lost']} of {log['ticks']} ticks lost")])
     if found:
         page.tiles([("late, p99.9", f"{1e6 * found.late[2]:.0f} us", f"{found.missed} slots missed")])
     if content["tares"]:
-        tare = content["tares"][-1]
-        page.tiles([("tare", f"{tare['zero_counts']:.1f} counts", f"noise {number(tare['noise_N'])} N")])
-    healed = sum(n for device in content["counters"].values() for name, n in device.items() if name != "pulses")
-    page.tiles([("healed", f"{healed}", "transfers and frames that failed once")])
+        page.tiles([("noise of a reading", f"{number(content['tares'][-1]['noise_N'])} N", "at rest, of the last tare")])
+    log, counters = content["log"], content["counters"]
+    healed = sum(n for device in counters.values() for name, n in device.items() if name != "pulses")
+    if log["lost"] or healed:
+        page.tiles([("not as planned", f"{log['lost'] + healed}", f"{log['lost']} ticks lost, {healed} transfers repeated")])
 
 
 def calibration_page(before: Calibration, found: Calibration, measured: Measured) -> Page:

@@ -31,7 +31,7 @@ def tuning_page(found: Tuning) -> Page:
     assumed = ", ".join(f"{name} = {task.parameters.values[name]:g}" for name in task.assumed)
     page = Page("Gains for the model", headline(found), task.parameters.label)
     figures = key_figures(found)
-    page.tiles([each for each in figures if each[0].startswith(("cost", "margins"))])
+    page.tiles([each for each in figures if each[0].startswith(("step", "cost", "phase"))])
     for name, tuned in found.tuned.items():
         _add_controller(page, found, name, tuned)
     if len(found.tuned) > 1:
@@ -69,8 +69,10 @@ def _add_controller(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
                 ("margin", "before → after"), rows, f"The smallest over all operating points, {found.task.reference} → {which}."
             )
     runs = {names[which]: objective.run(gains) for which, gains in tuned.gains.items()}
-    title = f"{NAMES[name].capitalize()}: cost {start:.4g} before the search, {cost:.4g} after"
-    page.figure(loop_figure(runs, title), f"{found.task.profile.source}. Thrust is the plant's, not its reading.")
+    title = f"{NAMES[name].capitalize()}: cost {number(start)} before the search, {number(cost)} after"
+    own = objective.settings
+    limits = {f"{n}_ref": (own[f"{n}_min"], own[f"{n}_max"]) for n in ("omega", "beta")}
+    page.figure(loop_figure(runs, title, limits), f"{found.task.profile.source}. Thrust is the plant's, not its reading.")
     rows = [
         (names[which], s.time, s.before, s.after, settling(s.settling), f"{s.overshoot:.1f}", f"{s.ringing:.1f}")
         for which, gains in tuned.gains.items()
@@ -81,7 +83,7 @@ def _add_controller(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
     curve = tuned.searches["tuned"].curve
     ends = ", ".join(f"{stage} until {end}" for stage, end in tuned.searches["tuned"].stages)
     shown = np.where(np.isfinite(curve), curve, np.nan)
-    title = f"{len(curve)} evaluations lead to {np.nanmin(shown):.4g}"
+    title = f"{len(curve)} evaluations lead to {number(np.nanmin(shown))}"
     figure = learning_curve(np.arange(len(curve)), np.minimum(shown, 2.0 * start), title)
     page.figure(figure, f"With penalties. Stages: {ends}.")
     _add_margins(page, found, name, tuned)
@@ -171,7 +173,7 @@ def _add_robust(page: Page, found: Tuning) -> None:
     page.section("Robustness over plants within the uncertainty")
     gains = {"nominal (before)": "tuned", "robust (after)": "robust"}
     for name, tuned in found.tuned.items():
-        worst = " and ".join(f"{tuned.judged[which].max():.4g}" for which in gains.values())
+        worst = " and ".join(number(tuned.judged[which].max()) for which in gains.values())
         title = f"{NAMES[name].capitalize()}: worst cost of {JUDGED} plants under nominal and robust gains {worst}"
         shown = {label: tuned.judged[which] for label, which in gains.items()}
         page.figure(cost_ranks(shown, title), "Costs, sorted for each gain set. The search used none of these plants.")
