@@ -50,17 +50,14 @@ from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig
 
-LATE = ("row_clock", "reading_delay", "speed_delay", "pitch_delay")
-"""Effects that a wrong offset of the logger resembles."""
+LATE = ("row_clock", "reading_delay", "sensor_lag", "speed_delay", "pitch_delay", "inflow_lag", "pitch_rate_feedthrough")
+"""Effects that a wrong offset of the logger resembles: the response comes later or earlier."""
 
 OTHERS = 2
 """Maximum number of other loggers with which a campaign is diagnosed."""
 
 MOST_OF_LOGGER = 100.0
 """Evidence of effects (nats) from which another logger is not tried: ten times the difference of those not distinguished."""
-
-EXPLAINED = ("attributed", "family")
-"""Verdicts with effects of the library and without unexplained lack of fit."""
 
 UNEXPLAINED = ("partly", "unexplained")
 """Verdicts with an unexplained lack of fit; a best guess is added."""
@@ -205,8 +202,7 @@ def diagnose(
 
     The logger is estimated first, beside the base model. If something is missing with it, other loggers that are not
     distinguished from it are tried, too. A missing effect may bias this estimate. So the logger is estimated again beside the
-    effects that are found if it differs from the contract's, if one of the effects is a delay, or if they do not explain all.
-    If it differs, the campaign is diagnosed with it, too.
+    effects that are found. If it differs, the campaign is diagnosed with it, too.
     """
     effort = Effort(budget, thorough, stage)
     # The fits run in parallel, each with one thread of linear algebra.
@@ -228,9 +224,7 @@ def diagnose(
         known = [e.name for e in library]
         named = [name for name in found.selection.final.effects if name in known]
         beside = [name for name in named if name not in LATE]
-        explained = beside == named and found.verdict in EXPLAINED
-        biased = named and not (found.logger.plain and explained)
-        if biased and effort.allows(f"another logger beside {' + '.join(named)}"):
+        if named and effort.allows(f"another logger beside {' + '.join(named)}"):
             stage("logger")
             kept = given.without_power.model.optional if given else ()
             again = as_logged(gate, [*kept, *beside], library, found.selection.final.values)
