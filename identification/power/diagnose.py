@@ -41,6 +41,9 @@ SCAN = 1.6
 STEP = 1e-4
 """Relative step of a derivative."""
 
+FINE = 0.01
+"""Largest step of a difference quotient, as a share of the slowest time constant."""
+
 LEAST_SPEED = 0.02
 """Share of the speed scale below which a speed is replaced by it where power is divided by speed."""
 
@@ -479,16 +482,16 @@ def diagnose_power(
     """
     if "power" not in {y.name for y in parameters.model.outputs}:
         return None
-    model, plant = PowerModel.of(parameters), partial(predict, parameters.model, parameters.values)
+    model, plant = PowerModel.of(parameters), partial(response, parameters)
     measured = {name: plant(record) for name, record in records.items() if electrical(record.columns) is not None}
     if not measured:
         return None
-    squared = {name: _squared_torque(model, p) for name, p in measured.items()}
+    squared = {name: _squared_torque(model, p) for name, (p, *_) in measured.items()}
     largest = max(float(s.max()) for s in squared.values())
-    parts = [_part(name, p, model, block, largest) for name, p in measured.items()]
+    parts = [_part(name, r, model, block, largest) for name, r in measured.items()]
     if sum(int(np.isfinite(p.means[0]).sum()) for p in parts) < TIMES * (parts[0].base.shape[1] + len(list(parts[0].shapes()))):
         return None
-    with_both = {name: p for name, p in measured.items() if {"voltage", "current"} <= set(p.record.columns)}
+    with_both = {name: p for name, (p, *_) in measured.items() if {"voltage", "current"} <= set(p.record.columns)}
     offered = [e for e in EFFECTS if e.reading == POWER or with_both]
     comparisons = sum(len(scan(e)) for e in offered)
     before, after, tried = select(Problem.of(parts), [e for e in offered if e.reading == POWER], comparisons)
@@ -509,6 +512,24 @@ def diagnose_power(
     return PowerDiagnosis(before, after, voltage, lack, tuple(tried), hold_out, refuted)
 
 
+def response(parameters: ParameterSet, record: Record) -> tuple[Prediction, np.ndarray, np.ndarray]:
+    """(response of a plant, rate of its speed [rpm/s], rate of its pitch [deg/s]), (rows,) each.
+
+    Rates bend where a command steps. So they are taken forwards, over fractions of a row, within which commands are held.
+    """
+    values, period = parameters.values, record.period
+    parts = max(int(np.ceil(period / (FINE * slowest(values, values)))), 2)
+    split = {name: np.repeat(column[:-1], parts) for name, column in record.columns.items() if column.dtype.kind == "f"}
+    split |= {"time": np.interp(np.arange(len(split["time"])) / parts, np.arange(len(record)), record.time)}
+    whole = {name: np.append(column, record[name][-1]) for name, column in split.items()}
+    fine = replace(record, columns=whole, late=0.0).commands_later(parts * record.late)
+    shown = predict(parameters.model, values, fine)
+    rates = (np.append(4.0 * x[1::parts] - x[2::parts] - 3.0 * x[:-1:parts], 0.0) for x in (shown.omega, shown.beta))
+    between = np.append(2.0 * record.steps / parts, 1.0)
+    further = {name: column[::parts] for name, column in shown.further.items()}
+    return Prediction(record, *(x[::parts] for x in (shown.thrust, shown.omega, shown.beta)), further), *(rate / between for rate in rates)
+
+
 def _squared_torque(model: PowerModel, p: Prediction) -> np.ndarray:
     """Squared torque (rows,) of the motor; without a measured torque that of the electrical power."""
     values = model.parameters.values
@@ -518,8 +539,9 @@ def _squared_torque(model: PowerModel, p: Prediction) -> np.ndarray:
     return (p.further["power"] / (speed * RAD_PER_S)) ** 2
 
 
-def _part(name: str, p: Prediction, model: PowerModel, block: float, largest: float) -> Part:
+def _part(name: str, response: tuple[Prediction, np.ndarray, np.ndarray], model: PowerModel, block: float, largest: float) -> Part:
     """The power of a record, less that of the identified model."""
+    p, faster, rate = response
     values, time = model.parameters.values, p.record.time
     expected, load = p.further["power"], _squared_torque(model, p) / largest
     small = {"omega": STEP * values["omega_scale"], "beta": STEP * values["beta_scale"]}
@@ -527,8 +549,7 @@ def _part(name: str, p: Prediction, model: PowerModel, block: float, largest: fl
         (model.at(p.omega + s * o, p.beta + s * b) - model.at(p.omega - s * o, p.beta - s * b)) / (2.0 * s * (o + b))
         for s, o, b in ((1.0, small["omega"], 0.0), (1.0, 0.0, small["beta"]))
     )
-    faster, rate = np.gradient(p.omega, time), np.gradient(p.beta, time)
-    moving = [p.omega * faster, faster**2, to_speed * faster, to_pitch * rate]
+    moving = [p.omega * faster, np.sqrt(load) * faster, faster**2, to_speed * faster, to_pitch * rate]
     w, b = (np.vander(p.omega / values["omega_scale"], DEGREE + 1, True).T, np.vander(p.beta / values["beta_scale"], DEGREE + 1, True).T)
     terms = [w[i] * b[j] for i in range(DEGREE + 1) for j in range(DEGREE + 1) if i + j <= DEGREE or (i < 4 and j < 3)]
     step, loss = float(np.median(p.record.steps)), values.get(MOTOR.full("loss"), 0.0)
