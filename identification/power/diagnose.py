@@ -17,10 +17,10 @@ import numpy as np
 from scipy.optimize import brentq, least_squares
 from scipy.stats import chi2
 
-from identification.assessment.prediction import Prediction, predict
+from identification.assessment.prediction import Prediction
 from identification.diagnose.command_shapes import output_shapes, regress_out
 from identification.diagnose.crossval import folds
-from identification.diagnose.judgement import ACCURACY, ALPHA, ALPHA_BASE, FORM, MOST, chance_threshold, refusals
+from identification.diagnose.judgement import ACCURACY, ALPHA, ALPHA_BASE, ALTERNATIVE_WINDOW, FORM, MIN_EVIDENCE, MOST, chance_threshold, refusals
 from identification.diagnose.score_test import ScoreTest, orthonormal_scores, scores_covariance
 from identification.fit.coordinates import slowest
 from identification.fit.noise import Blocks, Colour, blocks, colour_of
@@ -29,11 +29,12 @@ from identification.power.effects import EFFECTS, POWER, SAG, PowerEffect, Signa
 from identification.power.fit import EXACT, TIMES, electrical
 from identification.power.model import PowerModel
 from vpp_fmu.kernel.power import MOTOR, RAD_PER_S
+from vpp_fmu.native import Simulator
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 
 DEGREE = 4
-"""Total degree of the polynomials in speed and pitch of the map that is refined on the records."""
+"""Degree in speed, and in pitch, of the map that is refined on the records: that of the copper loss of a torque of degree 2."""
 
 SCAN = 1.6
 """Ratio of neighbouring time constants of a scan: a lag loses less than 2 % of its power between two of them."""
@@ -134,7 +135,7 @@ class Problem:
         if not declared:
             return Fit(self, (), start)
         bounds = np.array([(p.minimum, p.maximum) for p in declared]).T
-        found = least_squares(partial(self.residual, effects), np.clip(start, *bounds), bounds=bounds, x_scale=start)
+        found = least_squares(partial(self.residual, effects), np.clip(start, *bounds), bounds=bounds, x_scale=np.abs(start))
         return Fit(self, tuple(effects), found.x)
 
     def residual(self, effects: Sequence[PowerEffect], x: np.ndarray) -> np.ndarray:
@@ -142,17 +143,17 @@ class Problem:
         return self.orthogonal(self.measured - self.whitened([p.response(effects, x) for p in self.parts]))
 
     def started(self, fit: "Fit", effect: PowerEffect) -> np.ndarray:
-        """Start of the parameters of an effect beside a fit: the best of a scan; its size is not positive if none fits."""
+        """Start of the parameters of an effect beside a fit: the best of a scan; a size of 0 if no possible one fits."""
         left = fit.residual
         beside, _ = np.linalg.qr(self.orthogonal(fit.jacobian)) if fit.effects else (np.zeros((len(left), 0)), None)
-        tiny, best = STEP * ACCURACY * max(float(np.nanmax(np.abs(p.measured))) for p in self.parts), (-1.0, np.zeros(1))
+        tiny, best = STEP * ACCURACY * max(float(np.nanmax(np.abs(p.measured))) for p in self.parts), (0.0, np.zeros(1))
         for further in scan(effect):
             column = self.whitened([p.response([effect], np.array([tiny, *further])) for p in self.parts]) / tiny
             column = self.orthogonal(column)
             column -= beside @ (beside.T @ column)
             power = float(column @ column)
             size = float(column @ left) / power if power > 0.0 else 0.0
-            if size > 0.0 and size**2 * power > best[0]:
+            if effect.possible(size) and size**2 * power > best[0]:
                 best = size**2 * power, np.array([size, *further])
         return best[1]
 
@@ -202,6 +203,11 @@ class Fit:
         return float(self.residual @ self.residual)
 
     @property
+    def evidence(self) -> float:
+        """Penalised log-likelihood: minus half the BIC, but for a constant."""
+        return -0.5 * (self.squares + len(self.x) * float(np.log(len(self.residual))))
+
+    @property
     def std(self) -> np.ndarray:
         """(k,) standard errors."""
         j = self.problem.orthogonal(self.jacobian)
@@ -247,30 +253,27 @@ class Fit:
         return float(np.sqrt(np.mean(rest**2)))
 
     def interval(self, k: int) -> tuple[float, float]:
-        """95 % interval of a parameter: by its standard error if the fit is linear, else by the profile likelihood."""
-        declared = [p for e in self.effects for p in e.parameters][k]
-        if all(len(e.parameters) == 1 for e in self.effects):
+        """95 % interval of a parameter: by its standard error if its effect is linear, else by the profile likelihood."""
+        effect, declared = [(e, p) for e in self.effects for p in e.parameters][k]
+        if len(effect.parameters) == 1:
             half = NORMAL_95 * float(self.std[k])
-            return max(float(self.x[k]) - half, declared.minimum), float(self.x[k]) + half
-        most, others = float(chi2.ppf(0.95, 1)), np.delete(np.arange(len(self.x)), k)
+            return float(self.x[k]) - half, float(self.x[k]) + half
+        others, most = np.delete(np.arange(len(self.x)), k), float(chi2.ppf(0.95, 1))
         bounds = np.array([(p.minimum, p.maximum) for e in self.effects for p in e.parameters])[others].T
 
         def beyond(logarithm: float) -> float:
-            x = np.array(self.x)
-            x[k] *= np.exp(logarithm)
-
             def residual(rest: np.ndarray) -> np.ndarray:
-                return self.problem.residual(self.effects, np.insert(rest, k, x[k]))
+                return self.problem.residual(self.effects, np.insert(rest, k, self.x[k] * np.exp(logarithm)))
 
-            start = np.clip(x[others], bounds[0] * (1.0 + 1e-9), bounds[1] * (1.0 - 1e-9))
-            return 2.0 * least_squares(residual, start, bounds=bounds, x_scale=start).cost - self.squares - most
+            start = self.x[others]
+            return 2.0 * least_squares(residual, start, bounds=bounds, x_scale=np.abs(start)).cost - self.squares - most
 
         ends = []
         for bound in (declared.minimum, declared.maximum):
-            reach = np.log(max(bound, 1e-6 * self.x[k]) / self.x[k])
-            steps = np.sign(reach) * np.minimum(0.1 * 1.7 ** np.arange(14), abs(reach))
+            reach = float(np.log(max(bound / self.x[k], STEP)))
+            steps = np.sign(reach) * np.minimum(0.1 * 2.0 ** np.arange(8), abs(reach))
             end = next((float(s) for s in steps if beyond(float(s)) > 0.0), None)
-            ends.append(bound if end is None else float(self.x[k]) * np.exp(brentq(beyond, 0.0, end, xtol=1e-3)))
+            ends.append(bound if end is None else float(self.x[k]) * np.exp(brentq(beyond, 0.0, end, xtol=1e-2)))
         return ends[0], ends[1]
 
 
@@ -371,35 +374,48 @@ def select(problem: Problem, effects: Sequence[PowerEffect], comparisons: int) -
 
 
 def with_effect(fit: Fit, effect: PowerEffect) -> Fit | None:
-    """One more effect beside a fit; None if its best size is not positive."""
+    """One more effect beside a fit; None if no possible size fits."""
     start = fit.problem.started(fit, effect)
-    return fit.problem.fit((*fit.effects, effect), np.append(fit.x, start)) if start[0] > 0.0 else None
+    return fit.problem.fit((*fit.effects, effect), np.append(fit.x, start)) if start[0] != 0.0 else None
 
 
 def judged_effect(beside: Fit, fit: Fit | None, effect: PowerEffect, comparisons: int) -> Tried:
     """Statistics of an effect against the fit without it, and the reasons to reject it."""
-    problem, k = beside.problem, len(effect.parameters)
-    names, n = tuple(e.name for e in beside.effects), len(problem.measured)
+    problem, k, names = beside.problem, len(effect.parameters), tuple(e.name for e in beside.effects)
     largest = max(float(np.nanmax(np.abs(p.measured))) for p in problem.parts)
     form = FORM * max(problem.fit().squares - beside.squares, 0.0) / 2.0
     needed, least = chance_threshold(k, comparisons) + form, ACCURACY * largest
     if fit is None:
-        penalty = -0.5 * k * float(np.log(n))
-        return Tried(effect, names, 0.0, needed, penalty, 0.0, 0.0, least, ("its best size is not positive",))
+        return Tried(effect, names, 0.0, needed, 0.0, 0.0, 0.0, least, ("its best size is impossible",))
     likelihood = 0.5 * (beside.squares - fit.squares)
-    evidence, size = likelihood - 0.5 * k * float(np.log(n)), fit.change(effect)
+    evidence, size = fit.evidence - beside.evidence, fit.change(effect)
     (before, _), (after, _) = beside.held_out(), fit.held_out()
-    gain = 0.5 * n * float(np.log(before / after))
+    gain = 0.5 * len(problem.measured) * float(np.log(before / after))
     refused = refusals(likelihood, needed, evidence, {effect.reading: gain}, k, size > least)
-    if not refused and fit.interval(len(fit.x) - k)[0] <= 0.0:
+    low, high = (0.0, 0.0) if refused else fit.interval(len(fit.x) - k)
+    if not refused and low <= 0.0 <= high:
         refused = ["the 95 % interval of its size includes 0"]
     return Tried(effect, names, likelihood, needed, evidence, gain, size, least, tuple(refused))
+
+
+def rivals(fit: Fit, effects: Sequence[PowerEffect]) -> dict[str, list[str]]:
+    """By accepted effect: others that in its place have an evidence within ALTERNATIVE_WINDOW."""
+    found, first = {}, 0
+    for effect in fit.effects:
+        at = np.arange(first, first := first + len(effect.parameters))
+        rest = fit.problem.fit([e for e in fit.effects if e is not effect], np.delete(fit.x, at))
+        others = [e for e in effects if e.name not in {a.name for a in fit.effects}]
+        near = ((e.name, f) for e in others if (f := with_effect(rest, e)) and f.evidence > rest.evidence + MIN_EVIDENCE)
+        if names := {name for name, f in near if f.evidence > fit.evidence - ALTERNATIVE_WINDOW}:
+            found[effect.name] = sorted(names)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
 class PowerDiagnosis:
     """Result. `before`, `after`: fits of the power; `voltage`: the same of the voltage, None if not measured with the current.
-    `lack`: of both fits of the power. `unseen`: the validation record, if it has power. `refuted`: why the validation record
+    `lack`: of both fits of the power. `family`: by effect, others that fit as well. `unseen`: the
+    validation record, if it has power. `refuted`: why the validation record
     refutes the effects of power, else ""."""
 
     before: Fit
@@ -407,15 +423,16 @@ class PowerDiagnosis:
     voltage: tuple[Fit, Fit] | None
     lack: tuple[Lack, Lack]
     tried: tuple[Tried, ...]
+    family: Mapping[str, Sequence[str]]
     unseen: Part | None
     refuted: str
 
     @property
     def verdict(self) -> str:
-        """none, attributed, partly, unexplained: of power, and of the voltage if that shows an effect."""
+        """As of the thrust: none, attributed, family, partly, unexplained."""
         if self.lack[1].significant:
             return "partly" if self.effects else "unexplained"
-        return "attributed" if self.effects else "none"
+        return "family" if self.family else "attributed" if self.effects else "none"
 
     @property
     def fits(self) -> tuple[Fit, ...]:
@@ -453,7 +470,7 @@ class PowerDiagnosis:
         for effect in self.effects:
             entry = {"name": effect.name, "form": effect.form, "parameters": self.parameters[effect.name]}
             effects.append({**entry, "evidence": accepted[effect.label].summary()})
-        found = {"verdict": self.verdict, "refuted": self.refuted or None, "effects": effects, "before": before, "after": after}
+        found = {"verdict": self.verdict, "refuted": self.refuted or None, "effects": effects, "family": dict(self.family), "before": before, "after": after}
         if self.voltage:
             found["voltage"] = dict(
                 zip(("before", "after"), ({"value": f.held_out()[1], "unit": "V"} for f in self.voltage), strict=True)
@@ -482,26 +499,28 @@ def diagnose_power(
     """
     if "power" not in {y.name for y in parameters.model.outputs}:
         return None
-    model, plant = PowerModel.of(parameters), partial(response, parameters)
+    model, plant = PowerModel.of(parameters), partial(respond, parameters)
     measured = {name: plant(record) for name, record in records.items() if electrical(record.columns) is not None}
     if not measured:
         return None
-    squared = {name: _squared_torque(model, p) for name, (p, *_) in measured.items()}
+    squared = {name: _squared_torque(model, r.shown) for name, r in measured.items()}
     largest = max(float(s.max()) for s in squared.values())
     parts = [_part(name, r, model, block, largest) for name, r in measured.items()]
     if sum(int(np.isfinite(p.means[0]).sum()) for p in parts) < TIMES * (parts[0].base.shape[1] + len(list(parts[0].shapes()))):
         return None
-    with_both = {name: p for name, (p, *_) in measured.items() if {"voltage", "current"} <= set(p.record.columns)}
+    with_both = {name: r.shown for name, r in measured.items() if {"voltage", "current"} <= set(r.shown.record.columns)}
     offered = [e for e in EFFECTS if e.reading == POWER or with_both]
     comparisons = sum(len(scan(e)) for e in offered)
-    before, after, tried = select(Problem.of(parts), [e for e in offered if e.reading == POWER], comparisons)
+    of_power = [e for e in offered if e.reading == POWER]
+    before, after, tried = select(Problem.of(parts), of_power, comparisons)
+    family = rivals(after, of_power)
     least = ACCURACY * max(float(np.nanmax(np.abs(p.measured))) for p in parts)
     hold_out, refuted = None, ""
     if unseen is not None and electrical(unseen.columns) is not None:
         hold_out = _part("validation", plant(unseen), model, block, largest)
         errors = [_unseen_error(fit, hold_out) for fit in (before, after)]
         if errors[1] > errors[0]:
-            after, refuted = before, "the error on the validation record increases"
+            after, refuted, family = before, "the error on the validation record increases", {}
     lack = lack_of_fit(before, least), lack_of_fit(after, least)
     voltage = None
     if with_both:
@@ -509,25 +528,37 @@ def diagnose_power(
         supply = [_supply(fitted[name], p, after) for name, p in with_both.items()]
         one, two, further = select(Problem.of(_side_by_side(supply)), [SAG], comparisons)
         voltage, tried = (one, two), [*tried, *further]
-    return PowerDiagnosis(before, after, voltage, lack, tuple(tried), hold_out, refuted)
+    return PowerDiagnosis(before, after, voltage, lack, tuple(tried), family, hold_out, refuted)
 
 
-def response(parameters: ParameterSet, record: Record) -> tuple[Prediction, np.ndarray, np.ndarray]:
-    """(response of a plant, rate of its speed [rpm/s], rate of its pitch [deg/s]), (rows,) each.
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Of a plant to a record. `rates` (rows, 2): of speed [rpm/s] and pitch [deg/s]. `lags` (rows, k): derivatives of the power by
+    the plant's lags. `turns` (rows, k): derivatives of the rate of speed by the lags of speed."""
 
-    Rates bend where a command steps. So they are taken forwards, over fractions of a row, within which commands are held.
-    """
-    values, period = parameters.values, record.period
-    parts = max(int(np.ceil(period / (FINE * slowest(values, values)))), 2)
-    split = {name: np.repeat(column[:-1], parts) for name, column in record.columns.items() if column.dtype.kind == "f"}
-    split |= {"time": np.interp(np.arange(len(split["time"])) / parts, np.arange(len(record)), record.time)}
-    whole = {name: np.append(column, record[name][-1]) for name, column in split.items()}
-    fine = replace(record, columns=whole, late=0.0).commands_later(parts * record.late)
-    shown = predict(parameters.model, values, fine)
-    rates = (np.append(4.0 * x[1::parts] - x[2::parts] - 3.0 * x[:-1:parts], 0.0) for x in (shown.omega, shown.beta))
-    between = np.append(2.0 * record.steps / parts, 1.0)
-    further = {name: column[::parts] for name, column in shown.further.items()}
-    return Prediction(record, *(x[::parts] for x in (shown.thrust, shown.omega, shown.beta)), further), *(rate / between for rate in rates)
+    shown: Prediction
+    rates: np.ndarray
+    lags: np.ndarray
+    turns: np.ndarray
+
+
+def respond(parameters: ParameterSet, record: Record) -> Response:
+    """Simulate. Rates bend where a command steps. So they are taken forwards, over fractions of a row, within which commands are
+    held."""
+    values, model = parameters.values, parameters.model
+    wrt = tuple(f"tau_{u}_{k}" for u in ("omega", "beta") for k in (1, 2))
+    parts = max(int(np.ceil(record.period / (FINE * slowest(values, values)))), 3)
+    split = {name: np.repeat(column, parts) for name, column in record.columns.items() if column.dtype.kind == "f"}
+    steps = np.append(record.steps, record.period) / parts
+    split["time"] = record.time[0] + np.append(0.0, np.cumsum(np.repeat(steps, parts))[:-1])
+    fine = replace(record, columns=split, late=0.0).commands_later(parts * record.late)
+    outputs, tangents = Simulator(model, wrt).sensitivities(values, *fine.run)
+    moving = np.column_stack([outputs[:, 1:3], tangents[:, 1, :2]])
+    rates = (4.0 * moving[1::parts] - moving[2::parts] - 3.0 * moving[::parts]) / (2.0 * steps[:, None])
+    names = [y.name for y in model.outputs]
+    thrust, omega, beta, *further = outputs[::parts].T
+    shown = Prediction(record, thrust, omega, beta, dict(zip(names[3:], further, strict=True)))
+    return Response(shown, rates[:, :2], tangents[::parts, names.index("power")], rates[:, 2:])
 
 
 def _squared_torque(model: PowerModel, p: Prediction) -> np.ndarray:
@@ -539,9 +570,9 @@ def _squared_torque(model: PowerModel, p: Prediction) -> np.ndarray:
     return (p.further["power"] / (speed * RAD_PER_S)) ** 2
 
 
-def _part(name: str, response: tuple[Prediction, np.ndarray, np.ndarray], model: PowerModel, block: float, largest: float) -> Part:
+def _part(name: str, r: Response, model: PowerModel, block: float, largest: float) -> Part:
     """The power of a record, less that of the identified model."""
-    p, faster, rate = response
+    p, (faster, rate) = r.shown, r.rates.T
     values, time = model.parameters.values, p.record.time
     expected, load = p.further["power"], _squared_torque(model, p) / largest
     small = {"omega": STEP * values["omega_scale"], "beta": STEP * values["beta_scale"]}
@@ -549,15 +580,16 @@ def _part(name: str, response: tuple[Prediction, np.ndarray, np.ndarray], model:
         (model.at(p.omega + s * o, p.beta + s * b) - model.at(p.omega - s * o, p.beta - s * b)) / (2.0 * s * (o + b))
         for s, o, b in ((1.0, small["omega"], 0.0), (1.0, 0.0, small["beta"]))
     )
-    moving = [p.omega * faster, np.sqrt(load) * faster, faster**2, to_speed * faster, to_pitch * rate]
-    w, b = (np.vander(p.omega / values["omega_scale"], DEGREE + 1, True).T, np.vander(p.beta / values["beta_scale"], DEGREE + 1, True).T)
-    terms = [w[i] * b[j] for i in range(DEGREE + 1) for j in range(DEGREE + 1) if i + j <= DEGREE or (i < 4 and j < 3)]
+    w, b = p.omega / values["omega_scale"], p.beta / values["beta_scale"]
+    static = [w**i * b**j for i in range(DEGREE + 1) for j in range(DEGREE + 1)]
+    driven = [faster * term for term in (1.0 + 0.0 * w, w, w**2, w**2 * b, w**2 * b**2, faster)]
+    base = [*static, load, *driven, *r.lags.T, *(w * turn for turn in r.turns.T)]
     step, loss = float(np.median(p.record.steps)), values.get(MOTOR.full("loss"), 0.0)
-    signals = Signals(load, rate, p.thrust, np.zeros(len(time)), step, 1.0 / (loss * largest) if loss > 0.0 else 0.0)
+    signals = Signals(time, expected, load, rate, p.thrust, np.zeros(len(time)), step, 1.0 / (loss * largest) if loss > 0.0 else 0.0)
     outputs = np.column_stack([expected, p.omega, p.beta])
     shapes = partial(output_shapes, p.record, outputs, (to_pitch, to_speed), slowest(values, values))
     reading = electrical(p.record.columns) - expected
-    return Part(name, time, blocks(p.record, block), reading, np.column_stack([*terms, load, *moving]), signals, shapes)
+    return Part(name, time, blocks(p.record, block), reading, np.column_stack(base), signals, shapes)
 
 
 def _supply(part: Part, p: Prediction, power: Fit) -> Part:

@@ -2,12 +2,14 @@
 
     resistance_heating  P_1 = gain u h,    time_constant dh/dt = u (1 + gain h / P_c) - h,    h = 0 at a record's start
     servo_load          P_1 = load |dbeta/dt|, or load |T dbeta/dt|
+    power_drift         P_1 = rate t P
     supply_sag          V = V_0 - resistance I
 
 u is the squared torque of the motor over its largest, so that u P_c is its copper loss R I^2 when cold. The winding's temperature
 is a first-order lag of that heat, and the resistance is proportional to the temperature's rise. P_c [W]: the loss at u = 1, if
 torque was measured, else the feedback of the resistance on the heat is neglected. A lead screw holds its load without power, so
-a servo takes power only while it moves: against friction, or against friction that is proportional to thrust.
+a servo takes power only while it moves: against friction, or against friction that is proportional to thrust. A drift with time,
+such as of a battery or an amplifier, resembles a winding that heats slowly.
 """
 
 from collections.abc import Callable, Mapping
@@ -26,9 +28,11 @@ FEEDBACK = 8
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """What the effects depend on, (rows,) each: `load` u, `rate` of pitch [deg/s], `thrust` [N], `current` [A]; `step` [s] from
-    row to row. `feedback` [1/W]: 1 / P_c, 0 if unknown."""
+    """What the effects depend on, (rows,) each: `time` [s], `power` P of the steady model [W], `load` u, `rate` of pitch [deg/s],
+    `thrust` [N], `current` [A]; `step` [s] from row to row. `feedback` [1/W]: 1 / P_c, 0 if unknown."""
 
+    time: np.ndarray
+    power: np.ndarray
     load: np.ndarray
     rate: np.ndarray
     thrust: np.ndarray
@@ -48,6 +52,10 @@ class PowerEffect:
     parameters: tuple[Parameter, ...]
     says: str
     form: str = "only"
+
+    def possible(self, size: float) -> bool:
+        """Whether the first parameter may have a value other than 0."""
+        return size != 0.0 and self.parameters[0].minimum <= size <= self.parameters[0].maximum
 
     @property
     def label(self) -> str:
@@ -99,6 +107,14 @@ SERVO_THRUST = PowerEffect(
     "rate and thrust",
 )
 
+DRIFT = PowerEffect(
+    "power_drift",
+    POWER,
+    lambda s, p: p["rate"] * s.time * s.power,
+    (Parameter("rate", "1/s", 0.0, -0.1, 0.1, "relative change of power over time"),),
+    "the power drifts by {rate} of itself",
+)
+
 SAG = PowerEffect(
     "supply_sag",
     VOLTAGE,
@@ -107,4 +123,4 @@ SAG = PowerEffect(
     "the supply's internal resistance is {resistance}",
 )
 
-EFFECTS = (HEATING, SERVO_RATE, SERVO_THRUST, SAG)
+EFFECTS = (HEATING, SERVO_RATE, SERVO_THRUST, DRIFT, SAG)
