@@ -20,7 +20,17 @@ from scipy.stats import chi2
 from identification.assessment.prediction import Prediction
 from identification.diagnose.command_shapes import output_shapes, regress_out
 from identification.diagnose.crossval import folds
-from identification.diagnose.judgement import ACCURACY, ALPHA, ALPHA_BASE, ALTERNATIVE_WINDOW, FORM, MIN_EVIDENCE, MOST, chance_threshold, refusals
+from identification.diagnose.judgement import (
+    ACCURACY,
+    ALPHA,
+    ALPHA_BASE,
+    ALTERNATIVE_WINDOW,
+    FORM,
+    MIN_EVIDENCE,
+    MOST,
+    chance_threshold,
+    refusals,
+)
 from identification.diagnose.score_test import ScoreTest, orthonormal_scores, scores_covariance
 from identification.fit.coordinates import slowest
 from identification.fit.noise import Blocks, Colour, blocks, colour_of
@@ -57,7 +67,7 @@ class Part:
     residual of a missing effect, for the noise and the lack of fit. Block means are compared."""
 
     name: str
-    time: np.ndarray
+    record: Record
     at: Blocks
     measured: np.ndarray
     base: np.ndarray
@@ -75,7 +85,7 @@ class Part:
 
     def response_rows(self, effects: Sequence[PowerEffect], x: np.ndarray) -> np.ndarray:
         """(rows,)."""
-        total, first = np.zeros(len(self.time)), 0
+        total, first = np.zeros(len(self.measured)), 0
         for effect in effects:
             names = [p.name for p in effect.parameters]
             own = dict(zip(names, x[first : first + len(names)].tolist(), strict=True))
@@ -102,7 +112,9 @@ class Problem:
         found = []
         for p in parts:
             residual = p.measured - p.response_rows(effects, x)
-            rest, removed = regress_out(lambda p=p: (*p.shapes(), *p.base.T), p.at.mean, residual, np.zeros((len(p.at.time), 0)))
+            rest, removed = regress_out(
+                lambda p=p: (*p.shapes(), *p.base.T), p.at.mean, residual, np.zeros((len(p.at.time), 0))
+            )
             colour = colour_of([p.at.mean(rest)], removed)
             least = EXACT * float(np.nanmax(np.abs(p.measured)))  # readings without noise
             found.append(replace(colour, innovation=max(colour.innovation, least)))
@@ -121,7 +133,7 @@ class Problem:
 
     def held(self, split: Callable[[np.ndarray, float], np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
         """Fold of each whitened row, and of the blocks of each record."""
-        own = [split(p.at.time, float(p.time[-1])) for p in self.parts]
+        own = [split(p.at.time, float(p.record.time[-1])) for p in self.parts]
         rows = [f[len(f) - len(s) :][s] for f, s in zip(own, self._seen, strict=True)]
         return np.concatenate(rows), own
 
@@ -225,6 +237,7 @@ class Fit:
         measured, base = part.means
         return measured - base @ self.coefficients - part.response(self.effects, self.x)
 
+    @cached_property
     def held_out(self) -> tuple[float, float]:
         """(sum of squares of the whitened residual, rms error of the block means) of folds predicted from the others, each
         after a Gauss-Newton step from this fit."""
@@ -389,7 +402,7 @@ def judged_effect(beside: Fit, fit: Fit | None, effect: PowerEffect, comparisons
         return Tried(effect, names, 0.0, needed, 0.0, 0.0, 0.0, least, ("its best size is impossible",))
     likelihood = 0.5 * (beside.squares - fit.squares)
     evidence, size = fit.evidence - beside.evidence, fit.change(effect)
-    (before, _), (after, _) = beside.held_out(), fit.held_out()
+    (before, _), (after, _) = beside.held_out, fit.held_out
     gain = 0.5 * len(problem.measured) * float(np.log(before / after))
     refused = refusals(likelihood, needed, evidence, {effect.reading: gain}, k, size > least)
     low, high = (0.0, 0.0) if refused else fit.interval(len(fit.x) - k)
@@ -447,7 +460,22 @@ class PowerDiagnosis:
     @cached_property
     def errors(self) -> tuple[float, float]:
         """Rms error [W] of block means before and after: on the validation record, else in cross-validation."""
-        return tuple(_unseen_error(fit, self.unseen) if self.unseen else fit.held_out()[1] for fit in (self.before, self.after))
+        return tuple(_unseen_error(fit, self.unseen) if self.unseen else fit.held_out[1] for fit in (self.before, self.after))
+
+    @property
+    def block(self) -> float:
+        """s, of the means that are compared."""
+        time = self.after.problem.parts[0].at.time
+        return float(time[1] - time[0])
+
+    @property
+    def shown(self) -> tuple[str, dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Name, columns as block means, and the power of each fit [W], of the validation record, else of the first one."""
+        part = self.unseen or self.after.problem.parts[0]
+        columns = {name: part.record[name][part.at.edges[:-1]] for name in ("omega_ref", "beta_ref")}
+        columns |= {"time": part.at.time, "power": part.at.mean(electrical(part.record.columns))}
+        fits = {"before": self.before, "after": self.after} if self.after.effects else {"model": self.before}
+        return part.name, columns, {name: columns["power"] - fit.error(part) for name, fit in fits.items()}
 
     @cached_property
     def parameters(self) -> dict[str, dict[str, dict]]:
@@ -470,17 +498,21 @@ class PowerDiagnosis:
         for effect in self.effects:
             entry = {"name": effect.name, "form": effect.form, "parameters": self.parameters[effect.name]}
             effects.append({**entry, "evidence": accepted[effect.label].summary()})
-        found = {"verdict": self.verdict, "refuted": self.refuted or None, "effects": effects, "family": dict(self.family), "before": before, "after": after}
+        found = {"verdict": self.verdict, "refuted": self.refuted or None, "effects": effects, "family": dict(self.family)}
+        found |= {"before": before, "after": after, "block": {"value": self.block, "unit": "s"}}
         if self.voltage:
             found["voltage"] = dict(
-                zip(("before", "after"), ({"value": f.held_out()[1], "unit": "V"} for f in self.voltage), strict=True)
+                zip(("before", "after"), ({"value": f.held_out[1], "unit": "V"} for f in self.voltage), strict=True)
             )
         else:
             found["not_identifiable"] = {SAG.name: "needs measured voltage and current"}
         found["lack_of_fit"] = dict(zip(("before", "after"), (lack.summary() for lack in self.lack), strict=True))
         found["candidates"] = [
             {"name": t.effect.name, "form": t.effect.form, "beside": list(t.beside), **t.summary()}
-            | {"why_not": "; ".join(t.refused) or (None if t.effect in self.effects else self.refuted or "another explains more")}
+            | {
+                "why_not": "; ".join(t.refused)
+                or (None if t.effect in self.effects else self.refuted or "another explains more")
+            }
             for t in self.tried
         ]
         return found
@@ -585,29 +617,33 @@ def _part(name: str, r: Response, model: PowerModel, block: float, largest: floa
     driven = [faster * term for term in (1.0 + 0.0 * w, w, w**2, w**2 * b, w**2 * b**2, faster)]
     base = [*static, load, *driven, *r.lags.T, *(w * turn for turn in r.turns.T)]
     step, loss = float(np.median(p.record.steps)), values.get(MOTOR.full("loss"), 0.0)
-    signals = Signals(time, expected, load, rate, p.thrust, np.zeros(len(time)), step, 1.0 / (loss * largest) if loss > 0.0 else 0.0)
+    signals = Signals(
+        time, expected, load, rate, p.thrust, np.zeros(len(time)), step, 1.0 / (loss * largest) if loss > 0.0 else 0.0
+    )
     outputs = np.column_stack([expected, p.omega, p.beta])
     shapes = partial(output_shapes, p.record, outputs, (to_pitch, to_speed), slowest(values, values))
     reading = electrical(p.record.columns) - expected
-    return Part(name, time, blocks(p.record, block), reading, np.column_stack(base), signals, shapes)
+    return Part(name, p.record, blocks(p.record, block), reading, np.column_stack(base), signals, shapes)
 
 
 def _supply(part: Part, p: Prediction, power: Fit) -> Part:
     """The voltage of a record; its current is regressed on the power that the final fit predicts."""
-    time, measured = part.time, p.record["current"]
+    time, measured = p.record.time, p.record["current"]
     predicted = electrical(p.record.columns) - part.measured + part.base @ power.coefficients
     predicted = predicted + part.response_rows(power.effects, power.x)
     seen, terms = np.isfinite(predicted + measured), np.vander(predicted / np.nanmax(np.abs(predicted)), 3)
     current = terms @ np.linalg.lstsq(terms[seen], measured[seen], rcond=None)[0]
     since = time / time[-1]
     signals = replace(part.signals, current=current)
-    return Part(part.name, time, part.at, p.record["voltage"], np.vander(since, 2), signals, lambda: iter((since**2, current)))
+    return Part(
+        part.name, p.record, part.at, p.record["voltage"], np.vander(since, 2), signals, lambda: iter((since**2, current))
+    )
 
 
 def _side_by_side(parts: Sequence[Part]) -> list[Part]:
     """Parts of which each has coefficients of its own."""
     width = parts[0].base.shape[1]
-    wide = [np.zeros((len(p.time), width * len(parts))) for p in parts]
+    wide = [np.zeros((len(p.measured), width * len(parts))) for p in parts]
     for k, p in enumerate(parts):
         wide[k][:, k * width : (k + 1) * width] = p.base
     return [replace(p, base=base) for p, base in zip(parts, wide, strict=True)]

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from identification.power.diagnose import PowerDiagnosis, diagnose_power
@@ -27,7 +28,6 @@ KINDS = ("none", "resistance_heating", "servo_load rate", "servo_load rate and t
 EXPECTED = 20.0
 BLOCK = 0.5 / 30.0
 LAGS = {"tau_omega_1": 0.12, "tau_omega_2": 0.05, "tau_beta_1": 0.1, "tau_beta_2": 0.06}
-KEPT = ("c20", "c11", "c21", "c12", "c30", "omega_scale", "beta_scale", "beta_offset", "thrust_scale")
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class Rig:
     @property
     def rise(self) -> float:
         """Share of the resistance per W of heat."""
-        return 0.35 * self.drawn["strength"] / self.largest_heat
+        return 0.5 * np.sqrt(self.drawn["strength"]) / self.largest_heat
 
     @property
     def size(self) -> float:
@@ -115,9 +115,7 @@ class Rig:
         tau = list(LAGS.values())
         omega, faster = two_lags(omega_ref, *tau[:2], time[1])
         beta, rate = two_lags(beta_ref, *tau[2:], time[1])
-        w, b = omega / 6000.0, (beta + 5.0) / 15.0
-        v = BASE.values()
-        thrust = 15.0 * (v["c20"] * w**2 + v["c11"] * w * b + v["c21"] * w**2 * b + v["c12"] * w * b**2 + v["c30"] * w**3)
+        thrust = thrust_of(omega, beta)
         power = self.electrical(time, omega, beta, faster, rate, thrust, hidden)
         mean, n = float(power.mean()), len(time)
         noise = d["noise"] * mean * rng.standard_normal(n)
@@ -134,8 +132,8 @@ class Rig:
         return Record(columns | (supply if d["columns"] == "volts" else {"power": power}), "synthetic")
 
     @cached_property
-    def parameters(self) -> ParameterSet:
-        """The identified plant: lags by 1 % wrong, torque and motor from cold steady points."""
+    def points(self) -> StaticMap:
+        """Steady points of a cold rig."""
         d, rng = self.drawn, np.random.default_rng([self.seed, 78])
         w, b = (x.ravel() for x in np.meshgrid(np.linspace(0.35, 1.0, 10), np.linspace(0.0, 1.0, 10)))
         omega, none = 6000.0 * w, np.zeros(len(w))
@@ -145,16 +143,26 @@ class Rig:
         further = {"power": power * (1.0 + 0.005 * rng.standard_normal(len(w)))}
         if d["torque"]:
             further["torque"] = torque * (1.0 + 0.005 * rng.standard_normal(len(w)))
-        points = StaticMap(omega, beta, omega, none, none + 0.1, none + 100.0, "static.csv", further)
-        values = {n: t * (1.0 + s) for (n, t), s in zip(LAGS.items(), d["scatter"], strict=True)}
+        return StaticMap(omega, beta, omega, thrust_of(omega, beta), none + 0.1, none + 100.0, "static.csv", further)
+
+    @cached_property
+    def parameters(self) -> ParameterSet:
+        """The identified plant: lags by 1 % wrong, torque and motor from the steady points."""
+        values = {n: t * (1.0 + s) for (n, t), s in zip(LAGS.items(), self.drawn["scatter"], strict=True)}
         base = ParameterSet(BASE).replaced(values)
-        return fit_power(steady_readings(points, base.values)).added_to(base)
+        return fit_power(steady_readings(self.points, base.values)).added_to(base)
 
     def diagnosed(self, hidden: str) -> PowerDiagnosis:
         """The same commands and noise for each `hidden` effect."""
         rng = np.random.default_rng([self.seed, 79])
         records = {"open_loop": self.record(rng, hidden)}
         return diagnose_power(records, self.record(rng, hidden), self.parameters, BLOCK)
+
+
+def thrust_of(omega, beta):
+    """N, of the paper's map."""
+    w, b, v = omega / 6000.0, (beta + 5.0) / 15.0, BASE.values()
+    return 15.0 * (v["c20"] * w**2 + v["c11"] * w * b + v["c21"] * w**2 * b + v["c12"] * w * b**2 + v["c30"] * w**3)
 
 
 def two_lags(command, slow, fast, step):
@@ -167,13 +175,6 @@ def two_lags(command, slow, fast, step):
         states[k], rate[k] = x[1], (x[0] - x[1]) / fast
         x = command[k] + fine @ (x - command[k])
     return states, rate
-
-
-def expm(a):
-    """Of a lower triangular 2 x 2 matrix."""
-    from scipy.linalg import expm as exact
-
-    return exact(a)
 
 
 @dataclass(frozen=True)
@@ -198,9 +199,9 @@ def diagnosed(seed: int, kind: str | None = None) -> Outcome:
     expected = 0.0
     if kind not in ("none", "curve"):
         clean = rig.diagnosed("none")
-        k = len(KINDS) and (2 if kind == "resistance_heating" else 1)
-        fits = zip((clean.voltage, found.voltage), strict=False) if kind == "supply_sag" else None
-        one, other = (clean.voltage[0], found.voltage[0]) if fits else (clean.before, found.before)
+        k = 2 if kind == "resistance_heating" else 1
+        sag = kind == "supply_sag"
+        one, other = (clean.voltage[0], found.voltage[0]) if sag else (clean.before, found.before)
         signal = [b.means[0] - a.means[0] for a, b in zip(one.problem.parts, other.problem.parts, strict=True)]
         white = one.problem.orthogonal(one.problem.whitened(signal))
         expected = 0.5 * float(white @ white) - 0.5 * k * np.log(len(white))
@@ -265,6 +266,8 @@ def table(found: list[Outcome]) -> str:
         lack = sum(o.verdict in ("partly", "unexplained") for o in own)
         covered = [c for o in own for c in o.covered]
         named = [f"{sum(kind in o.names for o in group)} of {len(group)}" for group in (clear, weak)]
-        lines.append(f"{kind:27s} {len(own):4d} {named[0]:>22s} {named[1]:>14s} {others:12d} {lack:12d} "
-                     f"{f'{sum(covered)} of {len(covered)}':>14s}")
+        lines.append(
+            f"{kind:27s} {len(own):4d} {named[0]:>22s} {named[1]:>14s} {others:12d} {lack:12d} "
+            f"{f'{sum(covered)} of {len(covered)}':>14s}"
+        )
     return "\n".join(lines)
