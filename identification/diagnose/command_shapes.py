@@ -45,8 +45,8 @@ def thrust_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarr
 def output_shapes(
     record: Record, outputs: np.ndarray, slopes: tuple[np.ndarray, np.ndarray], takes: float
 ) -> Iterator[np.ndarray]:
-    """Regressors of any output of speed and pitch, in its unit: `outputs` (rows, 3) has it in the first column, `slopes` are its
-    derivatives by pitch and speed (rows,), `takes` [s]: the slowest time constant."""
+    """Regressors of any output of speed and pitch, in its unit. `outputs` (rows, 3): the output, speed and pitch; `slopes`: its
+    derivatives by pitch and speed (rows,); `takes` [s]: the slowest time constant."""
     output, speed, pitch = outputs.T
     to_pitch, to_speed = slopes
     step = float(np.median(record.steps))

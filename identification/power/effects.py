@@ -5,11 +5,11 @@
     power_drift         P_1 = rate t P
     supply_sag          V = V_0 - resistance I
 
-u is the squared torque of the motor over its largest, so that u P_c is its copper loss R I^2 when cold. The winding's temperature
-is a first-order lag of that heat, and the resistance is proportional to the temperature's rise. P_c [W]: the loss at u = 1, if
-torque was measured, else the feedback of the resistance on the heat is neglected. A lead screw holds its load without power, so
-a servo takes power only while it moves: against friction, or against friction that is proportional to thrust. A drift with time,
-such as of a battery or an amplifier, resembles a winding that heats slowly.
+u is the squared torque of the motor over its largest, so u P_c is its copper loss R I^2 when cold. The winding's temperature is
+a first-order lag of that heat, and the resistance grows in proportion. P_c [W] is the loss at u = 1; it is known if torque was
+measured, else the feedback of the resistance on the heat is neglected. A lead screw holds its load without power, so a servo
+takes power only while it moves: against friction, or against friction that is proportional to thrust. A drift with time, as of
+a battery or an amplifier, resembles a winding that heats slowly.
 """
 
 from collections.abc import Callable, Mapping
@@ -28,8 +28,8 @@ FEEDBACK = 8
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """What the effects depend on, (rows,) each: `time` [s], `power` P of the steady model [W], `load` u, `rate` of pitch [deg/s],
-    `thrust` [N], `current` [A]; `step` [s] from row to row. `feedback` [1/W]: 1 / P_c, 0 if unknown."""
+    """What the effects depend on, (rows,) each: `time` [s], `power` P of the steady model [W], `load` u, `rate` of the pitch
+    [deg/s], `thrust` [N], `current` [A]; `step` [s] from row to row. `feedback` [1/W]: 1 / P_c, 0 if unknown."""
 
     time: np.ndarray
     power: np.ndarray
@@ -43,8 +43,8 @@ class Signals:
 
 @dataclass(frozen=True)
 class PowerEffect:
-    """`response(signals, values)`: the change (rows,) of a `reading` [W or V]. It is proportional to the first parameter, to first
-    order. `form`: which of several forms. `says`: the effect as a clause."""
+    """`response(signals, values)`: the change (rows,) of a `reading` [W or V], to first order proportional to the first
+    parameter. `form`: which of several forms. `says`: the effect as a clause."""
 
     name: str
     reading: str

@@ -1,10 +1,10 @@
 """python -m tests.studies power_residual [--rigs 60] [--first-seed 0]: effects of power that synthetic rigs hide.
 
-Each rig has equations of its own: lags of speed and pitch, a torque map, a motor with a winding that heats, a servo and a supply.
-Its map and motor are fitted from steady points as in the study `power`; the lags that the diagnosis is given are wrong by 1 %.
-Noise is white, and half of the rigs have slow noise, too. A rig hides nothing, one effect, or a lag of the power behind the speed that no effect explains.
-Printed are the false names, the share named of those with an expected evidence of EXPECTED nats or more, and the share of the
-95 % intervals that have the true size.
+Each rig has equations of its own: lags of speed and pitch, torque, a motor with a winding that heats, a servo and a supply. Its
+map and motor are fitted from steady points as in the study `power`; the lags that the diagnosis gets are wrong by 1 %. Noise is
+white, and half of the rigs have slow noise, too. A rig hides nothing, one effect, or a power that depends on the rate of
+speed by a curve that no effect has. Printed are the false names, the share named of those with an expected evidence of EXPECTED
+nats or more and of the others, and the share of the 95 % intervals that have the true size.
 """
 
 import argparse

@@ -48,10 +48,11 @@ def measured_against_predicted(
     band: np.ndarray | None = None,
     reading: str = "thrust",
 ) -> go.Figure:
-    """Measured and predicted thrust [N], or another `reading` of a record, their difference with a band of +-2 `noise`, and a record's commands, over time [s].
+    """Measured and predicted thrust [N], their difference with a band of +-2 `noise`, and a record's commands, over time [s].
 
     Predictions are (n,) by name; `noise`: standard deviation [N] of a reading. `band`: standard deviation (n,) of a reading
-    about the first prediction; 1.96 of it are drawn around the prediction and in the residual.
+    about the first prediction; 1.96 of it are drawn around the prediction and in the residual. `reading`: a column in place of
+    thrust, in its own unit.
     """
     unit = QUANTITIES[reading].unit
     fig = panels(title, [style.label(reading), f"residual [{unit}]", *map(style.label, COMMANDS)], [260, 160, 110, 110])
