@@ -1,8 +1,7 @@
 """Power and voltage of records for their regression: the residual, its base, and the signals that effects depend on.
 
-The residual of the identified model (fit.py) at the simulated speed and pitch is regressed on nuisance terms: a map of degree
-DEGREE, the copper loss, the acceleration of the rotor (J omega domega/dt and its copper loss), and errors of the lags of speed
-and pitch. The voltage has a line in time as its base. The current is predicted from the fitted power, so the noise of
+The residual of the identified model (fit.py) at the simulated speed and pitch is regressed on nuisance terms: a map, the copper
+loss, the acceleration of the rotor (J omega domega/dt and its copper loss), and errors of the lags of speed and pitch. The voltage has a line in time as its base. The current is predicted from the fitted power, so the noise of
 its reading does not bias the resistance (two-stage least squares).
 """
 
@@ -20,13 +19,14 @@ from identification.power.effects import Signals
 from identification.power.fit import electrical
 from identification.power.model import PowerModel
 from identification.power.regression import STEP, Fit, Part
-from vpp_fmu.kernel.power import MOTOR, RAD_PER_S
+from vpp_fmu.kernel.power import MOTOR, POWER_TERMS, RAD_PER_S, polynomial
 from vpp_fmu.native import Simulator
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 
-DEGREE = 4
-"""Degree in speed, and in pitch, of the map that is refined on the records: that of the copper loss of a torque of degree 2."""
+STATIC = ((0, 0), *POWER_TERMS, *((4, j) for j in range(5)))
+"""Powers (i, j) of the terms w^i b^j of the map that is refined on the records: a constant, the terms of a map of power, and the
+copper loss of a torque of degree 2."""
 
 FINE = 0.01
 """Largest step of a difference quotient, as a share of the slowest time constant."""
@@ -82,7 +82,7 @@ def power_part(name: str, r: Response, model: PowerModel, block: float, largest:
     to_speed = (model.at(p.omega + near, p.beta) - model.at(p.omega - near, p.beta)) / (2.0 * near)
     to_pitch = (model.at(p.omega, p.beta + by) - model.at(p.omega, p.beta - by)) / (2.0 * by)
     w, b = p.omega / values["omega_scale"], p.beta / values["beta_scale"]
-    static = [w**i * b**j for i in range(DEGREE + 1) for j in range(DEGREE + 1)]
+    static = [polynomial((term,), (1.0,), w, b) + 0.0 * w for term in STATIC]
     driven = [faster * term for term in (1.0 + 0.0 * w, w, w**2, w**2 * b, w**2 * b**2, faster)]
     base = [*static, load, *driven, *r.lags.T, *(w * turn for turn in r.turns.T)]
     step, loss = float(np.median(p.record.steps)), values.get(MOTOR.full("loss"), 0.0)

@@ -13,8 +13,9 @@ from scipy.optimize import brentq, least_squares
 from scipy.stats import chi2
 
 from identification.diagnose.command_shapes import regress_out
-from identification.diagnose.crossval import folds
+from identification.diagnose.crossval import folds, informed_inverse
 from identification.diagnose.judgement import ACCURACY
+from identification.diagnose.learned.score import ESTIMABLE
 from identification.fit.noise import Blocks, Colour, colour_of
 from identification.fit.uncertainty import NORMAL_95
 from identification.power.effects import PowerEffect, Signals
@@ -26,6 +27,9 @@ SCAN = 1.6
 
 STEP = 1e-4
 """Relative step of a derivative."""
+
+RANK = 1e-6
+"""Relative singular value below which columns of the base count as collinear."""
 
 NONE = np.zeros(0)
 
@@ -73,7 +77,7 @@ class Problem:
         self.size[self.size == 0.0] = 1.0
         self.base, self.measured = base / self.size, self.whitened([p.means[0] for p in parts])
         turned, power, _ = np.linalg.svd(self.base, full_matrices=False)
-        self.basis = turned[:, power > 1e-8 * power[0]]
+        self.basis = turned[:, power > RANK * power[0]]
 
     @classmethod
     def of(cls, parts: Sequence[Part], effects: Sequence[PowerEffect] = (), x: np.ndarray = NONE) -> "Problem":
@@ -201,7 +205,7 @@ class Fit:
         """(k,) of the base."""
         p = self.problem
         rest = p.measured - p.whitened([part.mean_response(self.effects, self.x) for part in p.parts])
-        return np.linalg.lstsq(p.base, rest, rcond=1e-8)[0] / p.size
+        return np.linalg.lstsq(p.base, rest, rcond=RANK)[0] / p.size
 
     def error(self, part: Part) -> np.ndarray:
         """Block means (blocks,) measured minus model, of any record."""
@@ -216,11 +220,12 @@ class Fit:
         white = np.hstack([p.base, self.jacobian])
         raw = [np.hstack([part.means[1] / p.size, s]) for part, s in zip(p.parts, self.slopes, strict=True)]
         own = [folds(part.at.time, float(part.record.time[-1])) for part in p.parts]
-        fold = p.rows_of(own)
+        fold, whole = p.rows_of(own), white.T @ white
         squares, errors = 0.0, []
         for k in range(int(fold.max()) + 1):
             out = fold == k
-            move, *_ = np.linalg.lstsq(white[~out], self.residual[~out], rcond=1e-8)
+            inverse = informed_inverse(white[~out].T @ white[~out], whole, ESTIMABLE)
+            move = inverse @ (white[~out].T @ self.residual[~out])
             squares += float(np.sum((self.residual[out] - white[out] @ move) ** 2))
             errors += [(self.error(part) - r @ move)[f == k] for part, r, f in zip(p.parts, raw, own, strict=True)]
         return squares, float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2)))
