@@ -174,7 +174,7 @@ class PowerDiagnosis:
     def verdict(self) -> str:
         """As of the thrust: none, attributed, family, partly, unexplained."""
         if self.lack[1].significant:
-            return "partly" if self.effects else "unexplained"
+            return "partly" if self.after.effects else "unexplained"
         return "family" if self.family else "attributed" if self.effects else "none"
 
     @property

@@ -1,8 +1,9 @@
 """Power and voltage of records for their regression: the residual, its base, and the signals that effects depend on.
 
-The residual of the identified model (fit.py) at the simulated speed and pitch is regressed on nuisance terms: a map, the copper
-loss, the acceleration of the rotor (J omega domega/dt and its copper loss), and errors of the lags of speed and pitch. The voltage has a line in time as its base. The current is predicted from the fitted power, so the noise of
-its reading does not bias the resistance (two-stage least squares).
+The residual of the identified model (fit.py) at the simulated speed and pitch is regressed on nuisance terms: a map, the
+copper loss, the acceleration of the rotor (J omega domega/dt and its copper loss), and errors of the lags of speed and pitch.
+The voltage has a line in time as its base. The current is predicted from the fitted power, so the noise of its reading does not
+bias the resistance (two-stage least squares).
 """
 
 from collections.abc import Mapping
@@ -25,8 +26,8 @@ from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 
 STATIC = ((0, 0), *POWER_TERMS, *((4, j) for j in range(5)))
-"""Powers (i, j) of the terms w^i b^j of the map that is refined on the records: a constant, the terms of a map of power, and the
-copper loss of a torque of degree 2."""
+"""Powers (i, j) of the terms w^i b^j of the map that is refined on the records: a constant, the terms of a map of power, and
+those of the copper loss of a torque of degree 2."""
 
 FINE = 0.01
 """Largest step of a difference quotient, as a share of the slowest time constant."""

@@ -8,18 +8,23 @@ from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.sentences import change, sentence, size
 from vpp_fmu.digits import chance, interval, number
 
+VERDICTS = {
+    "none": "Nothing is missing.",
+    "partly": "A part of the lack of fit remains unexplained.",
+    "unexplained": "No effect of the power explains its lack of fit.",
+}
+
 
 def power_line(found: PowerDiagnosis) -> str:
     """The finding in sentences."""
     of = "Unseen" if found.unseen else "Cross-validated"
     before, after = found.errors
     errors = change(before, after, "W") if found.after.effects else size(before, "W")
-    text = sentence([_clause(found, effect) for effect in found.effects]) if found.effects else ""
-    rivals = sorted({name for names in found.family.values() for name in names})
-    text += f" These records do not distinguish it from {' or '.join(rivals)}." if rivals else ""
-    text += " A part of the lack of fit remains unexplained." if found.verdict == "partly" else ""
-    text += {"none": "Nothing is missing.", "unexplained": "No effect explains the lack of fit."}.get(found.verdict, "")
-    return f"Power: {text} {of} power error {errors}."
+    parts = ["Power:"] + ([sentence([_clause(found, effect) for effect in found.effects])] if found.effects else [])
+    if rivals := sorted({name for names in found.family.values() for name in names}):
+        parts.append(f"These records do not distinguish it from {' or '.join(rivals)}.")
+    parts += [VERDICTS[found.verdict]] if found.verdict in VERDICTS else []
+    return " ".join([*parts, f"{of} power error {errors}."])
 
 
 def _clause(found: PowerDiagnosis, effect: PowerEffect) -> str:
