@@ -129,7 +129,7 @@ def judged_effect(beside: Fit, fit: Fit | None, effect: PowerEffect, comparisons
     form = FORM * max(problem.fit().squares - beside.squares, 0.0) / 2.0
     needed, least = chance_threshold(k, comparisons) + form, ACCURACY * problem.largest
     if fit is None:
-        return Tried(effect, names, 0.0, needed, 0.0, 0.0, 0.0, least, ("its best size is impossible",))
+        return Tried(effect, names, 0.0, needed, 0.0, 0.0, 0.0, least, ("its best size has the wrong sign",))
     likelihood = 0.5 * (beside.squares - fit.squares)
     changes = [beside.error(p) - fit.error(p) for p in problem.parts]
     evidence, size = fit.evidence - beside.evidence, float(np.sqrt(np.nanmean(np.concatenate(changes) ** 2)))
@@ -159,7 +159,7 @@ def rivals(fit: Fit, effects: Sequence[PowerEffect]) -> dict[str, list[str]]:
 class PowerDiagnosis:
     """Result. `before`, `after`: fits of the power; `voltage`: the same of the voltage, None if not measured with the current.
     `lack`: of both fits of the power. `family`: by effect, others that fit as well. `unseen`: the validation record, if it has
-    power. `refuted`: why it refutes the effects of power, else ""."""
+    power. `refuted`: why held-out data refute the effects of power, else ""."""
 
     before: Fit
     after: Fit
@@ -189,8 +189,8 @@ class PowerDiagnosis:
 
     @cached_property
     def errors(self) -> tuple[float, float]:
-        """Rms error [W] of block means before and after: on the validation record, else in cross-validation."""
-        return tuple(_unseen_error(fit, self.unseen) if self.unseen else fit.held_out[1] for fit in (self.before, self.after))
+        """`held_out_error` [W] before and after."""
+        return held_out_error(self.before, self.unseen), held_out_error(self.after, self.unseen)
 
     @property
     def block(self) -> float:
@@ -218,9 +218,11 @@ class PowerDiagnosis:
                 found.setdefault(effect.name, {})[p.name] = own
         return found
 
-    def _passed_over(self, tried: Tried) -> str | None:
-        """Why an effect that passes its tests is not accepted; None if it is."""
-        return None if tried.effect in self.effects else self.refuted or "another effect explains more"
+    def why_not(self, tried: Tried) -> str | None:
+        """Why a candidate is rejected; None if it is accepted."""
+        if tried.refused or tried.effect in self.effects:
+            return "; ".join(tried.refused) or None
+        return self.refuted or "another effect explains more"
 
     def summary(self) -> dict:
         """The entry `power` of diagnosis.json."""
@@ -242,18 +244,15 @@ class PowerDiagnosis:
             found["not_identifiable"] = {SAG.name: "needs measured voltage and current"}
         found["lack_of_fit"] = dict(zip(("before", "after"), (lack.summary() for lack in self.lack), strict=True))
         found["candidates"] = [
-            {"name": t.effect.name, "form": t.effect.form, "beside": list(t.beside), **t.summary()}
-            | {
-                "why_not": "; ".join(t.refused)
-                or (None if t.effect in self.effects else self.refuted or "another explains more")
-            }
+            {"name": t.effect.name, "form": t.effect.form, "beside": list(t.beside), **t.summary(), "why_not": self.why_not(t)}
             for t in self.tried
         ]
         return found
 
 
-def _unseen_error(fit: Fit, part: Part) -> float:
-    return float(np.sqrt(np.nanmean(fit.error(part) ** 2)))
+def held_out_error(fit: Fit, unseen: Part | None) -> float:
+    """Rms error [W] of block means on the validation record, else in cross-validation."""
+    return float(np.sqrt(np.nanmean(fit.error(unseen) ** 2))) if unseen else fit.held_out[1]
 
 
 def diagnose_power(
@@ -284,9 +283,9 @@ def diagnose_power(
     hold_out, refuted = None, ""
     if unseen is not None and electrical(unseen.columns) is not None:
         hold_out = power_part("validation", plant(unseen), model, block, largest)
-        errors = [_unseen_error(fit, hold_out) for fit in (before, after)]
-        if errors[1] > errors[0]:
-            after, refuted, family = before, "the error on the validation record increases", {}
+    errors = [held_out_error(fit, hold_out) for fit in (before, after)]
+    if errors[1] > errors[0]:
+        after, family, refuted = before, {}, "the error on held-out data increases"
     lack = lack_of_fit(before, least), lack_of_fit(after, least)
     voltage = None
     if with_both:

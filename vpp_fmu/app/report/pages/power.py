@@ -16,7 +16,7 @@ VERDICTS = {
 
 
 def power_line(found: PowerDiagnosis) -> str:
-    """The finding in sentences."""
+    """The finding in sentences, in ASCII."""
     of = "Unseen" if found.unseen else "Cross-validated"
     before, after = found.errors
     errors = change(before, after, "W") if found.after.effects else size(before, "W")
@@ -34,7 +34,7 @@ def _clause(found: PowerDiagnosis, effect: PowerEffect) -> str:
 
 def add_power(page: Page, found: PowerDiagnosis) -> None:
     """The section: its finding, one figure, the sizes and the candidates."""
-    page.section("Power", power_line(found))
+    page.section("Power", power_line(found).removeprefix("Power: ").replace(" -> ", " → "))
     name, columns, lines = found.shown
     after = f" before and {number(found.errors[1], 3)} W after" if found.after.effects else ""
     title = f"The error of the power is {number(found.errors[0], 3)} W{after}"
@@ -51,7 +51,10 @@ def add_power(page: Page, found: PowerDiagnosis) -> None:
     ]
     if sizes:
         page.table(("effect", "parameter", "value", "95 % interval"), sizes, "Effects of the power. They are not in the FMU.")
-    rows = [(t.effect.label, " + ".join(t.beside) or "nothing", f"{t.evidence:.1f}", "; ".join(t.refused)) for t in found.tried]
-    page.table(("effect", "beside", "evidence [nat]", "rejected because"), rows, "Candidates.")
+    rows = [
+        (t.effect.label, " + ".join(t.beside) or "nothing", f"{t.evidence:.1f}", found.why_not(t) or "accepted")
+        for t in found.tried
+    ]
+    page.table(("effect", "beside", "evidence [nat]", "verdict"), rows, "Candidates.")
     if not found.voltage:
         page.note("supply_sag is not identifiable: it needs measured voltage and current.")
