@@ -91,8 +91,8 @@ def power_part(name: str, r: Response, model: PowerModel, block: float, largest:
     signals = Signals(time, expected, load, rate, p.thrust, np.zeros(len(time)), step, feedback)
     outputs = np.column_stack([expected, p.omega, p.beta])
     shapes = partial(output_shapes, p.record, outputs, (to_pitch, to_speed), slowest(values, values))
-    reading = electrical(p.record.columns) - expected
-    return Part(name, p.record, blocks(p.record, block), reading, np.column_stack(base), signals, shapes)
+    reading, at = electrical(p.record.columns), blocks(p.record, block)
+    return Part(name, p.record, at, reading - expected, np.column_stack(base), signals, shapes, _largest(reading))
 
 
 def _supply(part: Part, p: Prediction, power: Fit) -> Part:
@@ -103,7 +103,12 @@ def _supply(part: Part, p: Prediction, power: Fit) -> Part:
     current = terms @ np.linalg.lstsq(terms[seen], measured[seen], rcond=None)[0]
     since = time / time[-1]
     shapes, signals = partial(iter, (since**2, current)), replace(part.signals, current=current)
-    return replace(part, measured=p.record["voltage"], base=np.vander(since, 2), signals=signals, shapes=shapes)
+    volts = p.record["voltage"]
+    return replace(part, measured=volts, base=np.vander(since, 2), signals=signals, shapes=shapes, largest=_largest(volts))
+
+
+def _largest(reading: np.ndarray) -> float:
+    return float(np.nanmax(np.abs(reading)))
 
 
 def supply_parts(parts: Mapping[str, Part], shown: Mapping[str, Prediction], power: Fit) -> list[Part]:

@@ -37,7 +37,8 @@ NONE = np.zeros(0)
 @dataclass(frozen=True, eq=False)
 class Part:
     """One reading of one record: `measured` (rows,) and `base` (rows, k), whose coefficients are free; `shapes` that span the
-    residual of a missing effect, for the noise and the lack of fit. Block means are compared."""
+    residual of a missing effect, for the noise and the lack of fit. `largest`: the sensor's largest reading. Block means are
+    compared."""
 
     name: str
     record: Record
@@ -46,6 +47,7 @@ class Part:
     base: np.ndarray
     signals: Signals
     shapes: Callable[[], Iterator[np.ndarray]]
+    largest: float
 
     @cached_property
     def means(self) -> tuple[np.ndarray, np.ndarray]:
@@ -87,14 +89,13 @@ class Problem:
             residual, fitted = p.measured - p.response(effects, x), np.zeros((len(p.at.time), 0))
             rest, removed = regress_out(lambda p=p: (*p.shapes(), *p.base.T), p.at.mean, residual, fitted)
             colour = colour_of([p.at.mean(rest)], removed)
-            least = EXACT * float(np.nanmax(np.abs(p.measured)))  # readings without noise
-            found.append(replace(colour, innovation=max(colour.innovation, least)))
+            found.append(replace(colour, innovation=max(colour.innovation, EXACT * p.largest)))  # readings without noise
         return cls(parts, found)
 
     @cached_property
     def largest(self) -> float:
         """The largest reading."""
-        return max(float(np.nanmax(np.abs(p.measured))) for p in self.parts)
+        return max(p.largest for p in self.parts)
 
     def whitened(self, columns: Sequence[np.ndarray]) -> np.ndarray:
         """(n, ...) of block means of each record, where the reading exists."""

@@ -17,7 +17,10 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from identification.power.diagnose import PowerDiagnosis, diagnose_power
-from identification.power.fit import fit_power, steady_readings
+from identification.power.fit import electrical, fit_power, steady_readings
+from identification.power.model import PowerModel
+from identification.power.records import power_part, respond
+from identification.power.regression import Problem
 from vpp_fmu.campaign import StaticMap
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.kernel.power import RAD_PER_S
@@ -149,11 +152,28 @@ class Rig:
         base = ParameterSet(BASE).replaced(values)
         return fit_power(steady_readings(self.points, base.values)).added_to(base)
 
-    def diagnosed(self, hidden: str) -> PowerDiagnosis:
+    def open_loop(self, hidden: str) -> Record:
         """The same commands and noise for each `hidden` effect."""
-        rng = np.random.default_rng([self.seed, 79])
-        records = {"open_loop": self.record(rng, hidden)}
-        return diagnose_power(records, self.record(rng, hidden), self.parameters, BLOCK)
+        return self.record(np.random.default_rng([self.seed, 79]), hidden)
+
+    def diagnosed(self, hidden: str) -> PowerDiagnosis:
+        """With a validation record of its own commands."""
+        unseen = self.record(np.random.default_rng([self.seed, 80]), hidden)
+        return diagnose_power({"open_loop": self.open_loop(hidden)}, unseen, self.parameters, BLOCK)
+
+    def expected(self, found: PowerDiagnosis) -> float:
+        """Evidence of what is hidden if its size were known, under the noise of the same record without it. A voltage's noise
+        is that of the final fit."""
+        clean, full = self.open_loop("none"), self.open_loop(self.kind)
+        if self.kind == "supply_sag":
+            problem, signal = found.voltage[1].problem, full["voltage"] - clean["voltage"]
+        else:
+            response, model = respond(self.parameters, clean), PowerModel.of(self.parameters)
+            problem = Problem.of([power_part("clean", response, model, BLOCK, 1.0)])
+            signal = electrical(full.columns) - electrical(clean.columns)
+        white = problem.orthogonal(problem.whitened([problem.parts[0].at.mean(signal)]))
+        sizes = 2 if self.kind == "resistance_heating" else 1
+        return 0.5 * float(white @ white) - 0.5 * sizes * np.log(len(white))
 
 
 def thrust_of(omega, beta):
@@ -193,15 +213,7 @@ def diagnosed(seed: int, kind: str | None = None) -> Outcome:
     rig = Rig(seed, kind)
     found = rig.diagnosed(kind)
     names = tuple(f"{e.name} {e.form}".removesuffix(" only") for e in found.effects)
-    expected = 0.0
-    if kind not in ("none", "curve"):
-        clean = rig.diagnosed("none")
-        k = 2 if kind == "resistance_heating" else 1
-        sag = kind == "supply_sag"
-        one, other = (clean.voltage[0], found.voltage[0]) if sag else (clean.before, found.before)
-        signal = [b.means[0] - a.means[0] for a, b in zip(one.problem.parts, other.problem.parts, strict=True)]
-        white = one.problem.orthogonal(one.problem.whitened(signal))
-        expected = 0.5 * float(white @ white) - 0.5 * k * np.log(len(white))
+    expected = rig.expected(found) if kind not in ("none", "curve") else 0.0
     sizes = truth(rig, found) if kind in names else {}
     covered, shown = [], []
     for (name, p), value in sizes.items():
