@@ -29,6 +29,8 @@ from vpp_fmu.record import Record
 
 KINDS = ("none", "resistance_heating", "servo_load rate", "servo_load rate and thrust", "supply_sag", "power_drift", "curve")
 EXPECTED = 20.0
+WITHOUT_TORQUE = "resistance_heating, no torque"
+"""Rigs that heat and whose steady points have no torque: the size is rough."""
 BLOCK = 0.5 / 30.0
 LAGS = {"tau_omega_1": 0.12, "tau_omega_2": 0.05, "tau_beta_1": 0.1, "tau_beta_2": 0.06}
 
@@ -224,7 +226,8 @@ def diagnosed(seed: int, kind: str | None = None) -> Outcome:
     line = f"{seed:4d} {kind:27s} {found.verdict:12s} {', '.join(names) or '-':30s} expected {expected:7.1f}  "
     line += f"{d['columns']} torque {d['torque']} noise {d['noise']:.3f} rate {d['rate']:.0f}  {'; '.join(shown)}"
     line += f" lack p {found.lack[1].p:.2g} {found.lack[1].size:.3g} W"
-    return Outcome(kind, names, found.verdict, expected, tuple(covered), found.errors, line)
+    rough = kind == "resistance_heating" and not d["torque"]
+    return Outcome(WITHOUT_TORQUE if rough else kind, names, found.verdict, expected, tuple(covered), found.errors, line)
 
 
 def truth(rig: Rig, found: PowerDiagnosis) -> dict:
@@ -265,10 +268,10 @@ def main(options=None):
 
 
 def table(found: list[Outcome]) -> str:
-    lines = [f"{'hidden':27s} {'rigs':>4s} {'named, expected >= 20':>22s} {'named, weaker':>14s} {'other names':>12s} "]
+    lines = [f"{'hidden':30s} {'rigs':>4s} {'named, expected >= 20':>22s} {'named, weaker':>14s} {'other names':>12s} "]
     lines[0] += f"{'lack of fit':>12s} {'sizes covered':>14s}"
-    for kind in KINDS:
-        own = [o for o in found if o.kind == kind]
+    for label in (*KINDS, WITHOUT_TORQUE):
+        own, kind = [o for o in found if o.kind == label], label.partition(",")[0]
         clear = [o for o in own if o.expected >= EXPECTED]
         weak = [o for o in own if o.expected < EXPECTED]
         others = sum(any(n != kind for n in o.names) for o in own)
@@ -276,7 +279,7 @@ def table(found: list[Outcome]) -> str:
         covered = [c for o in own for c in o.covered]
         named = [f"{sum(kind in o.names for o in group)} of {len(group)}" for group in (clear, weak)]
         lines.append(
-            f"{kind:27s} {len(own):4d} {named[0]:>22s} {named[1]:>14s} {others:12d} {lack:12d} "
+            f"{label:30s} {len(own):4d} {named[0]:>22s} {named[1]:>14s} {others:12d} {lack:12d} "
             f"{f'{sum(covered)} of {len(covered)}':>14s}"
         )
     return "\n".join(lines)
