@@ -8,9 +8,8 @@
 u is the squared torque of the motor over its largest, so u P_c is its copper loss R I^2 when cold. The winding's temperature is
 a first-order lag of that heat, and the resistance grows in proportion. P_c [W] is the loss at u = 1; it is known if torque was
 measured. Else u is that of the electrical power over speed, and the gain has the feedback of the resistance on the heat in it:
-a rough size. A lead screw holds its load without power, so a servo
-takes power only while it moves: against friction, or against friction that is proportional to thrust. A drift with time, as of
-a battery or an amplifier, resembles a winding that heats slowly.
+a rough size. A lead screw holds its load without power, so a servo takes power only while it moves: against friction, or
+against friction that is proportional to thrust. A drift with time, as of a battery, resembles a winding that heats slowly.
 """
 
 from collections.abc import Callable, Mapping

@@ -56,13 +56,13 @@ def respond(parameters: ParameterSet, record: Record) -> Response:
     steps = np.append(record.steps, record.period) / parts
     split["time"] = record.time[0] + np.append(0.0, np.cumsum(np.repeat(steps, parts))[:-1])
     fine = replace(record, columns=split, late=0.0).commands_later(parts * record.late)
-    outputs, tangents = Simulator(model, wrt).sensitivities(values, *fine.run)
-    moving = np.column_stack([outputs[:, 1:3], tangents[:, 1, :2]])
-    rates = (4.0 * moving[1::parts] - moving[2::parts] - 3.0 * moving[::parts]) / (2.0 * steps[:, None])
     names = [y.name for y in model.outputs]
-    thrust, omega, beta, *further = outputs[::parts].T
+    simulated = Simulator(model, wrt).pieces(values, *fine.run, of=[names.index("omega"), names.index("power")])
+    whole = np.vstack([np.hstack([outputs, slopes[:, 0, :2], slopes[:, 1]]) for _, outputs, slopes in simulated])
+    rates = (4.0 * whole[1::parts] - whole[2::parts] - 3.0 * whole[::parts]) / (2.0 * steps[:, None])
+    (thrust, omega, beta, *further), count = whole[::parts, : len(names)].T, len(names)
     shown = Prediction(record, thrust, omega, beta, dict(zip(names[3:], further, strict=True)))
-    return Response(shown, rates[:, :2], tangents[::parts, names.index("power")], rates[:, 2:])
+    return Response(shown, rates[:, 1:3], whole[::parts, count + 2 :], rates[:, count : count + 2])
 
 
 def squared_torque(model: PowerModel, p: Prediction) -> np.ndarray:
