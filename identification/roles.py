@@ -57,6 +57,6 @@ def together(records: Iterable[Fitted]) -> list[list[Fitted]]:
 def _same_commands(a: Record, b: Record) -> bool:
     if len(a) != len(b) or not np.array_equal(a.steps, b.steps):
         return False
-    measured = {"thrust", "omega", "beta", "current"}
+    measured = {"thrust", "omega", "beta", "current", "torque", "power"}
     names = [n for n in {*a.columns, *b.columns} - measured if n in a and n in b and a[n].dtype.kind == "f"]
     return all(np.array_equal(a[n], b[n]) for n in names)

@@ -39,18 +39,26 @@ def thrust_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarr
 
     `outputs` (rows, 3): thrust, speed and pitch of a model at `values`.
     """
-    thrust, speed, pitch = outputs.T
-    to_pitch, to_speed = map_slopes(values, speed, pitch)
-    step, takes = float(np.median(record.steps)), slowest(values, values)
+    yield from output_shapes(record, outputs, map_slopes(values, *outputs.T[1:]), slowest(values, values))
+
+
+def output_shapes(
+    record: Record, outputs: np.ndarray, slopes: tuple[np.ndarray, np.ndarray], takes: float
+) -> Iterator[np.ndarray]:
+    """Regressors of any output of speed and pitch, in its unit. `outputs` (rows, 3): the output, speed and pitch; `slopes`: its
+    derivatives by pitch and speed (rows,); `takes` [s]: the slowest time constant."""
+    output, speed, pitch = outputs.T
+    to_pitch, to_speed = slopes
+    step = float(np.median(record.steps))
     lags = [share * takes for share in LAGS]
-    for slope, u, output in ((to_pitch, "beta", pitch), (to_speed, "omega", speed)):
-        for shape in _shapes(record[f"{u}_ref"], output, step):
+    for slope, u, moved in ((to_pitch, "beta", pitch), (to_speed, "omega", speed)):
+        for shape in _shapes(record[f"{u}_ref"], moved, step):
             yield from (slope * _lagged(shape, lag, step) for lag in lags)
-        yield from (slope * wave for wave in _waves(record[f"{u}_ref"], output, step, takes))
+        yield from (slope * wave for wave in _waves(record[f"{u}_ref"], moved, step, takes))
     over_speed, over_pitch = _polynomials(speed), _polynomials(pitch)
     yield from (over_speed[i] * over_pitch[j] for i in range(POWER + 1) for j in range(POWER + 1 - i) if i + j)
     since = record.time / record.time[-1]
-    yield from (since, since**2, since * thrust)
+    yield from (since, since**2, since * output)
 
 
 def map_slopes(values: Mapping[str, float], speed: np.ndarray, pitch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

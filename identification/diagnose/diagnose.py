@@ -41,6 +41,7 @@ from identification.gate.gate import Passed, passed
 from identification.identify import Identification, off_bounds
 from identification.logger import Logger
 from identification.logger_fit import as_logged, likely_loggers
+from identification.power.diagnose import PowerDiagnosis, diagnose_power
 from identification.roles import Fitted, Unseen, roles
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.kernel.plant import LIBRARY
@@ -73,7 +74,8 @@ class Diagnosis:
     selected set. `held_out_before`, `held_out_after`: cross-validation of base and final model. `unseen`: the validation
     record, used only after the model is final. `refuted`: why validation refutes the selected set, else "". `attempt`: to learn
     a term, if no effect explains the lack of fit. `best_guess`: the best candidate if the lack of fit is not explained; None
-    otherwise, or without candidates. `not_tried`: steps for which the time budget did not suffice.
+    otherwise, or without candidates. `not_tried`: steps for which the time budget did not suffice. `power`: diagnosis of the
+    electrical power, None without.
     """
 
     campaign: Campaign
@@ -101,6 +103,7 @@ class Diagnosis:
     attempt: Attempt
     best_guess: Guess | None
     not_tried: tuple[str, ...]
+    power: PowerDiagnosis | None = None
 
     @property
     def learned(self) -> Learned | None:
@@ -230,7 +233,13 @@ def diagnose(
             again = as_logged(gate, [*kept, *beside], library, found.selection.final.values)
             if not again.logger.agrees_with(found.logger):
                 found = _simpler(found, run(again))
-        return replace(found, not_tried=tuple(effort.not_tried))
+        return replace(found, not_tried=tuple(effort.not_tried), power=_power(found))
+
+
+def _power(found: Diagnosis) -> PowerDiagnosis | None:
+    """The diagnosis of power, beside the final model."""
+    records, unseen = {one.name: one.record for one in found.fitted}, found.unseen and found.unseen.record
+    return diagnose_power(records, unseen, found.parameters(found.final), found.noise.block)
 
 
 def _may_be_loggers(found: Diagnosis) -> bool:

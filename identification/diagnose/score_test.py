@@ -7,6 +7,7 @@ residual that is spread over the whole record. The pure-error test has little po
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from scipy.stats import f as f_distribution
@@ -15,7 +16,6 @@ from identification.diagnose.command_shapes import speed_shapes, thrust_shapes
 from identification.diagnose.search.fits import Fit
 from identification.fit.bands import ORDINATES, banded, starts
 from identification.fit.experiment import CHANNELS, Experiment
-from identification.fit.linearised import Linearised
 
 TINY = 1e-3
 """Degrees of freedom that count as none."""
@@ -109,7 +109,16 @@ def shape_columns(fit: Fit, channel: str, parts: Sequence[slice]) -> np.ndarray:
     return found
 
 
-def orthonormal_scores(about: Linearised, columns: np.ndarray, at: slice) -> tuple[np.ndarray, np.ndarray]:
+class Projected(Protocol):
+    """A residual of a fit, and the projection of rows on what the fit does not follow, as `Linearised`."""
+
+    @property
+    def residual(self) -> np.ndarray: ...
+
+    def channel_orthogonal_gram(self, rows: np.ndarray, at: slice) -> np.ndarray: ...
+
+
+def orthonormal_scores(about: Projected, columns: np.ndarray, at: slice) -> tuple[np.ndarray, np.ndarray]:
     """(`turned` (m, k): turned @ columns are orthonormal directions orthogonal to all parameters; the residual's component (m,)
     in each). `columns` (k, n), of the rows `at`, are orthogonalised and normalised in place."""
     followed, whole = columns @ about.residual[at], np.einsum("kn,kn->k", columns, columns)

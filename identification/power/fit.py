@@ -92,7 +92,7 @@ class PowerFit:
 def steady_readings(static: StaticMap, scales: Mapping[str, float]) -> Readings | None:
     """Readings of steady points; None without torque and power. `scales`: of the thrust map."""
     of = static.further
-    return _readings(static.omega, static.beta_ref, of.get("torque"), _electrical(of), static.source, scales)
+    return _readings(static.omega, static.beta_ref, of.get("torque"), electrical(of), static.source, scales)
 
 
 def moving_readings(prediction: Prediction, scales: Mapping[str, float]) -> Readings | None:
@@ -100,7 +100,7 @@ def moving_readings(prediction: Prediction, scales: Mapping[str, float]) -> Read
     record = prediction.record
     of = {name: record[name] for name in ("torque", "voltage", "current", "power") if name in record}
     rate = np.gradient(prediction.omega, record.time) * RAD_PER_S
-    columns = [of.get("torque"), _electrical(of)]
+    columns = [of.get("torque"), electrical(of)]
     kept = np.logical_and.reduce([np.isfinite(c) for c in (rate, *columns) if c is not None])
     if not kept.any():
         return None
@@ -108,7 +108,7 @@ def moving_readings(prediction: Prediction, scales: Mapping[str, float]) -> Read
     return _readings(prediction.omega[kept], prediction.beta[kept], torque, power, record.source, scales, rate[kept])
 
 
-def _electrical(of: Mapping[str, np.ndarray]) -> np.ndarray | None:
+def electrical(of: Mapping[str, np.ndarray]) -> np.ndarray | None:
     """Electrical power [W]: as measured, else voltage times current."""
     if "power" in of:
         return of["power"]

@@ -75,6 +75,7 @@ LABELS = {
     "beta_ref": "pitch command [deg]",
     "voltage": "voltage [V]",
     "current": "current [A]",
+    "power": "power [W]",
 }
 """Axis labels of the columns of a record."""
 

@@ -72,6 +72,7 @@ def summary(found: Diagnosis) -> dict:
         "candidates": [_tried(found, t) for tried in found.selection.rounds for t in tried],
         "cannot_be_seen": found.distinguishability.invisible(),
         "cannot_be_told_apart": [{"effects": [a, b], "overlap": overlap} for a, b, overlap in found.distinguishability.alike()],
+        **({"power": found.power.summary()} if found.power else {}),
         "unexplained": {"share_left": None if found.explained is None else 1.0 - found.explained, **found.location},
     }
 

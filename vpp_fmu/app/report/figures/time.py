@@ -9,7 +9,7 @@ from plotly import graph_objects as go
 from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import add_band, add_envelope, add_line, axis, figure, panels, places, to_the_eye
 from vpp_fmu.digits import number
-from vpp_fmu.record import Record
+from vpp_fmu.record import QUANTITIES, Record
 
 COMMANDS = {"omega_ref": "omega", "beta_ref": "beta"}
 """Commands, and what is measured of them."""
@@ -47,16 +47,20 @@ def measured_against_predicted(
     title: str,
     noise: float | None = None,
     band: np.ndarray | None = None,
+    reading: str = "thrust",
 ) -> go.Figure:
     """Measured and predicted thrust [N], their difference with a band of +-2 `noise`, and a record's commands with what is
     measured of them, over time [s].
 
     Predictions are (n,) by name; `noise`: standard deviation [N] of a reading. `band`: standard deviation (n,) of a reading
-    about the first prediction; 1.96 of it are drawn around the prediction and in the residual.
+    about the first prediction; 1.96 of it are drawn around the prediction and in the residual. `reading`: a column in place of
+    thrust, in its own unit.
     """
-    fig = panels(title, ["thrust [N]", "residual [N]", *map(style.label, COMMANDS.values())], [260, 160, 110, 110])
+    unit = QUANTITIES[reading].unit
+    labels = [style.label(reading), f"residual [{unit}]", *map(style.label, COMMANDS.values())]
+    fig = panels(title, labels, [260, 160, 110, 110])
     time = np.asarray(record["time"])
-    measured = np.asarray(record["thrust"] if "thrust" in record else np.full(len(time), np.nan), float)
+    measured = np.asarray(record[reading] if reading in record else np.full(len(time), np.nan), float)
     residuals = {name: measured - values for name, values in predictions.items()}
     beside = [record[name] for both in COMMANDS.items() for name in both if name in record]
     kept = places([measured, *predictions.values(), *residuals.values(), *beside])
@@ -67,11 +71,11 @@ def measured_against_predicted(
             add_envelope(fig, time, centre - reach, centre + reach, "95 % of readings expected", style.BAND, panel)
     add_line(fig, time, measured[kept], "measured", style.MEASURED, 1, 0)
     if noise is not None:
-        add_band(fig, 1, 2 * noise, f"± 2 noise ({number(2 * noise)} N)")
+        add_band(fig, 1, 2 * noise, f"± 2 noise ({number(2 * noise)} {unit})")
     colours = style.colours(predictions)
     for name, residual in residuals.items():
         seen = residual[np.isfinite(residual)]
-        error = f"rmse {number(np.sqrt(np.mean(seen**2)))} N" if len(seen) else "nothing measured beside it"
+        error = f"rmse {number(np.sqrt(np.mean(seen**2)))} {unit}" if len(seen) else "nothing measured beside it"
         add_line(fig, time, np.asarray(predictions[name])[kept], f"{name}, {error}", colours[name], 1.6, 0)
         add_line(fig, time, residual[kept], f"{name}, residual", colours[name], 1, 1, f"{name}, {error}")
     for panel, (name, output) in enumerate(COMMANDS.items(), start=2):

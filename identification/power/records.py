@@ -1,0 +1,121 @@
+"""Power and voltage of records for their regression: the residual, its base, and the signals that effects depend on.
+
+The residual of the identified model (fit.py) at the simulated speed and pitch is regressed on nuisance terms: a map, the
+copper loss, the acceleration of the rotor (J omega domega/dt and its copper loss), and errors of the lags of speed and pitch.
+The voltage has a line in time as its base. The current is predicted from the fitted power, so the noise of its reading does not
+bias the resistance (two-stage least squares).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from identification.assessment.prediction import Prediction
+from identification.diagnose.command_shapes import output_shapes
+from identification.fit.coordinates import slowest
+from identification.fit.noise import blocks
+from identification.power.effects import Signals
+from identification.power.fit import electrical
+from identification.power.model import PowerModel
+from identification.power.regression import STEP, Fit, Part
+from vpp_fmu.kernel.power import MOTOR, POWER_TERMS, RAD_PER_S, polynomial
+from vpp_fmu.native import Simulator
+from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.record import Record
+
+STATIC = ((0, 0), *POWER_TERMS, *((4, j) for j in range(5)))
+"""Powers (i, j) of the terms w^i b^j of the map that is refined on the records: a constant, the terms of a map of power, and
+those of the copper loss of a torque of degree 2."""
+
+FINE = 0.01
+"""Largest step of a difference quotient, as a share of the slowest time constant."""
+
+LEAST_SPEED = 0.02
+"""Share of the speed scale below which a speed is replaced by it where power is divided by speed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Of a plant to a record. `rates` (rows, 2): of speed [rpm/s] and pitch [deg/s]. `lags` (rows, k): derivatives of the power
+    by the plant's lags. `turns` (rows, k): derivatives of the rate of speed by the lags of speed."""
+
+    shown: Prediction
+    rates: np.ndarray
+    lags: np.ndarray
+    turns: np.ndarray
+
+
+def respond(parameters: ParameterSet, record: Record) -> Response:
+    """Simulate. Rates bend where a command steps, so they are forward differences over fractions of a row."""
+    values, model = parameters.values, parameters.model
+    wrt = tuple(f"tau_{u}_{k}" for u in ("omega", "beta") for k in (1, 2))
+    parts = max(int(np.ceil(record.period / (FINE * slowest(values, values)))), 3)
+    split = {name: np.repeat(column, parts) for name, column in record.columns.items() if column.dtype.kind == "f"}
+    steps = np.append(record.steps, record.period) / parts
+    split["time"] = record.time[0] + np.append(0.0, np.cumsum(np.repeat(steps, parts))[:-1])
+    fine = replace(record, columns=split, late=0.0).commands_later(parts * record.late)
+    names = [y.name for y in model.outputs]
+    simulated = Simulator(model, wrt).pieces(values, *fine.run, of=[names.index("omega"), names.index("power")])
+    whole = np.vstack([np.hstack([outputs, slopes[:, 0, :2], slopes[:, 1]]) for _, outputs, slopes in simulated])
+    rates = (4.0 * whole[1::parts] - whole[2::parts] - 3.0 * whole[::parts]) / (2.0 * steps[:, None])
+    (thrust, omega, beta, *further), count = whole[::parts, : len(names)].T, len(names)
+    shown = Prediction(record, thrust, omega, beta, dict(zip(names[3:], further, strict=True)))
+    return Response(shown, rates[:, 1:3], whole[::parts, count + 2 :], rates[:, count : count + 2])
+
+
+def squared_torque(model: PowerModel, p: Prediction) -> np.ndarray:
+    """Squared torque (rows,) of the motor; without a measured torque that of the electrical power."""
+    values = model.parameters.values
+    if MOTOR.name in model.parameters.model.optional:
+        return (p.further["torque"] + values[MOTOR.full("friction")]) ** 2
+    speed = np.maximum(np.abs(p.omega), LEAST_SPEED * values["omega_scale"])
+    return (p.further["power"] / (speed * RAD_PER_S)) ** 2
+
+
+def power_part(name: str, r: Response, model: PowerModel, block: float, largest: float) -> Part:
+    """The power of a record, less that of the identified model."""
+    p, (faster, rate) = r.shown, r.rates.T
+    values, time = model.parameters.values, p.record.time
+    expected, load = p.further["power"], squared_torque(model, p) / largest
+    near, by = STEP * values["omega_scale"], STEP * values["beta_scale"]
+    to_speed = (model.at(p.omega + near, p.beta) - model.at(p.omega - near, p.beta)) / (2.0 * near)
+    to_pitch = (model.at(p.omega, p.beta + by) - model.at(p.omega, p.beta - by)) / (2.0 * by)
+    w, b = p.omega / values["omega_scale"], p.beta / values["beta_scale"]
+    static = [polynomial((term,), (1.0,), w, b) + 0.0 * w for term in STATIC]
+    driven = [faster * term for term in (1.0 + 0.0 * w, w, w**2, w**2 * b, w**2 * b**2, faster)]
+    base = [*static, load, *driven, *r.lags.T, *(w * turn for turn in r.turns.T)]
+    step, loss = float(np.median(p.record.steps)), values.get(MOTOR.full("loss"), 0.0)
+    feedback = 1.0 / (loss * largest) if loss > 0.0 else 0.0
+    signals = Signals(time, expected, load, rate, p.thrust, np.zeros(len(time)), step, feedback)
+    outputs = np.column_stack([expected, p.omega, p.beta])
+    shapes = partial(output_shapes, p.record, outputs, (to_pitch, to_speed), slowest(values, values))
+    reading, at = electrical(p.record.columns), blocks(p.record, block)
+    return Part(name, p.record, at, reading - expected, np.column_stack(base), signals, shapes, _largest(reading))
+
+
+def _supply(part: Part, p: Prediction, power: Fit) -> Part:
+    """The voltage of a record; its current is regressed on the power that the final fit predicts."""
+    time, measured = p.record.time, p.record["current"]
+    predicted = part.signals.power + part.base @ power.coefficients + part.response(power.effects, power.x)
+    seen, terms = np.isfinite(measured), np.vander(predicted / np.max(np.abs(predicted)), 3)
+    current = terms @ np.linalg.lstsq(terms[seen], measured[seen], rcond=None)[0]
+    since = time / time[-1]
+    shapes, signals = partial(iter, (since**2, current)), replace(part.signals, current=current)
+    volts = p.record["voltage"]
+    return replace(part, measured=volts, base=np.vander(since, 2), signals=signals, shapes=shapes, largest=_largest(volts))
+
+
+def _largest(reading: np.ndarray) -> float:
+    return float(np.nanmax(np.abs(reading)))
+
+
+def supply_parts(parts: Mapping[str, Part], shown: Mapping[str, Prediction], power: Fit) -> list[Part]:
+    """The voltages of records, by name, beside a fit of their `parts` of power. Each record has coefficients of its own."""
+    found = [_supply(parts[name], p, power) for name, p in shown.items()]
+    width = found[0].base.shape[1]
+    wide = [np.zeros((len(p.measured), width * len(found))) for p in found]
+    for k, p in enumerate(found):
+        wide[k][:, k * width : (k + 1) * width] = p.base
+    return [replace(p, base=base) for p, base in zip(found, wide, strict=True)]

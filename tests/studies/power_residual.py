@@ -1,0 +1,285 @@
+"""python -m tests.studies power_residual [--rigs 60] [--first-seed 0]: effects of power that synthetic rigs hide.
+
+Each rig has equations of its own: lags of speed and pitch, torque, a motor with a winding that heats, a servo and a supply. Its
+map and motor are fitted from steady points as in the study `power`; the lags that the diagnosis gets are wrong by 1 %. Noise is
+white, and half of the rigs have slow noise, too. A rig hides nothing, one effect, or a power that depends on the rate of
+speed by a curve that no effect has. Printed are the false names, the share named of those with an expected evidence of EXPECTED
+nats or more and of the others, and the share of the 95 % intervals that have the true size.
+"""
+
+import argparse
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.signal import lfilter
+
+from identification.power.diagnose import PowerDiagnosis, diagnose_power
+from identification.power.fit import electrical, fit_power, steady_readings
+from identification.power.model import PowerModel
+from identification.power.records import power_part, respond
+from identification.power.regression import Problem
+from vpp_fmu.campaign import StaticMap
+from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.kernel.power import RAD_PER_S
+from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.record import Record
+
+KINDS = ("none", "resistance_heating", "servo_load rate", "servo_load rate and thrust", "supply_sag", "power_drift", "curve")
+EXPECTED = 20.0
+WITHOUT_TORQUE = "resistance_heating, no torque"
+"""Rigs that heat and whose steady points have no torque: the size is rough."""
+BLOCK = 0.5 / 30.0
+LAGS = {"tau_omega_1": 0.12, "tau_omega_2": 0.05, "tau_beta_1": 0.1, "tau_beta_2": 0.06}
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What one seed draws."""
+
+    seed: int
+    kind: str
+
+    @cached_property
+    def drawn(self) -> dict:
+        rng = np.random.default_rng([self.seed, 77])
+        found = {
+            "map": rng.uniform([0.05, 0.05, 0.1], [0.15, 0.15, 0.4]),  # N.m: w^2, w^2 b, w^2 b^2
+            "constant": rng.uniform(0.012, 0.022),  # N.m/A
+            "resistance": rng.uniform(0.03, 0.12),
+            "friction": rng.uniform(0.005, 0.02),
+            "idle": rng.uniform(1.0, 6.0),
+            "inertia": rng.uniform(1e-5, 1.5e-4),
+            "seconds": rng.uniform(60.0, 150.0),
+            "rate": float(rng.choice([60, 125, 250])),
+            "noise": float(np.exp(rng.uniform(np.log(0.003), np.log(0.03)))),
+            "slow": bool(rng.random() < 0.5),
+            "volts": rng.uniform(12.0, 50.0),
+            "strength": float(np.exp(rng.uniform(np.log(0.1), 0.0))),
+            "time_constant": float(np.exp(rng.uniform(np.log(5.0), np.log(60.0)))),
+            "columns": "volts" if self.kind == "supply_sag" or rng.random() < 0.4 else "power",
+            "torque": bool(rng.random() < 0.7),
+            "scatter": rng.uniform(-0.01, 0.01, 4),
+        }
+        return found | {"rng": rng}
+
+    def commands(self, rng):
+        """(time, speed [rpm], pitch [deg]): independent holds."""
+        d = self.drawn
+        time = np.round(np.arange(0.0, d["seconds"], 1.0 / d["rate"]), 9)
+        found = []
+        for low, high in ((2400.0, 6000.0), (-3.0, 9.0)):
+            at = np.cumsum(rng.uniform(0.4, 2.5, 500))
+            found.append(rng.uniform(low, high, 501)[np.searchsorted(at, time, side="right")])
+        return time, *found
+
+    def electrical(self, time, omega, beta, faster, rate, thrust, hidden):
+        """Power [W] of motor, ESC and servo."""
+        d, w, b = self.drawn, omega / 6000.0, (beta + 5.0) / 15.0
+        driven = d["map"][0] * w**2 + d["map"][1] * w**2 * b + d["map"][2] * w**2 * b**2 + d["friction"]
+        driven = driven + d["inertia"] * faster * RAD_PER_S
+        current = driven / d["constant"]
+        winding = np.full(len(time), d["resistance"])
+        if hidden == "resistance_heating" and len(time) > 1:
+            rise, step, share = 0.0, time[1], self.rise
+            for k, heat in enumerate(d["resistance"] * current**2):
+                winding[k] = d["resistance"] * (1.0 + rise)
+                rise += step / d["time_constant"] * (share * heat * (1.0 + rise) - rise)
+        power = winding * current**2 + driven * omega * RAD_PER_S + d["idle"]
+        if hidden == "servo_load rate":
+            power = power + self.size * np.abs(rate)
+        if hidden == "servo_load rate and thrust":
+            power = power + self.size * np.abs(rate * thrust)
+        if hidden == "curve":  # outside the list: the power depends on how the speed came about
+            power = power * (1.0 + 0.02 * d["strength"] * np.tanh(faster / 2000.0))
+        return power * (1.0 + self.size * time) if hidden == "power_drift" else power
+
+    @property
+    def rise(self) -> float:
+        """Share of the resistance per W of heat: 16 to 50 % at a usual load."""
+        d, (w, b) = self.drawn, (0.8, 0.7)
+        driven = w**2 * float(d["map"] @ [1.0, b, b**2]) + d["friction"]
+        return 0.5 * np.sqrt(d["strength"]) / (d["resistance"] * (driven / d["constant"]) ** 2)
+
+    @property
+    def size(self) -> float:
+        """Of the servo or the supply."""
+        d = self.drawn
+        scales = {"servo_load rate": 0.3, "servo_load rate and thrust": 0.05, "supply_sag": 0.1, "power_drift": 5e-4}
+        return scales.get(self.kind, 0.0) * d["strength"]
+
+    def record(self, rng, hidden):
+        """What the rig's logger writes."""
+        d = self.drawn
+        time, omega_ref, beta_ref = self.commands(rng)
+        tau = list(LAGS.values())
+        omega, faster = two_lags(omega_ref, *tau[:2], time[1])
+        beta, rate = two_lags(beta_ref, *tau[2:], time[1])
+        thrust = thrust_of(omega, beta)
+        power = self.electrical(time, omega, beta, faster, rate, thrust, hidden)
+        mean, n = float(power.mean()), len(time)
+        noise = d["noise"] * mean * rng.standard_normal(n)
+        if d["slow"]:
+            kept = np.exp(-time[1] / 0.3)
+            noise += lfilter([np.sqrt(1.0 - kept**2) * 0.5 * d["noise"] * mean], [1.0, -kept], rng.standard_normal(n))
+        power = power + noise
+        columns = {"time": time, "omega_ref": omega_ref, "beta_ref": beta_ref, "thrust": thrust + 0.1 * rng.standard_normal(n)}
+        inner = self.size if hidden == "supply_sag" else 0.0
+        half = 0.5 * d["volts"]
+        volts = half + np.sqrt(half**2 - inner * power)  # V = E - R I, P = V I
+        read = rng.standard_normal((2, n)) * [[0.002 * d["volts"]], [0.01 * mean / d["volts"]]]
+        supply = {"voltage": volts + read[0], "current": power / volts + read[1]}
+        return Record(columns | (supply if d["columns"] == "volts" else {"power": power}), "synthetic")
+
+    @cached_property
+    def points(self) -> StaticMap:
+        """Steady points of a cold rig."""
+        d, rng = self.drawn, np.random.default_rng([self.seed, 78])
+        w, b = (x.ravel() for x in np.meshgrid(np.linspace(0.35, 1.0, 10), np.linspace(0.0, 1.0, 10)))
+        omega, none = 6000.0 * w, np.zeros(len(w))
+        beta = 15.0 * b - 5.0
+        power = self.electrical(none, omega, beta, none, none, none, "")
+        torque = d["map"][0] * w**2 + d["map"][1] * w**2 * b + d["map"][2] * w**2 * b**2
+        further = {"power": power * (1.0 + 0.005 * rng.standard_normal(len(w)))}
+        if d["torque"]:
+            further["torque"] = torque * (1.0 + 0.005 * rng.standard_normal(len(w)))
+        return StaticMap(omega, beta, omega, thrust_of(omega, beta), none + 0.1, none + 100.0, "static.csv", further)
+
+    @cached_property
+    def parameters(self) -> ParameterSet:
+        """The identified plant: lags by 1 % wrong, torque and motor from the steady points."""
+        values = {n: t * (1.0 + s) for (n, t), s in zip(LAGS.items(), self.drawn["scatter"], strict=True)}
+        base = ParameterSet(BASE).replaced(values)
+        return fit_power(steady_readings(self.points, base.values)).added_to(base)
+
+    def open_loop(self, hidden: str) -> Record:
+        """The same commands and noise for each `hidden` effect."""
+        return self.record(np.random.default_rng([self.seed, 79]), hidden)
+
+    def diagnosed(self, hidden: str) -> PowerDiagnosis:
+        """With a validation record of its own commands."""
+        unseen = self.record(np.random.default_rng([self.seed, 80]), hidden)
+        return diagnose_power({"open_loop": self.open_loop(hidden)}, unseen, self.parameters, BLOCK)
+
+    def expected(self, found: PowerDiagnosis) -> float:
+        """Evidence of what is hidden if its size were known, under the noise of the same record without it. A voltage's noise
+        is that of the final fit."""
+        clean, full = self.open_loop("none"), self.open_loop(self.kind)
+        if self.kind == "supply_sag":
+            problem, signal = found.voltage[1].problem, full["voltage"] - clean["voltage"]
+        else:
+            response, model = respond(self.parameters, clean), PowerModel.of(self.parameters)
+            problem = Problem.of([power_part("clean", response, model, BLOCK, 1.0)])
+            signal = electrical(full.columns) - electrical(clean.columns)
+        white = problem.orthogonal(problem.whitened([problem.parts[0].at.mean(signal)]))
+        sizes = 2 if self.kind == "resistance_heating" else 1
+        return 0.5 * float(white @ white) - 0.5 * sizes * np.log(len(white))
+
+
+def thrust_of(omega, beta):
+    """N, of the paper's map."""
+    w, b, v = omega / 6000.0, (beta + 5.0) / 15.0, BASE.values()
+    return 15.0 * (v["c20"] * w**2 + v["c11"] * w * b + v["c21"] * w**2 * b + v["c12"] * w * b**2 + v["c30"] * w**3)
+
+
+def two_lags(command, slow, fast, step):
+    """(output, its rate per s) of two first-order lags, from rest on the first command; exact for held commands."""
+    states, rate = np.full(len(command), command[0]), np.zeros(len(command))
+    a = np.array([[-1.0 / slow, 0.0], [1.0 / fast, -1.0 / fast]])
+    fine = expm(a * step)
+    x = np.array([command[0], command[0]])
+    for k in range(len(command)):
+        states[k], rate[k] = x[1], (x[0] - x[1]) / fast
+        x = command[k] + fine @ (x - command[k])
+    return states, rate
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Of one rig: names found, expected evidence of what is hidden, and for each size whether its interval has the truth."""
+
+    kind: str
+    names: tuple[str, ...]
+    verdict: str
+    expected: float
+    covered: tuple[bool, ...]
+    errors: tuple[float, float]
+    line: str
+
+
+def diagnosed(seed: int, kind: str | None = None) -> Outcome:
+    """Draw a rig and diagnose it."""
+    kind = kind or KINDS[seed % len(KINDS)]
+    rig = Rig(seed, kind)
+    found = rig.diagnosed(kind)
+    names = tuple(f"{e.name} {e.form}".removesuffix(" only") for e in found.effects)
+    expected = rig.expected(found) if kind not in ("none", "curve") else 0.0
+    sizes = truth(rig, found) if kind in names else {}
+    covered, shown = [], []
+    for (name, p), value in sizes.items():
+        own = found.parameters[name][p]
+        covered.append(own["interval"][0] <= value <= own["interval"][1])
+        shown.append(f"{p} {value:.4g} in {own['interval'][0]:.4g} .. {own['interval'][1]:.4g}")
+    d = rig.drawn
+    line = f"{seed:4d} {kind:27s} {found.verdict:12s} {', '.join(names) or '-':30s} expected {expected:7.1f}  "
+    line += f"{d['columns']} torque {d['torque']} noise {d['noise']:.3f} rate {d['rate']:.0f}  {'; '.join(shown)}"
+    line += f" lack p {found.lack[1].p:.2g} {found.lack[1].size:.3g} W"
+    rough = kind == "resistance_heating" and not d["torque"]
+    return Outcome(WITHOUT_TORQUE if rough else kind, names, found.verdict, expected, tuple(covered), found.errors, line)
+
+
+def truth(rig: Rig, found: PowerDiagnosis) -> dict:
+    """True sizes by (effect, parameter)."""
+    if rig.kind == "supply_sag":
+        return {("supply_sag", "resistance"): rig.size}
+    if rig.kind == "power_drift":
+        return {("power_drift", "rate"): rig.size}
+    if rig.kind.startswith("servo_load"):
+        return {("servo_load", "load"): rig.size}
+    d = rig.drawn
+    time, omega_ref, beta_ref = rig.commands(np.random.default_rng([rig.seed, 79]))
+    omega, beta = (two_lags(c, *t, time[1])[0] for c, t in ((omega_ref, (0.12, 0.05)), (beta_ref, (0.1, 0.06))))
+    w, b = omega / 6000.0, (beta + 5.0) / 15.0
+    driven = d["map"][0] * w**2 + d["map"][1] * w**2 * b + d["map"][2] * w**2 * b**2 + d["friction"]
+    loss = d["resistance"] * float(np.max(driven) / d["constant"]) ** 2
+    return {
+        ("resistance_heating", "gain"): rig.rise * loss**2,
+        ("resistance_heating", "time_constant"): d["time_constant"],
+    }
+
+
+def main(options=None):
+    parser = argparse.ArgumentParser(prog="python -m tests.studies power_residual", description=__doc__.splitlines()[0])
+    parser.add_argument("--rigs", type=int, default=60, metavar="N")
+    parser.add_argument("--first-seed", type=int, default=0, metavar="N")
+    parser.add_argument("--workers", type=int, default=1, metavar="N")
+    parser.add_argument("--verbose", action="store_true", help="a line for each rig")
+    parsed = parser.parse_args(options)
+    seeds = range(parsed.first_seed, parsed.first_seed + parsed.rigs)
+    with ProcessPoolExecutor(parsed.workers) as pool:
+        found = []
+        for one in pool.map(diagnosed, seeds):
+            found.append(one)
+            if parsed.verbose:
+                print(one.line, flush=True)
+    print(table(found))
+
+
+def table(found: list[Outcome]) -> str:
+    lines = [f"{'hidden':30s} {'rigs':>4s} {'named, expected >= 20':>22s} {'named, weaker':>14s} {'other names':>12s} "]
+    lines[0] += f"{'lack of fit':>12s} {'sizes covered':>14s}"
+    for label in (*KINDS, WITHOUT_TORQUE):
+        own, kind = [o for o in found if o.kind == label], label.partition(",")[0]
+        clear = [o for o in own if o.expected >= EXPECTED]
+        weak = [o for o in own if o.expected < EXPECTED]
+        others = sum(any(n != kind for n in o.names) for o in own)
+        lack = sum(o.verdict in ("partly", "unexplained") for o in own)
+        covered = [c for o in own for c in o.covered]
+        named = [f"{sum(kind in o.names for o in group)} of {len(group)}" for group in (clear, weak)]
+        lines.append(
+            f"{label:30s} {len(own):4d} {named[0]:>22s} {named[1]:>14s} {others:12d} {lack:12d} "
+            f"{f'{sum(covered)} of {len(covered)}':>14s}"
+        )
+    return "\n".join(lines)
