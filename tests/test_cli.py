@@ -1,6 +1,9 @@
 """The command: the whole job from the shell, and one line for whatever is wrong."""
 
+import io
 import json
+import re
+import sys
 
 import numpy as np
 import pytest
@@ -170,6 +173,17 @@ def test_long_work_in_a_pipe_is_told_stage_by_stage(capsys):
         "vpp diagnose: identify",
         "vpp diagnose: noise",
     ]
+
+
+def test_long_work_on_a_terminal_shows_how_far_a_search_is_and_its_best(monkeypatch):
+    screen = io.StringIO()
+    screen.isatty = lambda: True
+    monkeypatch.setattr(sys, "stderr", screen)
+    with stages("vpp diagnose") as stage:
+        stage("try 51 candidates")
+        for k in range(1, 18):
+            stage.progress(k, 51, "pitch_backlash (1)")
+    assert re.search(r"try 51 candidates: 17/51, \S+ left, best so far: pitch_backlash \(1\)", screen.getvalue())
 
 
 LIMITS = {"omega_ref": (0.0, 5573.0), "beta_ref": (0.5, 13.6)}

@@ -187,6 +187,7 @@ def diagnose(
     workers: int = 2,
     seed: int = 0,
     stage: Callable[[str], None] = lambda text: None,
+    progress: Callable[[int, int, str], None] = lambda done, total, best: None,
     given: ParameterSet | None = None,
     smallest: float | None = None,
     smallest_speed: float | None = None,
@@ -195,7 +196,8 @@ def diagnose(
     thorough: bool = True,
     budget: float | None = None,
 ) -> Diagnosis:
-    """Find the effects that the model of a campaign needs. `stage` is called with the name of each stage.
+    """Find the effects that the model of a campaign needs. `stage` is called with the name of each stage, `progress` within a
+    search with the number of candidates that are done, that of all, and the name of the best so far.
 
     The model is identified from the campaign first, or it is `given`, its effects part of the base. The open-loop record, its
     repeat and further `records` are fitted; the validation record is used only after the model is final. `smallest` [N],
@@ -207,7 +209,7 @@ def diagnose(
     distinguished from it are tried, too. A missing effect may bias this estimate. So the logger is estimated again beside the
     effects that are found. If it differs, the campaign is diagnosed with it, too.
     """
-    effort = Effort(budget, thorough, stage)
+    effort = Effort(budget, thorough, stage, progress)
     # The fits run in parallel, each with one thread of linear algebra.
     with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
         stage("quality")

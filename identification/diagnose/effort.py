@@ -6,13 +6,20 @@ from collections.abc import Callable
 
 class Effort:
     """`budget` [s]: time after which no further step begins; None: unlimited. `thorough`: if lack of fit remains, more
-    candidates are refitted, and a term of unknown form is learned. `stage`: called with the name of each stage.
+    candidates are refitted, and a term of unknown form is learned. `stage`: called with the name of each stage. `progress`:
+    called within a search with the number of candidates that are done, that of all, and the name of the best so far.
 
     `not_tried`: steps that did not begin, because the budget was used up.
     """
 
-    def __init__(self, budget: float | None = None, thorough: bool = True, stage: Callable[[str], None] = lambda text: None):
-        self.budget, self.thorough, self.stage = budget, thorough, stage
+    def __init__(
+        self,
+        budget: float | None = None,
+        thorough: bool = True,
+        stage: Callable[[str], None] = lambda text: None,
+        progress: Callable[[int, int, str], None] = lambda done, total, best: None,
+    ):
+        self.budget, self.thorough, self.stage, self.progress = budget, thorough, stage, progress
         self.not_tried: list[str] = []
         self._began = time.monotonic()
 

@@ -95,7 +95,7 @@ def _forward(judge: Judge, found: Selection, options, clearer, effort, pool) -> 
             break
         visited.add(key(found.final))
         effort.stage(f"try {len(options)} candidates{beside}")
-        tried = first_round(judge.searcher, found.final, options, pool)
+        tried = first_round(judge.searcher, found.final, options, pool, effort.progress)
         best = _first_accepted(judge.searcher, found, tried, judge)
         more = best is None and effort.thorough and judge.lack(found.final).significant
         for _ in range(MORE_ROUNDS if more else 0):
@@ -155,7 +155,7 @@ def nearest(judge: Judge, found: Selection, options: Sequence[Candidate], effort
     if not last or key(final)[0] != tuple(sorted(last[0].beside)):
         if not effort.allows(f"a best guess beside {' + '.join(final.effects)}"):
             return []
-        last = first_round(searcher, final, options, pool)
+        last = first_round(searcher, final, options, pool, effort.progress)
     refits = [t for t in last if t.fit is not None]
     if last and not refits:
         candidate, at = screened(searcher, final, [t.candidate for t in last], pool)[0]

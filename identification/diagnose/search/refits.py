@@ -1,6 +1,6 @@
 """One round of the search: screen all candidates beside a fit, refit the most promising, and improve the best of these."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product
 
@@ -47,14 +47,12 @@ def evidence_over(fit: Fit, other: Fit) -> float:
     return 0.5 * (other.bic() - fit.bic())
 
 
-def first_round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], pool) -> list[CandidateFit]:
+def first_round(
+    searcher: Searcher, fit: Fit, options: Sequence[Candidate], pool, progress: Callable[[int, int, str], None]
+) -> list[CandidateFit]:
     """Screen all candidates beside a fit, and refit the most promising."""
-    return deeper(
-        searcher,
-        fit,
-        [CandidateFit(c, fit.effects, at.likelihood_gain) for c, at in screened(searcher, fit, options, pool)],
-        pool,
-    )
+    seen = screened(searcher, fit, options, pool, progress)
+    return deeper(searcher, fit, [CandidateFit(c, fit.effects, at.likelihood_gain) for c, at in seen], pool)
 
 
 def deeper(searcher: Searcher, fit: Fit, tried: Sequence[CandidateFit], pool) -> list[CandidateFit]:
@@ -120,13 +118,21 @@ def _near(candidate: Candidate, leader: Candidate, there: Fit) -> list[Start]:
     return [(values, there.slow_first), (values | swapped, {**there.slow_first, **flipped})]
 
 
-def screened(searcher: Searcher, fit: Fit, options: Iterable[Candidate], pool) -> list[tuple[Candidate, ScreeningResult]]:
+def screened(
+    searcher: Searcher,
+    fit: Fit,
+    options: Iterable[Candidate],
+    pool,
+    progress: Callable[[int, int, str], None] = lambda done, total, best: None,
+) -> list[tuple[Candidate, ScreeningResult]]:
     """Candidates that are not in a fit, by predicted gain. Results are cached by fit."""
     fresh = [c for c in options if c.name not in fit.effects]
     cached = searcher.screened.setdefault((key(fit), fit.deviance), {})
     if new := [c for c in fresh if c.label not in cached]:
         at = Screening(fit, searcher.start, searcher.library, biased=searcher.biased(fit)).at
-        cached.update(zip((c.label for c in new), pool.map(at, new), strict=True))
+        for done, (c, result) in enumerate(zip(new, pool.map(at, new), strict=True), start=1):
+            cached[c.label] = result
+            progress(done, len(new), max(new[:done], key=lambda each: cached[each.label].likelihood_gain).label)
     searcher.points = max(searcher.points, sum(seen.points for seen in cached.values()))
     return sorted(((c, cached[c.label]) for c in fresh), key=lambda pair: -pair[1].likelihood_gain)
 

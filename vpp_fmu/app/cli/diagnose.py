@@ -72,7 +72,7 @@ def _one(options, campaign: str) -> Answer:
     asked = {**_model(options), "records": named_records(options.record), "campaign": read_campaign(campaign)}
     folder = OutputSet(options.output, "diagnose")
     with stages("vpp diagnose", options.quiet) as stage:
-        found = diagnose(**asked, workers=options.workers, stage=stage)
+        found = diagnose(**asked, workers=options.workers, stage=stage, progress=stage.progress)
         stage("report")
         write_diagnosis(folder, found, options.parameters)
         folder.write("report.html", diagnosis_page(found).html())

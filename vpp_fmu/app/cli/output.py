@@ -4,7 +4,7 @@ import contextlib
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -43,16 +43,37 @@ def dated(parameters: ParameterSet, /, **parents: tuple[str | os.PathLike, Param
 
 
 @contextlib.contextmanager
-def stages(verb: str, quiet: bool = False) -> Iterator[Callable[[str], None]]:
-    """Progress by stage: on a terminal the present stage, in a pipe a line per stage on standard error."""
+def stages(verb: str, quiet: bool = False) -> Iterator["Stages"]:
+    """Progress by stage: on a terminal a bar of the present stage, in a pipe a line per stage on standard error."""
     if sys.stderr.isatty():
-        with tqdm(leave=False, bar_format="{desc} {elapsed}") as bar:
-            yield bar.set_description
-        return
-    began = time.monotonic()
-    yield (
-        lambda text: None if quiet else print(f"{verb}: {text} ({time.monotonic() - began:.0f} s)", file=sys.stderr, flush=True)
-    )
+        with tqdm(leave=False, bar_format="{elapsed}") as bar:
+            yield Stages(verb, bar)
+    else:
+        yield Stages(verb, None, quiet)
+
+
+class Stages:
+    """Call it with the name of a stage that begins; `progress` shows how far the stage is, and the best candidate so far."""
+
+    def __init__(self, verb: str, bar: tqdm | None, quiet: bool = False):
+        self._verb, self._bar, self._quiet, self._began = verb, bar, quiet, time.monotonic()
+
+    def __call__(self, text: str) -> None:
+        if self._bar is not None:
+            self._bar.bar_format = "{desc}{elapsed}"
+            self._bar.set_description(text)
+        elif not self._quiet:
+            print(f"{self._verb}: {text} ({time.monotonic() - self._began:.0f} s)", file=sys.stderr, flush=True)
+
+    def progress(self, done: int, total: int, best: str) -> None:
+        """On a terminal: so many of `total` candidates are done."""
+        if self._bar is None:
+            return
+        if done == 1:  # the time left is that of the stage
+            self._bar.reset(total)
+            self._bar.bar_format = "{desc}{n}/{total}, {remaining} left{postfix}"
+        self._bar.n = done
+        self._bar.set_postfix_str(f"best so far: {best}")
 
 
 def written(folder: OutputFolder, parameters: ParameterSet | None = None) -> list[str]:
