@@ -23,7 +23,6 @@ from identification.diagnose.selection import Selection, alternatives, without
 from identification.fit.noise import Noise
 from identification.roles import Unseen
 from identification.static.at_rest import Knowledge
-from vpp_fmu.digits import number
 
 
 def verdict(base: Fit, final: Fit, before: LackOfFit, after: LackOfFit, family: Mapping[str, Sequence[str]]) -> str:
@@ -246,4 +245,4 @@ FOLDED = "cross-validated thrust error"
 
 
 def _increases(what: str, before: float, after: float) -> str:
-    return f"{what} increases from {number(before)} to {number(after)} N"
+    return f"{what} increases from {before:.4g} to {after:.4g} N"  # four digits, because a small difference decides
