@@ -175,7 +175,7 @@ def test_two_effects_are_found_where_a_third_alone_looks_better_than_either(monk
         problem = SimpleNamespace(model=model, experiments=())
         return SimpleNamespace(effects=effects, forms={}, at_bound=(), worth=worth[tuple(sorted(effects))], problem=problem)
 
-    def first_round(searcher, beside, options, pool):
+    def first_round(searcher, beside, options, pool, progress):
         sets = {n: (*beside.effects, n) for n in ("limits", "drift", "delay", "map") if n not in beside.effects}
         known = {n: fit(*effects) for n, effects in sets.items() if tuple(sorted(effects)) in worth}
         effect = lambda n: SimpleNamespace(name=n, effect=SimpleNamespace(contains={}))  # noqa: E731
