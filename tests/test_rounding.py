@@ -1,6 +1,7 @@
 """Commands that are executed in steps: the look at their levels, and whether a step is found, and none where there is none."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -135,3 +136,28 @@ def test_no_step_is_named_where_commands_are_executed_as_they_are():
     records = [replace(measured(told, rng), source=f"{n}.csv") for n in ("open_loop", "repeat")]
     found = diagnose(campaign(*records), FEW)
     assert (found.verdict, found.final.effects) == ("none", ())
+
+
+def test_a_step_whose_refit_does_not_hold_what_its_linearisation_promised_ends_the_search(monkeypatch):
+    """Each of two steps promises to be better than the other."""
+    effect = next(e for e in LIBRARY if e.name == PITCH)
+    name, costs = effect.full("step"), {0.5: 100.0, 1.1: 120.0}
+
+    class Twofold:
+        experiments, simulator, values = (), None, {name: 0.5}
+
+        def refit(self, value):
+            return SimpleNamespace(value=self.values[name], cost=costs[self.values[name]])
+
+    class Promising:
+        def __init__(self, about, simulator, effect, records, step):
+            self.best = lambda: [1.1 if step == 0.5 else 0.5]
+            self.interval = lambda step, above: (step, step)
+
+    monkeypatch.setattr(rounding, "Rounding", Promising)
+    monkeypatch.setattr(
+        rounding.Linearised, "of", lambda problem, solution: SimpleNamespace(costs=lambda simulator, points: [90.0, 50.0])
+    )
+    problem = Twofold()
+    solution, interval = rounding.settle(problem, problem.refit(0.5), effect)
+    assert (solution.cost, interval, problem.values[name]) == (100.0, (0.5, 0.5), 0.5)

@@ -148,11 +148,12 @@ def settle(problem: Problem, solution: Solution, effect: Effect) -> tuple[Soluti
         rounding = Rounding(about, problem.simulator, effect, records, problem.values[name])
         steps = [problem.values[name], *rounding.best()]
         costs = about.costs(problem.simulator, [{name: step} for step in steps])
-        best = int(np.argmin(costs))
-        if costs[0] - costs[best] < BETTER:
+        problem.values[name] = steps[int(np.argmin(costs))]
+        refit = problem.refit(solution.value) if costs[0] - min(costs) >= BETTER else solution
+        if refit.cost >= solution.cost:  # the linearised refit promised a decrease that the refit does not have
+            problem.values[name] = steps[0]
             return solution, rounding.interval(steps[0], 0.5 * CHI2_95)
-        problem.values[name] = steps[best]
-        solution = problem.refit(solution.value)
+        solution = refit
 
 
 def rounded(values: np.ndarray, step: float | np.ndarray) -> np.ndarray:
