@@ -46,16 +46,17 @@ def test_uneven_steps_are_the_functions_to_the_bit(model, request, recwarn):
 @pytest.mark.sampled("effect")
 @pytest.mark.parametrize("effect", OPTIONAL)
 def test_runs_side_by_side_are_each_by_itself_to_the_bit(effect):
-    """More than one bundle of them, and where their longest steps are not the same, or one delays its inputs."""
+    """More than one bundle of them, where their longest steps are not the same, or one delays its inputs, and commands are late."""
     model = plant([effect.name])
     inputs, made = random_steps(301, 60, model=model), Simulator(model)
     probes = {effect.full(n): v for n, v in effect.probe.items()}
     off = {effect.full(n): v for n, v in effect.off.items()}
-    points = [{**probes, "tau_omega_1": 0.2 + 0.01 * k} for k in range(5)] + [off]
-    found = made.simulate_all(points, inputs, UNEVEN[:300])
-    assert found.shape == (301, len(made.outputs), len(points))
-    for k, point in enumerate(points):
-        np.testing.assert_array_equal(found[:, :, k], made.simulate(point, inputs, UNEVEN[:300]))
+    points = [{**probes, "tau_omega_1": 0.2 + 0.01 * k} for k in range(LANES + 1)] + [off]
+    for steps, late in ((UNEVEN[:300], 0.0), (UNEVEN[:300], 0.3), (np.full(300, 0.004), 0.3)):
+        found = made.simulate_all(points, inputs, steps, late)
+        assert found.shape == (301, len(made.outputs), len(points))
+        for k, point in enumerate(points):
+            np.testing.assert_array_equal(found[:, :, k], made.simulate(point, inputs, steps, late))
 
 
 @pytest.mark.parametrize("compiler", [True, False])

@@ -52,6 +52,10 @@ int proceed(void *of, const double *inputs, const double *steps, long n, int las
 void end(void *run) { free(run); }
 
 #ifdef LANES
+/* Lengths of step whose constants are kept: those of a row, and of its parts before and behind a late command, of a clock that rounds
+ * to two. */
+#define PREPARED 6
+
 /* The widest vectors of the processor that the library runs on: no fused operations, and so the same bits on each. */
 #if defined(__x86_64__) && defined(__linux__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
 #define WIDEST __attribute__((target_clones("avx512f", "avx2", "default")))
@@ -64,8 +68,9 @@ void end(void *run) { free(run); }
  * step. */
 WIDEST int alike(const double *parameters, const double *inputs, const double *steps, long n, long stride, double *outputs) {
   static const double no_tangent[N_DELAYED_OR_1] = {0};
-  double v[N_VALUES][LANES], c[N_CONSTANTS][LANES], own[N_VALUES] = {0}, constants[N_CONSTANTS], tangents[N_TANGENTS];
-  double dt = 0.0, largest = INFINITY;
+  double v[N_VALUES][LANES], c[PREPARED][N_CONSTANTS][LANES], own[N_VALUES] = {0}, constants[N_CONSTANTS], tangents[N_TANGENTS];
+  double dt[PREPARED] = {0}, largest = INFINITY;
+  int oldest = 0;
   for (int k = 0; k < LANES; k++) {
     memcpy(own, inputs, N_INPUTS * sizeof *inputs);
     memcpy(own + N_INPUTS + N_OUTPUTS, parameters + k * N_PARAMETERS, N_PARAMETERS * sizeof *parameters);
@@ -85,15 +90,19 @@ WIDEST int alike(const double *parameters, const double *inputs, const double *s
       if (count < 1.0) count = 1.0;
     }
     const double piece = steps[row] / count;
-    if (!(piece == dt)) {
-      dt = piece;
+    int at = 0;
+    while (at < PREPARED && !(dt[at] == piece)) at++;
+    if (at == PREPARED) {
+      at = oldest;
+      oldest = (oldest + 1) % PREPARED;
+      dt[at] = piece;
       for (int k = 0; k < LANES; k++) {
         for (int i = 0; i < N_VALUES; i++) own[i] = v[i][k];
-        prepare(own, dt, no_tangent, constants);
-        for (int i = 0; i < N_CONSTANTS; i++) c[i][k] = constants[i];
+        prepare(own, piece, no_tangent, constants);
+        for (int i = 0; i < N_CONSTANTS; i++) c[at][i][k] = constants[i];
       }
     }
-    for (double i = 0.0; i < count; i += 1.0) step_lanes(v, c);
+    for (double i = 0.0; i < count; i += 1.0) step_lanes(v, c[at]);
   }
   return DONE;
 }

@@ -78,7 +78,7 @@ class Simulator:
             outputs = found if direct else np.empty((len(self.outputs), len(columns), LANES))
             if self._alike(np.array(values), columns, seconds, outputs):
                 if not direct:
-                    found[...] = (outputs if rows is None else outputs[:, rows])[:, :, : len(points)]
+                    found[...] = (outputs if rows is None else outputs.take(rows, axis=1))[:, :, : len(points)]
                 return
         for k, point in enumerate(points):
             found[:, :, k] = self.simulate(point, inputs, steps, late).T
