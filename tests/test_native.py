@@ -14,6 +14,7 @@ from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator, compiler
 from vpp_fmu.native import simulator as simulators
+from vpp_fmu.tracer import LANES
 
 PITCH, SPEED = "pitch_delay.delay", "test_speed_delay.delay"
 UNEVEN = np.random.default_rng(4).choice([1e-4, 0.0013, 0.004, 0.0047, 0.031], 1000)
@@ -46,7 +47,7 @@ def test_uneven_steps_are_the_functions_to_the_bit(model, request, recwarn):
 @pytest.mark.sampled("effect")
 @pytest.mark.parametrize("effect", OPTIONAL)
 def test_runs_side_by_side_are_each_by_itself_to_the_bit(effect):
-    """More than one bundle of them, where their longest steps are not the same, or one delays its inputs, and commands are late."""
+    """More than one bundle, where their longest steps are not the same, or one delays its inputs; late commands, too."""
     model = plant([effect.name])
     inputs, made = random_steps(301, 60, model=model), Simulator(model)
     probes = {effect.full(n): v for n, v in effect.probe.items()}
