@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 DIST = ROOT / "build" / "dist"
 VERSIONS = ("3.10", "3.11", "3.12", "3.13")
 
-API = ("test_api.py", "conftest.py", "builders.py", "stalls.py")
+API = ("test_api.py", "conftest.py", "builders.py", "stalls.py", "hil/quick_vpp.py")
 """The tests of the public names, and what they import from their folder."""
 
 
@@ -99,7 +99,7 @@ def tried(version: str, wheel: Path) -> Iterator[str]:
 
 def api_tested(own: Path, pip: list[str], folder: Path) -> str:
     """The tests of the public API, copied out of the checkout, against the installed wheel."""
-    (folder / "tests").mkdir()
+    (folder / "tests" / "hil").mkdir(parents=True)
     for name in API:
         shutil.copy(ROOT / "tests" / name, folder / "tests" / name)
     (folder / "pytest.ini").write_text(
