@@ -35,11 +35,6 @@ class Logger:
         moved = record.commands_later(self.rows) if self.rows else record
         return replace(moved, sensor=self.sensor) if "omega" in record else moved
 
-    @property
-    def plain(self) -> bool:
-        """Whether it is the contract's: no offset, and a speed sensor without delay and filter."""
-        return not (self.rows or self.sensor.delay or self.sensor.filter)
-
     def agrees_with(self, other: "Logger") -> bool:
         """Whether both are equal within SIGNIFICANT standard errors."""
         fixed = [(s.kind, s.marks_per_revolution, s.averaged) for s in (self.sensor, other.sensor)]

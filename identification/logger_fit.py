@@ -102,7 +102,7 @@ UNLIKELY = 0.01
 """Level of the test that a kind explains the renewal intervals."""
 
 DELAYS = {"omega": "speed_delay", "beta": "pitch_delay"}
-SPEED_DELAY = "speed_delay.delay"
+SPEED_DELAY = f"{DELAYS['omega']}.delay"
 ALL_DELAYS = tuple(f"{name}.delay" for name in DELAYS.values())
 
 
@@ -215,7 +215,7 @@ class _Estimate:
         if not self._delays:
             yield Logger(sensor=fit.sensor, period=self._period)
             return
-        shared = fit.late(self._delays[0])
+        shared = fit.offset
         freer = fit.tied or fit.with_delay != fit.free
         loose = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit).solved(FULL) if freer else fit
         delayed = fit.worse_than(loose)
@@ -429,15 +429,19 @@ class _SensorFit:
         return total - float(np.sum(np.log(std)) + 0.5 * np.sum(sizes * np.log(squares / sizes)))
 
     @property
+    def offset(self) -> "_Delay":
+        """The offset of a fit with one offset."""
+        return self.late(*self._of._delays[:1])
+
+    @property
     def rows(self) -> float:
-        """The offset of a fit with one offset, in rows."""
-        return self.late(*self._of._delays[:1]).value / self._of._period
+        """The same in rows."""
+        return self.offset.value / self._of._period
 
     @property
     def is_late(self) -> bool:
         """Whether the offset exceeds that of a logger by more than its uncertainty."""
-        shared = self.late(*self._of._delays[:1])
-        return shared.value - SIGNIFICANT * shared.std > LATEST_ROW * self._of._period
+        return self.offset.value - SIGNIFICANT * self.offset.std > LATEST_ROW * self._of._period
 
     def from_whole_rows(self) -> float:
         """Distance of the offset from the nearest whole number of rows."""
@@ -486,6 +490,7 @@ class _Delay:
 
     @property
     def leads(self) -> bool:
+        """Whether the reading comes before the command acts."""
         return self.value < 0.0 and self.differs_from(0.0)
 
     def agrees_with(self, other: "_Delay") -> bool:

@@ -1,14 +1,19 @@
 """A headless Chromium: pages as a reader has them, at any width, light or dark.
 
 It is driven over its debugging pipe, by the protocol of chromedevtools.github.io/devtools-protocol.
+
+`python -m tests.browser PAGE.html ... -o DIR` saves a picture of each page: light, dark, and on a phone.
 """
 
+import argparse
 import base64
 import contextlib
 import json
 import os
 import shutil
 import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,6 +21,9 @@ from pathlib import Path
 import pytest
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+LOOKS = {"light": (1100, False), "dark": (1100, True), "phone": (400, False)}
+"""(width in CSS pixels, dark) of the pictures."""
 
 PATIENCE = 30.0
 """s that a page may take on a busy machine."""
@@ -156,3 +164,30 @@ class Browser:
                 self.problems.append(told["params"]["entry"]["text"])
             if wanted(told):
                 return told
+
+
+def main() -> None:
+    """Save pictures of pages; exit code 1 if a page's scripts or the browser report a problem."""
+    parser = argparse.ArgumentParser(prog="python -m tests.browser", description="Pictures of pages: light, dark, phone.")
+    parser.add_argument("pages", nargs="+", type=Path, metavar="PAGE.html")
+    parser.add_argument("-o", "--output", type=Path, default=Path("pictures"), metavar="DIR")
+    options = parser.parse_args()
+    if CHROMIUM is None:
+        parser.error("no Chromium on this machine")
+    if missing := [str(page) for page in options.pages if not page.is_file()]:
+        parser.error(f"no such file: {', '.join(missing)}")
+    options.output.mkdir(parents=True, exist_ok=True)
+    failed = False
+    with tempfile.TemporaryDirectory() as profile, browser(Path(profile)) as tab:
+        for page in options.pages:
+            for look, (width, dark) in LOOKS.items():
+                tab.show(page, width, 900, dark)
+                path = options.output / f"{page.resolve().parent.name}_{page.stem}_{look}.png"
+                path.write_bytes(tab.picture())
+                print(f"{path}: {'; '.join(tab.problems) or 'no problem'}")
+                failed |= bool(tab.problems)
+    sys.exit(int(failed))
+
+
+if __name__ == "__main__":
+    main()

@@ -7,6 +7,7 @@ import pytest
 from builders import OPTIONAL, PROBES, named, random_steps, reference, simulator, slopes
 from scipy.signal import lsim
 
+from identification.diagnose.search.candidates import Candidate
 from vpp_fmu.export import python_fmu
 from vpp_fmu.fmu import Fmu, FmuInstance
 from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
@@ -258,3 +259,10 @@ def test_a_new_effect_runs_everywhere_without_an_edit(tmp_path):
     np.testing.assert_array_equal(stepped, shown)
     instance.close()
     fmu.close()
+
+
+def test_the_time_constant_of_the_inflow_is_screened_over_a_decade():
+    """Where it is near the pitch's slow lag, a refit from a shorter one ends in a double pole."""
+    effect = next(e for e in LIBRARY if e.name == "inflow_lag")
+    seen = [shape[effect.full("time_constant")] for shape in Candidate(effect, {}, (effect.full("time_constant"),)).shapes()]
+    assert max(seen) >= 9.0 * min(seen)

@@ -196,6 +196,15 @@ def test_two_effects_are_found_where_a_third_alone_looks_better_than_either(monk
     assert spent.not_tried == [f"a further effect + {first}"]
 
 
+@pytest.mark.parametrize(("gained", "word"), [(100.0, "partly"), (8.0, "unexplained")])
+def test_a_fault_of_the_speed_hides_no_effect_of_the_rotor(gained, word):
+    """Of the log-likelihood a set gains 100 or 8 nats, and generic regressors 10 more; the speed's residual is as it was."""
+    base, final = (SimpleNamespace(deviance=-2.0 * gain, effects=effects) for gain, effects in ((0.0, ()), (gained, ("lag",))))
+    common = {"bands": (), "significant": True, "turns": False, "transient_lack_of_fit": False, "speed_lack_of_fit": True}
+    before, after = (SimpleNamespace(score=SimpleNamespace(gain=gain), speed=0.9, **common) for gain in (gained + 10.0, 10.0))
+    assert validation.verdict(base, final, before, after, {}) == word
+
+
 @pytest.mark.parametrize(("steps", "ships"), [(0.05, ("vibration", "lag")), (0.2, ("lag",)), (None, ("lag",))])
 def test_what_starts_anywhere_in_another_record_ships_only_where_other_starts_confirm_it(monkeypatch, steps, ships):
     """Step runs have starts of their own: without it they are predicted to 0.1 N."""

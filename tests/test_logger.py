@@ -5,10 +5,12 @@ from copy import copy
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from identification import logger_fit
 from identification.demo import example_folder
 from identification.fit.experiment import Experiment
 from identification.fit.noise import independent
@@ -16,7 +18,7 @@ from identification.fit.tachometer import Tachometer, row_means
 from identification.gate.finding import acceptable
 from identification.gate.gate import passed
 from identification.identify import identify
-from identification.logger_fit import EVIDENCE, _Estimate, _SensorFit, as_logged, likely_loggers, mended
+from identification.logger_fit import EVIDENCE, _Delay, _Estimate, _SensorFit, as_logged, likely_loggers, mended
 from identification.roles import Fitted, roles
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.errors import BadInput
@@ -236,6 +238,43 @@ def test_a_logger_is_estimated_beside_a_limit_between_a_fast_and_a_slow_lag():
     assert as_logged(gate, [name], LIBRARY, values).logger.rows == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.parametrize(
+    ("alone", "value", "offset", "none"),
+    [
+        ("speed_delay.delay", -0.016, -0.016, False),  # a speed that leads is the logger's
+        ("pitch_delay.delay", -0.016, -0.016, True),
+        ("speed_delay.delay", 0.1, 0.1, True),
+        ("speed_delay.delay", 0.0403, 0.0403, False),  # two rows, within their uncertainty
+    ],
+)
+def test_one_delay_replaces_an_offset_unless_no_rig_has_it(monkeypatch, alone, value, offset, none):
+    """Rows of 20 ms, standard errors of 1 ms. Only the delay `alone` explains the record: one that leads better than an offset."""
+
+    class Alone:
+        sensor, free = SpeedSensor(), ()
+
+        def __init__(self, *_, alone, **__):
+            self.name = alone
+
+        def solved(self, limits):
+            return self
+
+        def late(self, name):
+            return _Delay(value, 0.001)
+
+        def worse_than(self, fit):
+            return self.name != alone
+
+    monkeypatch.setattr(logger_fit, "_SensorFit", Alone)
+    estimate = SimpleNamespace(_delays=["speed_delay.delay", "pitch_delay.delay"], _period=0.02)
+    fit = object.__new__(_SensorFit)
+    fit._of = estimate
+    fit.late = lambda *_: _Delay(offset, 0.001)
+    fit.worse_than = lambda one: one.name == alone and value < 0.0
+    fit.sensor, fit.free, fit.renewed = SpeedSensor(), (), 0.0
+    assert (_Estimate._one_delay(estimate, fit) is not None) == none
+
+
 def test_a_late_log_is_mended_by_whole_rows():
     record = logged(30, -1.0)
     again, said = mended(record)
@@ -287,7 +326,7 @@ def test_a_declared_sensor_whose_values_are_hardly_renewed_is_taken(kind):
 
 def test_the_example_has_the_contracts_logger():
     logger = as_logged(passed(read_campaign(example_folder()))).logger
-    assert logger.plain
+    assert (logger.rows, logger.sensor.delay, logger.sensor.filter) == (0.0, 0.0, 0.0)
     assert logger.sensor.kind == "mark"
 
 

@@ -53,7 +53,7 @@ def output_shapes(
     lags = [share * takes for share in LAGS]
     for slope, u, moved in ((to_pitch, "beta", pitch), (to_speed, "omega", speed)):
         for shape in _shapes(record[f"{u}_ref"], moved, step):
-            yield from (slope * _lagged(shape, lag, step) for lag in lags)
+            yield from (slope * lagged(shape, lag, step) for lag in lags)
         yield from (slope * wave for wave in _waves(record[f"{u}_ref"], moved, step, takes))
     over_speed, over_pitch = _polynomials(speed), _polynomials(pitch)
     yield from (over_speed[i] * over_pitch[j] for i in range(POWER + 1) for j in range(POWER + 1 - i) if i + j)
@@ -78,7 +78,7 @@ def speed_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarra
     step, takes = float(np.median(record.steps)), slowest(values, values)
     rate, since = np.gradient(pitch, step), record.time / record.time[-1]
     for shape in (*_shapes(record["omega_ref"], speed, step), rate, np.abs(rate)):
-        yield from (_lagged(shape, share * takes, step) for share in LAGS)
+        yield from (lagged(shape, share * takes, step) for share in LAGS)
     yield from _waves(record["omega_ref"], speed, step, takes)
     yield from (np.ones(len(speed)), speed, speed**2, pitch, pitch * speed, np.maximum(speed, np.quantile(speed, 0.8)))
     yield from (since, since**2, since * speed)
@@ -147,8 +147,9 @@ def _play(signal: np.ndarray, width: float) -> np.ndarray:
     return np.array(followed)
 
 
-def _lagged(signal: np.ndarray, time_constant: float, step: float) -> np.ndarray:
-    if time_constant == 0.0:
+def lagged(signal: np.ndarray, time_constant: float, step: float) -> np.ndarray:
+    """A signal (n, ...) filtered by a first-order lag that starts settled at the first value."""
+    if time_constant <= 0.0:
         return signal
     kept = np.exp(-step / time_constant)
-    return lfilter([1.0 - kept], [1.0, -kept], signal, zi=[kept * signal[0]])[0]
+    return lfilter([1.0 - kept], [1.0, -kept], signal, axis=0, zi=kept * signal[:1])[0]

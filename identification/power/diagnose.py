@@ -27,7 +27,7 @@ from identification.power.effects import EFFECTS, POWER, SAG, PowerEffect
 from identification.power.fit import TIMES, electrical
 from identification.power.model import PowerModel
 from identification.power.records import power_part, respond, squared_torque, supply_parts
-from identification.power.regression import Fit, Part, Problem, scan
+from identification.power.regression import Part, Regression, RegressionFit, scan
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 
@@ -54,7 +54,7 @@ class Lack:
         return {"p": self.p, "size": size, "least_size": least}
 
 
-def lack_of_fit(fit: Fit, least: float) -> Lack:
+def lack_of_fit(fit: RegressionFit, least: float) -> Lack:
     """As `score_test` of the thrust."""
     problem = fit.problem
     each = [np.stack([p.at.mean(shape) for shape in p.shapes()], axis=1) for p in problem.parts]
@@ -100,7 +100,9 @@ class Tried:
         }
 
 
-def select(problem: Problem, effects: Sequence[PowerEffect], comparisons: int) -> tuple[Fit, Fit, list[Tried]]:
+def select(
+    problem: Regression, effects: Sequence[PowerEffect], comparisons: int
+) -> tuple[RegressionFit, RegressionFit, list[Tried]]:
     """(fit without effects, with the accepted ones, all that were tried): forward selection by evidence."""
     base = fit = problem.fit()
     tried: list[Tried] = []
@@ -113,17 +115,17 @@ def select(problem: Problem, effects: Sequence[PowerEffect], comparisons: int) -
             break
         best, _ = max(accepted, key=lambda pair: pair[1].evidence)
         # A missing effect passes for slow noise: the colour is estimated again beside what was found.
-        fit = Problem.of(problem.parts, best.effects, best.x).fit(best.effects, best.x)
+        fit = Regression.of(problem.parts, best.effects, best.x).fit(best.effects, best.x)
     return base, fit, tried
 
 
-def with_effect(fit: Fit, effect: PowerEffect) -> Fit | None:
+def with_effect(fit: RegressionFit, effect: PowerEffect) -> RegressionFit | None:
     """One more effect beside a fit; None if no possible size fits."""
     start = fit.problem.started(fit, effect)
     return fit.problem.fit((*fit.effects, effect), np.append(fit.x, start)) if start[0] != 0.0 else None
 
 
-def judged_effect(beside: Fit, fit: Fit | None, effect: PowerEffect, comparisons: int) -> Tried:
+def judged_effect(beside: RegressionFit, fit: RegressionFit | None, effect: PowerEffect, comparisons: int) -> Tried:
     """Statistics of an effect against the fit without it, and the reasons to reject it."""
     problem, k, names = beside.problem, len(effect.parameters), tuple(e.name for e in beside.effects)
     form = FORM * max(problem.fit().squares - beside.squares, 0.0) / 2.0
@@ -142,7 +144,7 @@ def judged_effect(beside: Fit, fit: Fit | None, effect: PowerEffect, comparisons
     return Tried(effect, names, likelihood, needed, evidence, gain, size, least, tuple(refused))
 
 
-def rivals(fit: Fit, effects: Sequence[PowerEffect]) -> dict[str, list[str]]:
+def rivals(fit: RegressionFit, effects: Sequence[PowerEffect]) -> dict[str, list[str]]:
     """By accepted effect: others that in its place have an evidence within ALTERNATIVE_WINDOW."""
     found, first = {}, 0
     for effect in fit.effects:
@@ -161,9 +163,9 @@ class PowerDiagnosis:
     `lack`: of both fits of the power. `family`: by effect, others that fit as well. `unseen`: the validation record, if it has
     power. `refuted`: why held-out data refute the effects of power, else ""."""
 
-    before: Fit
-    after: Fit
-    voltage: tuple[Fit, Fit] | None
+    before: RegressionFit
+    after: RegressionFit
+    voltage: tuple[RegressionFit, RegressionFit] | None
     lack: tuple[Lack, Lack]
     tried: tuple[Tried, ...]
     family: Mapping[str, Sequence[str]]
@@ -178,7 +180,7 @@ class PowerDiagnosis:
         return "family" if self.family else "attributed" if self.effects else "none"
 
     @property
-    def fits(self) -> tuple[Fit, ...]:
+    def fits(self) -> tuple[RegressionFit, ...]:
         """Final fits, of power and of the voltage."""
         return (self.after, self.voltage[1]) if self.voltage else (self.after,)
 
@@ -250,7 +252,7 @@ class PowerDiagnosis:
         return found
 
 
-def held_out_error(fit: Fit, unseen: Part | None) -> float:
+def held_out_error(fit: RegressionFit, unseen: Part | None) -> float:
     """Rms error [W] of block means on the validation record, else in cross-validation."""
     return float(np.sqrt(np.nanmean(fit.error(unseen) ** 2))) if unseen else fit.held_out[1]
 
@@ -277,7 +279,7 @@ def diagnose_power(
     offered = [e for e in EFFECTS if e.reading == POWER or with_both]
     comparisons = sum(len(scan(e)) for e in offered)
     of_power = [e for e in offered if e.reading == POWER]
-    before, after, tried = select(Problem.of(parts), of_power, comparisons)
+    before, after, tried = select(Regression.of(parts), of_power, comparisons)
     family = rivals(after, of_power)
     least = ACCURACY * before.problem.largest
     hold_out, refuted = None, ""
@@ -290,6 +292,6 @@ def diagnose_power(
     voltage = None
     if with_both:
         supply = supply_parts({p.name: p for p in parts}, with_both, after)
-        one, two, further = select(Problem.of(supply), [SAG], comparisons)
+        one, two, further = select(Regression.of(supply), [SAG], comparisons)
         voltage, tried = (one, two), [*tried, *further]
     return PowerDiagnosis(before, after, voltage, lack, tuple(tried), family, hold_out, refuted)

@@ -16,8 +16,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
+from identification.diagnose.command_shapes import lagged
 from vpp_fmu.kernel.types import Parameter
 
 POWER, VOLTAGE = "power", "voltage"
@@ -63,18 +63,17 @@ class PowerEffect:
         return self.name if self.form == "only" else f"{self.name} ({self.form})"
 
 
-def lagged(signal: np.ndarray, time_constant: float, step: float) -> np.ndarray:
-    """First-order lag (rows,) of a signal that is held between rows, from 0."""
-    kept = np.exp(-step / time_constant)
-    return lfilter([0.0, 1.0 - kept], [1.0, -kept], signal)
+def _warmth(s: Signals, heat: np.ndarray, time_constant: float) -> np.ndarray:
+    """h (rows,): the heat is held from row to row."""
+    return lagged(np.append(0.0, heat[:-1]), time_constant, s.step)
 
 
 def _heated(s: Signals, p: Mapping[str, float]) -> np.ndarray:
-    warmth = lagged(s.load, p["time_constant"], s.step)
+    warmth = _warmth(s, s.load, p["time_constant"])
     for _ in range(FEEDBACK if s.feedback else 0):
         # Beyond a resistance of ten times its cold value the model means nothing, and the search must not overflow.
         rise = np.minimum(p["gain"] * s.feedback * warmth, 9.0)
-        warmth = lagged(s.load * (1.0 + rise), p["time_constant"], s.step)
+        warmth = _warmth(s, s.load * (1.0 + rise), p["time_constant"])
     return p["gain"] * s.load * warmth
 
 

@@ -19,7 +19,7 @@ from identification.fit.noise import blocks
 from identification.power.effects import Signals
 from identification.power.fit import electrical
 from identification.power.model import PowerModel
-from identification.power.regression import STEP, Fit, Part
+from identification.power.regression import STEP, Part, RegressionFit
 from vpp_fmu.kernel.power import MOTOR, POWER_TERMS, RAD_PER_S, polynomial
 from vpp_fmu.native import Simulator
 from vpp_fmu.parameters import ParameterSet
@@ -95,7 +95,7 @@ def power_part(name: str, r: Response, model: PowerModel, block: float, largest:
     return Part(name, p.record, at, reading - expected, np.column_stack(base), signals, shapes, _largest(reading))
 
 
-def _supply(part: Part, p: Prediction, power: Fit) -> Part:
+def _supply(part: Part, p: Prediction, power: RegressionFit) -> Part:
     """The voltage of a record; its current is regressed on the power that the final fit predicts."""
     time, measured = p.record.time, p.record["current"]
     predicted = part.signals.power + part.base @ power.coefficients + part.response(power.effects, power.x)
@@ -111,7 +111,7 @@ def _largest(reading: np.ndarray) -> float:
     return float(np.nanmax(np.abs(reading)))
 
 
-def supply_parts(parts: Mapping[str, Part], shown: Mapping[str, Prediction], power: Fit) -> list[Part]:
+def supply_parts(parts: Mapping[str, Part], shown: Mapping[str, Prediction], power: RegressionFit) -> list[Part]:
     """The voltages of records, by name, beside a fit of their `parts` of power. Each record has coefficients of its own."""
     found = [_supply(parts[name], p, power) for name, p in shown.items()]
     width = found[0].base.shape[1]

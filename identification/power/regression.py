@@ -68,7 +68,7 @@ class Part:
         return total
 
 
-class Problem:
+class Regression:
     """A reading of all records, whitened by the colour of the noise of each."""
 
     def __init__(self, parts: Sequence[Part], colours: Sequence[Colour]):
@@ -82,7 +82,7 @@ class Problem:
         self.basis = turned[:, power > RANK * power[0]]
 
     @classmethod
-    def of(cls, parts: Sequence[Part], effects: Sequence[PowerEffect] = (), x: np.ndarray = NONE) -> "Problem":
+    def of(cls, parts: Sequence[Part], effects: Sequence[PowerEffect] = (), x: np.ndarray = NONE) -> "Regression":
         """With the noise of the residual beside `effects`, after a regression on base and shapes."""
         found = []
         for p in parts:
@@ -110,20 +110,20 @@ class Problem:
         """Part of columns (n, ...) that the base does not span."""
         return columns - self.basis @ (self.basis.T @ columns)
 
-    def fit(self, effects: Sequence[PowerEffect] = (), start: np.ndarray = NONE) -> "Fit":
+    def fit(self, effects: Sequence[PowerEffect] = (), start: np.ndarray = NONE) -> "RegressionFit":
         """Least squares of effects beside the base, from a `start` of their parameters."""
         declared = [p for e in effects for p in e.parameters]
         if not declared:
-            return Fit(self, (), start)
+            return RegressionFit(self, (), start)
         bounds = np.array([(p.minimum, p.maximum) for p in declared]).T
         found = least_squares(partial(self.residual, effects), np.clip(start, *bounds), bounds=bounds, x_scale=np.abs(start))
-        return Fit(self, tuple(effects), found.x)
+        return RegressionFit(self, tuple(effects), found.x)
 
     def residual(self, effects: Sequence[PowerEffect], x: np.ndarray) -> np.ndarray:
         """Whitened residual (n,), orthogonal to the base."""
         return self.orthogonal(self.measured - self.whitened([p.mean_response(effects, x) for p in self.parts]))
 
-    def started(self, fit: "Fit", effect: PowerEffect) -> np.ndarray:
+    def started(self, fit: "RegressionFit", effect: PowerEffect) -> np.ndarray:
         """Start of the parameters of an effect beside a fit: the best of a scan; a size of 0 if no possible one fits."""
         tiny, best = STEP * ACCURACY * self.largest, (0.0, np.zeros(1))
         for further in scan(effect):
@@ -146,10 +146,10 @@ def scan(effect: PowerEffect) -> list[tuple[float, ...]]:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class RegressionFit:
     """Effects with parameters `x` beside the base of a problem."""
 
-    problem: Problem
+    problem: Regression
     effects: tuple[PowerEffect, ...]
     x: np.ndarray
 

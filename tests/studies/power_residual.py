@@ -20,7 +20,7 @@ from identification.power.diagnose import PowerDiagnosis, diagnose_power
 from identification.power.fit import electrical, fit_power, steady_readings
 from identification.power.model import PowerModel
 from identification.power.records import power_part, respond
-from identification.power.regression import Problem
+from identification.power.regression import Regression
 from vpp_fmu.campaign import StaticMap
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.kernel.power import RAD_PER_S
@@ -171,7 +171,7 @@ class Rig:
             problem, signal = found.voltage[1].problem, full["voltage"] - clean["voltage"]
         else:
             response, model = respond(self.parameters, clean), PowerModel.of(self.parameters)
-            problem = Problem.of([power_part("clean", response, model, BLOCK, 1.0)])
+            problem = Regression.of([power_part("clean", response, model, BLOCK, 1.0)])
             signal = electrical(full.columns) - electrical(clean.columns)
         white = problem.orthogonal(problem.whitened([problem.parts[0].at.mean(signal)]))
         sizes = 2 if self.kind == "resistance_heating" else 1

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
-from scipy.signal import lfilter
 from scipy.sparse import csr_array
 
+from identification.diagnose.command_shapes import lagged
 from identification.fit.experiment import Experiment
 from identification.fit.noise import blocks
 from vpp_fmu.kernel.effects.stage import INNER
@@ -20,15 +20,6 @@ from vpp_fmu.kernel.learned import DRIVERS, PORTS
 
 TINY = 1e-30
 """Size of the complex step."""
-
-
-def lagged(signal: np.ndarray, tau: float, step: float) -> np.ndarray:
-    """A signal (n, ...) filtered by a first-order lag that starts settled at the first value."""
-    if tau <= 0.0:
-        return signal
-    kept = np.exp(-step / tau)
-    begin = kept * signal[:1]
-    return lfilter([1.0 - kept], [1.0, -kept], signal, axis=0, zi=begin)[0]
 
 
 @dataclass(frozen=True, eq=False)

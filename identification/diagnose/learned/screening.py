@@ -11,8 +11,9 @@ from itertools import product
 
 import numpy as np
 
+from identification.diagnose.command_shapes import lagged
 from identification.diagnose.judgement import chance_threshold
-from identification.diagnose.learned.columns import Course, hats, holds, knots_of, lagged, plays, relay
+from identification.diagnose.learned.columns import Course, hats, holds, knots_of, plays, relay
 from identification.diagnose.learned.score import Scored, Scores
 from identification.diagnose.search.fits import Fit
 from identification.fit.linearised import Linearised
