@@ -248,7 +248,7 @@ def test_a_logger_is_estimated_beside_a_limit_between_a_fast_and_a_slow_lag():
     ],
 )
 def test_one_delay_replaces_an_offset_unless_no_rig_has_it(monkeypatch, alone, value, offset, none):
-    """Rows of 20 ms, standard errors of 1 ms. Only the delay `alone` explains the record; better than an offset, if it leads."""
+    """Rows of 20 ms, errors of 1 ms. Only the delay `alone` explains the record; better than an offset, if it leads."""
 
     class Alone:
         sensor, free = SpeedSensor(), ()
