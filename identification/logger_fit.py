@@ -190,8 +190,9 @@ class _Estimate:
     def loggers(self) -> Iterator[Logger]:
         """The most likely logger, then others that are not distinguished from it.
 
-        Each sensor is fitted roughly with one offset of all readings, the best ones in full. Of those that are not
-        distinguished, one that reads samples is preferred, and then that with the offset nearest to whole rows."""
+        Each sensor is fitted roughly with one offset of all readings, the best ones in full. A sensor is rejected if another
+        one of no more parameters fits the thrust better. Of those that are not distinguished, those that read samples come
+        before those that read means."""
         start = _SensorFit(self, None, (), tied=True).solved(FULL)
         if not self._measured:
             yield from self._loggers_of(start)
@@ -199,10 +200,11 @@ class _Estimate:
         fits = [_SensorFit(self, *one, start, tied=True).solved(ROUGH) for one in self._hypotheses()]
         scores = _scores(fits)
         near = [fit.solved(FULL) for fit, score in zip(fits, scores, strict=True) if score > max(scores) - NEAR]
+        near = [fit for fit in near if not any(other.fits_thrust_better_than(fit) for other in near)]
         scores = _scores(near)
-        likely = [fit for fit, score in zip(near, scores, strict=True) if score >= max(scores) - NOT_DISTINGUISHED]
+        likely = [(s, fit) for s, fit in zip(scores, near, strict=True) if s >= max(scores) - NOT_DISTINGUISHED]
         shown: list[Logger] = []
-        for fit in sorted(likely, key=lambda fit: (fit.sensor.averaged, fit.from_whole_rows())):
+        for _, fit in sorted(likely, key=lambda pair: (pair[1].sensor.averaged, -pair[0])):
             for found in self._loggers_of(fit):
                 if not any(found.agrees_with(other) for other in shown):
                     shown.append(found)
@@ -434,24 +436,20 @@ class _SensorFit:
         return self.late(*self._of._delays[:1])
 
     @property
-    def rows(self) -> float:
-        """The same in rows."""
-        return self.offset.value / self._of._period
-
-    @property
     def is_late(self) -> bool:
         """Whether the offset exceeds that of a logger by more than its uncertainty."""
         return self.offset.value - SIGNIFICANT * self.offset.std > LATEST_ROW * self._of._period
-
-    def from_whole_rows(self) -> float:
-        """Distance of the offset from the nearest whole number of rows."""
-        return abs(self.rows - round(self.rows))
 
     def worse_than(self, other: "_SensorFit") -> bool:
         """Whether the evidence for another fit is very strong, and that of the thrust is not very strong against it. The model
         of a speed sensor is approximate: a better fit of the speed is no reason to fit the thrust worse."""
         own, its = _scores([self, other], groups=1)
         return its - own > EVIDENCE and other._thrust > self._thrust - EVIDENCE
+
+    def fits_thrust_better_than(self, other: "_SensorFit") -> bool:
+        """Whether the thrust alone distinguishes this fit from another one of as many parameters or more. The model of a speed
+        sensor is approximate, and a wrong one shifts the thrust."""
+        return len(self.free) <= len(other.free) and self._thrust > other._thrust + NOT_DISTINGUISHED
 
     def estimate(self, *names: str) -> tuple[float, float]:
         """(sum of parameters, its standard error) under white noise; tied delays go by the name of the first."""

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from identification.diagnose import acceptance, crossval, diagnose, selection, validation
-from identification.diagnose.crossval import HeldOut, cross_validated, error_increases, folds
+from identification.diagnose.crossval import HeldOut, cross_validated, error_increases, folds, p_no_decrease
 from identification.diagnose.effort import Effort
 from identification.diagnose.judgement import (
     ALPHA,
@@ -149,21 +149,24 @@ def test_a_special_case_goes_before_the_wider_effect_that_fits_as_well():
     assert [t.candidate.name for t in _ranked([better, narrow, other])] == ["limits", "band", "lag"]
 
 
-def test_a_special_case_takes_the_place_of_what_contains_it_once_the_set_stands(monkeypatch):
-    """Ahead when it was alone, the wider effect gives way where, beside the rest, its special case fits as well."""
+@pytest.mark.parametrize(("band", "lag", "name"), [(-0.5, -0.5, "band"), (-3.0, 0.5, "limits"), (-3.0, 2.0, "lag")])
+def test_the_order_of_effects_is_tried_again_beside_the_whole_set(monkeypatch, band, lag, name):
+    """Ahead when it was alone, the wider effect gives way where its special case fits as well, or another effect better."""
     wide = SimpleNamespace(name="limits", contains={"band": {}})
-    final = SimpleNamespace(effects=("limits", "wake"), problem=SimpleNamespace(model=SimpleNamespace(effects=[wide])))
-    final.problem.model.effects.append(SimpleNamespace(name="wake", contains={}))
-    band, lag = (SimpleNamespace(candidate=SimpleNamespace(name=n)) for n in ("band", "lag"))
-    fits = {id(t): SimpleNamespace(effects=(t.candidate.name, "wake"), problem=final.problem) for t in (band, lag)}
+    problem = SimpleNamespace(model=SimpleNamespace(effects=[wide]))
+    for other in ("wake", "band", "lag"):
+        problem.model.effects.append(SimpleNamespace(name=other, contains={}))
+    worth = {"limits": 0.0, "band": band, "lag": lag}
+    fits = {n: SimpleNamespace(effects=(n, "wake"), problem=problem, bic=lambda w=w: -w, worth=w) for n, w in worth.items()}
+    near = [SimpleNamespace(candidate=SimpleNamespace(name=n)) for n in worth]
     monkeypatch.setattr(selection, "without", lambda *_: SimpleNamespace())
-    monkeypatch.setattr(selection, "_near", lambda found, effect: [lag, band] if effect == "limits" else [])
-    monkeypatch.setattr(selection, "_in_place", lambda searcher, rest, tried: fits[id(tried)])
-    for behind, name in ((0.5, "band"), (3.0, "limits")):
-        monkeypatch.setattr(selection, "evidence_over", lambda fit, other, behind=behind: -behind)
-        found = selection.Selection(final, final)
-        selection._prefer_special_cases(None, found, lambda *_: SimpleNamespace(refused=()))
-        assert found.final.effects == (name, "wake")
+    monkeypatch.setattr(selection, "_near", lambda found, effect: near if effect in worth else [])
+    monkeypatch.setattr(selection, "_in_place", lambda searcher, rest, tried: fits[tried.candidate.name])
+    monkeypatch.setattr(selection, "evidence_over", lambda fit, other: fit.worth - other.worth)
+    found, judge = selection.Selection(fits["limits"], fits["limits"]), lambda *_: SimpleNamespace(refused=())
+    while selection._exchanged(None, found, judge, SimpleNamespace(map=map)):
+        pass
+    assert found.final.effects == (name, "wake")
 
 
 def test_two_effects_are_found_where_a_third_alone_looks_better_than_either(monkeypatch):
@@ -184,7 +187,7 @@ def test_two_effects_are_found_where_a_third_alone_looks_better_than_either(monk
     monkeypatch.setattr(selection, "first_round", first_round)
     monkeypatch.setattr(selection, "evidence_over", lambda one, other: one.worth - other.worth)
     monkeypatch.setattr(selection, "_pruned", lambda searcher, base, one, judge: (one, {}))
-    monkeypatch.setattr(selection, "_prefer_special_cases", lambda *_: None)
+    monkeypatch.setattr(selection, "_exchanged", lambda *_: False)
     monkeypatch.setattr(selection, "_rivals", lambda *_: {})
     judge = type("Judged", (), {"searcher": SimpleNamespace(again=lambda one: one), "base": fit()})()
     judge.__class__.__call__ = lambda *_: SimpleNamespace(refused=())
@@ -234,7 +237,7 @@ def test_an_effect_of_which_an_estimate_leaves_nothing_is_refuted(monkeypatch):
 
 @pytest.mark.parametrize(("after", "worse"), [(0.2, True), (0.1, False), (0.05, False)])
 def test_an_error_rises_where_blocks_that_were_not_fitted_agree_on_it(after, worse):
-    """Twelve blocks of noise, 0.1 before: Student's test of their differences."""
+    """Twelve blocks of noise, 0.1 before."""
     rng, time = np.random.default_rng(3), np.arange(0.0, 60.0, 0.05)
     assert error_increases([(time, 0.1 * rng.standard_normal(len(time)), after * rng.standard_normal(len(time)))]) is worse
 
@@ -352,17 +355,30 @@ def test_a_slow_stand_is_looked_for_as_far_down_as_the_records_go():
     assert np.all(found[1:] / found[:-1] < 10.0 ** (1.0 / 11.0))
 
 
+@pytest.mark.parametrize(("losses", "p"), [([1.0, 2.0, 3.0, 40.0, 500.0, 6e3], 1 / 64), ([-1.0, 2.0], 1 / 2), ([0.0] * 6, 1.0)])
+def test_a_held_out_error_that_falls_in_every_block_has_the_least_p_value(losses, p):
+    """Of the signs of six differences one combination in 64 has a mean as large, however unequal they are: a t test says 0.16.
+    (0.5 and 1.5 of [-1, 2]: two of four.)"""
+    assert p_no_decrease([], losses) == pytest.approx(p)
+
+
 def test_rivals_are_of_the_round_in_which_an_effect_came_in():
-    """Alone a limit has 800 nats, and a wake that is there too 200; beside the limit a map comes near the wake."""
+    """Alone a limit has 800 nats, in another form 790, and a wake that is there too 200; beside the limit a map comes near the
+    wake."""
 
-    def tried(name, evidence):
-        return SimpleNamespace(candidate=SimpleNamespace(name=name), evidence=evidence, fit=True)
+    def tried(name, evidence, form=1.0):
+        return SimpleNamespace(candidate=SimpleNamespace(name=name, form={f"{name}.form": form}), evidence=evidence, fit=True)
 
-    rounds = [[tried("limit", 800.0), tried("band", 795.0), tried("wake", 200.0)], [tried("wake", 300.0), tried("map", 280.0)]]
+    first = [tried("limit", 800.0), tried("limit", 790.0, 2.0), tried("band", 795.0), tried("wake", 200.0)]
+    rounds = [first, [tried("wake", 300.0), tried("map", 280.0)]]
     judgements = {"limit": SimpleNamespace(evidence=900.0), "wake": SimpleNamespace(evidence=300.0)}
-    found = SimpleNamespace(rounds=rounds, final=SimpleNamespace(effects=("limit", "wake")), judgements=judgements)
-    names = {effect: [t.candidate.name for t in selection._near(found, effect)] for effect in judgements}
-    assert names == {"limit": ["band"], "wake": ["map"]}
+    final = SimpleNamespace(effects=("limit", "wake"), forms={"limit.form": 1.0, "wake.form": 1.0})
+    found = SimpleNamespace(rounds=rounds, final=final, judgements=judgements)
+    near = {
+        effect: [(t.candidate.name, *t.candidate.form.values()) for t in selection._near(found, effect)]
+        for effect in judgements
+    }
+    assert near == {"limit": [("limit", 2.0), ("band", 1.0)], "wake": [("map", 1.0)]}
 
 
 def test_a_fit_that_is_asked_for_again_is_not_made_again():

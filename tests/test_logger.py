@@ -333,3 +333,11 @@ def test_the_example_has_the_contracts_logger():
 def test_a_rig_that_responds_before_any_logger_could_has_the_contracts():
     """Commands act five rows before the readings of their row: no logger is that early, so the lags are wrong."""
     assert as_logged(passed(campaign(logged(4, -5.0)))).logger.rows == 0.0
+
+
+@pytest.mark.parametrize(("free", "gain", "rejected"), [((), 11.0, True), ((), 9.0, False), (("delay", "filter"), 99.0, False)])
+def test_a_sensor_is_rejected_if_no_freer_one_fits_the_thrust_better(free, gain, rejected):
+    """Ten nats distinguish two sensors; telemetry has two parameters more than marks, which may fit anything."""
+    marks, other = (object.__new__(_SensorFit) for _ in range(2))
+    marks.free, marks._thrust, other.free, other._thrust = (), 0.0, free, gain
+    assert other.fits_thrust_better_than(marks) is rejected

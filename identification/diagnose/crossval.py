@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import ttest_1samp
+from scipy.stats import permutation_test
 
 from identification.assessment.prediction import Prediction
 from identification.diagnose.judgement import ALPHA_HELD_OUT, FOLD_BLOCK, FOLDS
@@ -54,8 +54,12 @@ class HeldOut:
 
 def folds(time: np.ndarray, seconds: float) -> np.ndarray:
     """(n,) the fold of each time [s] of a record that lasts so many `seconds`."""
-    block = min(FOLD_BLOCK, seconds / (FEWEST_BLOCKS * FOLDS))
-    return (time / block).astype(int) % FOLDS
+    return _block(time, seconds) % FOLDS
+
+
+def _block(time: np.ndarray, seconds: float) -> np.ndarray:
+    """(n,) number of the block of each time [s]."""
+    return (time / min(FOLD_BLOCK, seconds / (FEWEST_BLOCKS * FOLDS))).astype(int)
 
 
 def contiguous_folds(time: np.ndarray, seconds: float) -> np.ndarray:
@@ -99,20 +103,23 @@ def cross_validated(
 
 
 def p_no_decrease(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], further: Sequence[float] = ()) -> float:
-    """p-value of the hypothesis that a held-out mean square error does not decrease (Diebold and Mariano, 1995; one-sided t
-    test).
+    """p-value of the hypothesis that a held-out mean square error does not decrease, by a permutation test of the loss
+    differences of Diebold and Mariano (1995): if neither model is better, their signs are exchangeable. The differences of a
+    drift grow with time and are too unequal for a t test.
 
     `parts`: (time [s], errors before, errors after), (rows,) each; differences of squares are averaged in blocks as long as
     those of the folds. `further`: more such differences.
     """
-    found = []
+    found = list(further)
     for time, old, new in parts:
-        block, seen = (time / FOLD_BLOCK).astype(int), np.isfinite(new) & np.isfinite(old)
+        block, seen = _block(time, float(time[-1])), np.isfinite(new) & np.isfinite(old)
         count = np.bincount(block[seen])
         sums = np.bincount(block[seen], weights=old[seen] ** 2 - new[seen] ** 2)
         found += (sums[count > 0] / count[count > 0]).tolist()
-    found += list(further)
-    return float(ttest_1samp(found, 0.0, alternative="greater").pvalue) if np.std(found) > 0.0 else 1.0
+    if len(found) < 2:
+        return 1.0
+    test = permutation_test((found,), np.mean, permutation_type="samples", alternative="greater", rng=0, vectorized=True)
+    return float(test.pvalue)
 
 
 def error_increases(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], further: Sequence[float] = ()) -> bool:

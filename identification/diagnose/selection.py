@@ -80,7 +80,8 @@ def select(
             judge, found = again, other
     effort.stage("judge")
     searcher = judge.searcher
-    _prefer_special_cases(searcher, found, judge)
+    while _exchanged(searcher, found, judge, pool):
+        pass
     found.refused = {n: j for n, j in found.refused.items() if n not in found.final.effects}
     found.rivals = {effect: _rivals(searcher, found, effect, judge, pool) for effect in found.final.effects}
     return judge, found
@@ -114,6 +115,8 @@ def _forward(judge: Judge, found: Selection, options, clearer, effort, pool) -> 
             judge, best = again, again.searcher.again(best)
             found.base = judge.base
         found.final, found.judgements = _pruned(judge.searcher, judge.base, best, judge)
+        while len(found.final.effects) > 1 and _exchanged(judge.searcher, found, judge, pool):
+            pass
     return judge, found
 
 
@@ -228,20 +231,21 @@ def _pruned(searcher: Searcher, base: Fit, fit: Fit, judge: Judge) -> tuple[Fit,
         fit = rests[min(weak, key=lambda effect: judged[effect].evidence)]
 
 
-def _prefer_special_cases(searcher: Searcher, found: Selection, judge: Judge) -> None:
-    """Replace an effect by a special case of it that fits as well beside the rest of the set: the generalisation may have been
-    ahead only because other effects were not included yet."""
+def _exchanged(searcher: Searcher, found: Selection, judge: Judge, pool) -> bool:
+    """Replace one effect by another one, or by another form of it, that fits better beside the rest of the set, or by a special
+    case that fits as well. Whether one was replaced. It may have been ahead only because other effects were not in the set."""
     for effect in found.final.effects:
-        wide = next(e for e in found.final.problem.model.effects if e.name == effect)
+        contained = next(e.contains for e in found.final.problem.model.effects if e.name == effect)
         rest = without(searcher, found.base, found.final, effect)
-        for tried in _near(found, effect):
-            if tried.candidate.name not in wide.contains:
-                continue
-            other = _in_place(searcher, rest, tried)
-            if evidence_over(other, found.final) > -SAME and not judge(tried.candidate.name, other, rest).refused:
+        near = _near(found, effect)
+        fits = pool.map(lambda t, rest=rest: _in_place(searcher, rest, t), near)
+        for tried, other in sorted(zip(near, fits, strict=True), key=lambda pair: pair[1].bic()):
+            least = -SAME if tried.candidate.name in contained else SAME
+            if evidence_over(other, found.final) > least and not judge(tried.candidate.name, other, rest).refused:
                 judgements = {n: judge(n, other, without(searcher, found.base, other, n)) for n in other.effects}
                 found.final, found.judgements = other, judgements
-                break
+                return True
+    return False
 
 
 def _in_place(searcher: Searcher, rest: Fit, tried: CandidateFit) -> Fit:
@@ -280,7 +284,7 @@ def _all_on(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
 
 def _near_in_place(searcher: Searcher, found: Selection, effect: str, rest: Fit, pool) -> list[tuple[Candidate, Fit]]:
     """Candidates whose evidence was near that of an effect, in all their forms, refitted in its place."""
-    near = _near(found, effect)
+    near = [t for t in _near(found, effect) if t.candidate.name != effect]
     fits = list(zip([t.candidate for t in near], pool.map(lambda t: _in_place(searcher, rest, t), near), strict=True))
     enough = REACH * evidence_over(found.final, rest)
     names = {candidate.name for candidate, fit in fits if evidence_over(fit, rest) >= enough}
@@ -293,14 +297,21 @@ def _near_in_place(searcher: Searcher, found: Selection, effect: str, rest: Fit,
 
 
 def _near(found: Selection, effect: str) -> list[CandidateFit]:
-    """Refitted candidates of the last round that tried an effect, with evidence near the best of that round."""
+    """Refitted candidates of the last round that tried an effect, other forms of it too, with evidence near its best there."""
+    final = found.final
+    others = {name for name in final.effects if name != effect}
     for tried in reversed(found.rounds):
         refits = [t for t in tried if t.fit is not None]
         mine = [t.evidence for t in refits if t.candidate.name == effect]
         if mine:
-            rivals = [t for t in refits if t.candidate.name not in found.final.effects]
+            rivals = [t for t in refits if t.candidate.name not in others and not _is_in(final, t.candidate)]
             return [t for t in rivals if t.evidence > max(mine) - _slack(found, effect)]
     return []
+
+
+def _is_in(fit: Fit, candidate: Candidate) -> bool:
+    """Whether a fit has a candidate, in the same form."""
+    return candidate.name in fit.effects and candidate.form.items() <= fit.forms.items()
 
 
 def _slack(found: Selection, effect: str) -> float:
