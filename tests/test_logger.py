@@ -335,6 +335,21 @@ def test_a_rig_that_responds_before_any_logger_could_has_the_contracts():
     assert as_logged(passed(campaign(logged(4, -5.0)))).logger.rows == 0.0
 
 
+@pytest.mark.parametrize("kind", ["encoder", "telemetry"])
+@pytest.mark.parametrize("digit", [100.0, 20.0])
+def test_a_coarsely_rounded_speed_is_read_without_bias(kind, digit):
+    """An exponential up and down, of 1 s, rows of 20 ms: where a rounded value has just changed the speed is near the limit, so
+    that values as they are would lead the speed by nearly half a digit."""
+    time = np.arange(0.0, 8.0, 0.02)
+    speed = 4000.0 + 1000.0 * np.where(time < 4.0, 1.0 - np.exp(-time), np.exp(4.0 - time))
+    columns = {"time": time, "omega_ref": 0.0 * time, "omega": np.round(speed / digit) * digit}
+    sensor = Tachometer(Record(columns, "rounded", sensor=SpeedSensor(kind)))
+    lead = (sensor.measured - sensor.shows(speed)) * np.where(sensor.times < 4.0, 1.0, -1.0)
+    assert abs(np.mean(lead)) < 0.05 * digit
+    late = (columns["omega"][sensor.rows] - sensor.shows(speed)) * np.where(sensor.times < 4.0, 1.0, -1.0)
+    assert np.mean(late) > 0.15 * digit
+
+
 @pytest.mark.parametrize(("free", "gain", "rejected"), [((), 11.0, True), ((), 9.0, False), (("delay", "filter"), 99.0, False)])
 def test_a_sensor_is_rejected_if_no_freer_one_fits_the_thrust_better(free, gain, rejected):
     """Ten nats distinguish two sensors; telemetry has two parameters more than marks, which may fit anything."""

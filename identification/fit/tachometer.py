@@ -31,7 +31,7 @@ FADED = 12.0
 class Tachometer:
     """Turns predicted speed (rows,) or its sensitivities (rows, k) into readings of the record's sensor at its new values.
 
-    `rows` (m,): the rows with a new value; `measured` (m,) rpm: these values; `std` (m,) rpm: their uncertainty from resolution
+    `rows` (m,): the rows with a new value; `measured` (m,) rpm: the speed that it shows; `std` (m,) rpm: their uncertainty from resolution
     and from the unknown instant within the sampling step; `unknown` s: median of half that time. `sensor`: as the record
     declares it. An unknown kind is taken for one mark, or for an encoder if values are renewed faster than the rotor turns.
     """
@@ -47,19 +47,21 @@ class Tachometer:
             # The last pulse came at an unknown instant within `since` before the row.
             since = np.minimum(step, period)
             middle, width = time - 0.5 * (since + period), period
+            near = _near_limits(time, shown, new, np.maximum(step, period))
             if self.sensor.averaged:
                 since, middle, width = _of_means(time, step, new, period)
             new &= middle - 0.5 * width >= time[0]
         else:
             since = np.minimum(step, self.sensor.refresh) if kind == TELEMETRY else np.zeros(len(time))
             middle, width = time - 0.5 * since, np.zeros(len(time))
+            near = _near_limits(time, shown, new, np.maximum(step, self.sensor.refresh))
             if self.sensor.averaged and self.sensor.refresh >= 3.0 * np.median(step):
                 new &= ~np.append(new[1:], False)  # without the rows that mix two values
             elif self.sensor.averaged:
                 width = step
                 new &= (middle - 0.5 * width >= time[0]) & (middle + 0.5 * width <= time[-1])
         self.rows = np.flatnonzero(new)
-        self.measured, since = shown[self.rows], since[self.rows]
+        self._shown, self.measured, since = shown[self.rows], near[self.rows], since[self.rows]
         self.unknown = 0.5 * float(np.median(since)) if len(since) else 0.0
         middle, width = middle[self.rows] - self.sensor.delay, width[self.rows]
         self.std = self._uncertainty(since)
@@ -132,8 +134,7 @@ class Tachometer:
     @cached_property
     def _noise(self) -> np.ndarray:
         """(m,) rpm: from the display's digit, the timer's tick and the marks' jitter."""
-        values = np.unique(self.measured)
-        digit = np.min(np.diff(values)) if len(values) > 1 else 1.0
+        digit = _digit(self._shown)
         tick = self.measured**2 * TIMER / 60.0 * (self.sensor.marks_per_revolution if self.sensor.kind == MARK else 1)
         # A late pulse makes one revolution longer and the next shorter: neighbours differ by sqrt 3 times the jitter.
         change = np.diff(self.measured)
@@ -157,6 +158,23 @@ def _renewed(time: np.ndarray, shown: np.ndarray) -> tuple[np.ndarray, np.ndarra
     step = np.diff(time, prepend=time[0] - (time[1] - time[0]))
     step[1:] = (time - time[before])[1:]
     return step, (shown != shown[before]) & seen & seen[before] & (shown > 0)
+
+
+def _digit(shown: np.ndarray) -> float:
+    """rpm: the smallest difference of two values."""
+    values = np.unique(shown)
+    return float(np.min(np.diff(values))) if len(values) > 1 else 1.0
+
+
+def _near_limits(time: np.ndarray, shown: np.ndarray, new: np.ndarray, interval: np.ndarray) -> np.ndarray:
+    """Speed (rows,) in the rows of new values, whose rounding is no noise: a value that changes by one digit after several
+    readings, one each `interval` [s], has just crossed the limit between two roundings, by half its motion in one interval."""
+    rows = np.flatnonzero(new)
+    found, change = shown.copy(), np.diff(shown[rows], prepend=shown[rows[:1]])
+    digit, held = _digit(shown[rows]), np.diff(time[rows], prepend=time[0]) / interval[rows]
+    once = np.abs(change) < 1.5 * digit
+    found[rows[once]] -= (0.5 * change * np.maximum(1.0 - 1.0 / np.maximum(held, 1.0), 0.0))[once]
+    return found
 
 
 def _of_means(time, step, new, period):
