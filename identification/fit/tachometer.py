@@ -31,9 +31,10 @@ FADED = 12.0
 class Tachometer:
     """Turns predicted speed (rows,) or its sensitivities (rows, k) into readings of the record's sensor at its new values.
 
-    `rows` (m,): the rows with a new value; `measured` (m,) rpm: the speed that it shows; `std` (m,) rpm: their uncertainty from resolution
-    and from the unknown instant within the sampling step; `unknown` s: median of half that time. `sensor`: as the record
-    declares it. An unknown kind is taken for one mark, or for an encoder if values are renewed faster than the rotor turns.
+    `rows` (m,): the rows with a new value; `measured` (m,) rpm: the speed that it shows; `std` (m,) rpm: its uncertainty from
+    resolution and from the unknown instant within the sampling step; `unknown` s: median of half that time. `sensor`: as the
+    record declares it. An unknown kind is taken for one mark, or for an encoder if values are renewed faster than the rotor
+    turns.
     """
 
     def __init__(self, record: Record):
