@@ -35,15 +35,15 @@ class Logger:
         moved = record.commands_later(self.rows) if self.rows else record
         return replace(moved, sensor=self.sensor) if "omega" in record else moved
 
-    def agrees_with(self, other: "Logger") -> bool:
-        """Whether both are equal within SIGNIFICANT standard errors."""
+    def agrees_with(self, other: "Logger", errors: float = SIGNIFICANT) -> bool:
+        """Whether both are equal within so many standard `errors`."""
         fixed = [(s.kind, s.marks_per_revolution, s.averaged) for s in (self.sensor, other.sensor)]
         pairs = [(self.rows, other.rows, max(self.std, other.std, FINEST))]
         pairs += [
             (getattr(self.sensor, n), getattr(other.sensor, n), max(s, FINEST * self.period))
             for n, s in self.sensor_std.items()
         ]
-        return fixed[0] == fixed[1] and all(abs(a - b) <= SIGNIFICANT * std for a, b, std in pairs)
+        return fixed[0] == fixed[1] and all(abs(a - b) <= errors * std for a, b, std in pairs)
 
     @property
     def lines(self) -> list[str]:

@@ -18,6 +18,7 @@ from identification.fit.tachometer import Tachometer, row_means
 from identification.gate.finding import acceptable
 from identification.gate.gate import passed
 from identification.identify import identify
+from identification.logger import Logger
 from identification.logger_fit import EVIDENCE, _Delay, _Estimate, _SensorFit, as_logged, likely_loggers, mended
 from identification.roles import Fitted, roles
 from vpp_fmu.campaign import Campaign, read_campaign
@@ -333,6 +334,12 @@ def test_the_example_has_the_contracts_logger():
 def test_a_rig_that_responds_before_any_logger_could_has_the_contracts():
     """Commands act five rows before the readings of their row: no logger is that early, so the lags are wrong."""
     assert as_logged(passed(campaign(logged(4, -5.0)))).logger.rows == 0.0
+
+
+@pytest.mark.parametrize(("errors", "agrees"), [(4.4, True), (1.0, False)])
+def test_offsets_are_compared_in_standard_errors(errors, agrees):
+    one, other = Logger(-0.76, 0.058, period=0.02), Logger(-0.54, 0.022, period=0.02)  # 3.8 standard errors apart
+    assert one.agrees_with(other, errors) is agrees
 
 
 @pytest.mark.parametrize("kind", ["encoder", "telemetry"])

@@ -39,7 +39,7 @@ from identification.fit.noise import Noise
 from identification.gate.finding import Finding
 from identification.gate.gate import Passed, passed
 from identification.identify import Identification, off_bounds
-from identification.logger import Logger
+from identification.logger import SIGNIFICANT, Logger
 from identification.logger_fit import as_logged, likely_loggers
 from identification.power.diagnose import PowerDiagnosis, diagnose_power
 from identification.roles import Fitted, Unseen, roles
@@ -207,7 +207,8 @@ def diagnose(
 
     The logger is estimated first, beside the base model. If something is missing with it, other loggers that are not
     distinguished from it are tried, too. A missing effect may bias this estimate. So the logger is estimated again beside the
-    effects that are found. If it differs, the campaign is diagnosed with it, too.
+    effects that are found. If it differs significantly, the campaign is diagnosed with it, too; if a found effect resembles an
+    offset, a difference of one standard error suffices.
     """
     effort = Effort(budget, thorough, stage, progress)
     # The fits run in parallel, each with one thread of linear algebra.
@@ -233,7 +234,7 @@ def diagnose(
             stage("logger")
             kept = given.without_power.model.optional if given else ()
             again = as_logged(gate, [*kept, *beside], library, found.selection.final.values)
-            if not again.logger.agrees_with(found.logger):
+            if not again.logger.agrees_with(found.logger, 1.0 if len(beside) < len(named) else SIGNIFICANT):
                 found = _simpler(found, run(again))
         return replace(found, not_tried=tuple(effort.not_tried), power=_power(found))
 
