@@ -438,7 +438,7 @@ class _SensorFit:
     @property
     def is_late(self) -> bool:
         """Whether the offset exceeds that of a logger by more than its uncertainty."""
-        return self.offset.value - SIGNIFICANT * self.offset.std > LATEST_ROW * self._of._period
+        return self.offset.exceeds(LATEST_ROW * self._of._period)
 
     def worse_than(self, other: "_SensorFit") -> bool:
         """Whether the evidence for another fit is very strong, and that of the thrust is not very strong against it. The model
@@ -470,8 +470,9 @@ class _SensorFit:
         """The common part of the delays, of a fit in which each command has a separate delay."""
         thrust = {u: self.late(f"{name}.delay") for u, name in DELAYS.items() if f"{name}.delay" in self._names}
         if not self.sensor.kind or "omega" not in thrust:
-            return _offset(thrust, None, "")
-        return _offset(thrust, self.late(SPEED_DELAY, "delay", unknown=self.unknown_instant), self.sensor.kind)
+            return _offset(thrust, None)
+        reading = self.late(SPEED_DELAY, "delay", unknown=self.unknown_instant)
+        return _offset(thrust, reading, self.sensor.kind, LATEST_ROW * self._of._period)
 
 
 @dataclass(frozen=True)
@@ -485,6 +486,10 @@ class _Delay:
 
     def differs_from(self, value: float) -> bool:
         return abs(self.value - value) > SIGNIFICANT * self.std + self.unknown
+
+    def exceeds(self, value: float) -> bool:
+        """Whether it is later than a value by more than its uncertainty."""
+        return self.value - SIGNIFICANT * self.std > value
 
     @property
     def leads(self) -> bool:
@@ -505,11 +510,11 @@ class _Delay:
 NONE = _Delay(0.0, 0.0)
 
 
-def _offset(thrust: Mapping[str, _Delay], reading: _Delay | None, kind: str) -> _Delay:
+def _offset(thrust: Mapping[str, _Delay], reading: _Delay | None, kind: str = "", latest: float = 0.0) -> _Delay:
     """The common part of the delays of `thrust`, by commanded channel, and of the speed `reading`.
 
-    A logger shifts all delays alike. A rig increases one of them; an overshoot of the thrust decreases it. Marks and encoders
-    have a negligible delay. Telemetry may have any: with it, the two delays of the thrust must agree.
+    A logger shifts all delays alike, up to the `latest`. A rig increases one of them; an overshoot of the thrust decreases it.
+    Marks and encoders have a negligible delay. Telemetry may have any: with it, the two delays of the thrust must agree.
     """
     own = list(thrust.values())
     if reading is None or kind == TELEMETRY:
@@ -527,7 +532,8 @@ def _offset(thrust: Mapping[str, _Delay], reading: _Delay | None, kind: str) -> 
     shared = reading.with_(speed)
     if pitch is not None and pitch.agrees_with(shared):
         return shared.with_(pitch)
-    return shared if early else NONE
+    smallest = pitch is not None and 0.0 < shared.value < pitch.value and not shared.exceeds(latest)
+    return shared if early or smallest else NONE
 
 
 def _scores(fits: Sequence[_SensorFit], groups: int = GROUPS) -> list[float]:

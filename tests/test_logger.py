@@ -336,6 +336,13 @@ def test_a_rig_that_responds_before_any_logger_could_has_the_contracts():
     assert as_logged(passed(campaign(logged(4, -5.0)))).logger.rows == 0.0
 
 
+@pytest.mark.parametrize(("speed", "pitch", "offset"), [(1.9, 2.9, 1.9), (4.0, 6.0, 0.0), (1.9, 0.0, 0.0), (1.9, 1.9, 1.9)])
+def test_the_smallest_delay_is_the_loggers_up_to_two_rows(speed, pitch, offset):
+    """Delays [rows] of the speed command, in thrust and reading, and of the pitch command."""
+    thrust = {"omega": _Delay(speed, 0.05), "beta": _Delay(pitch, 0.05)}
+    assert logger_fit._offset(thrust, _Delay(speed, 0.05), "mark", 2.0).value == pytest.approx(offset)
+
+
 @pytest.mark.parametrize(("errors", "agrees"), [(4.4, True), (1.0, False)])
 def test_offsets_are_compared_in_standard_errors(errors, agrees):
     one, other = Logger(-0.76, 0.058, period=0.02), Logger(-0.54, 0.022, period=0.02)  # 3.8 standard errors apart
