@@ -2,7 +2,7 @@
 
 import json
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,6 +12,7 @@ import pytest
 
 from identification import logger_fit
 from identification.demo import example_folder
+from identification.diagnose import diagnose as diagnosing
 from identification.fit.experiment import Experiment
 from identification.fit.noise import independent
 from identification.fit.tachometer import Tachometer, row_means
@@ -334,6 +335,53 @@ def test_the_example_has_the_contracts_logger():
 def test_a_rig_that_responds_before_any_logger_could_has_the_contracts():
     """Commands act five rows before the readings of their row: no logger is that early, so the lags are wrong."""
     assert as_logged(passed(campaign(logged(4, -5.0)))).logger.rows == 0.0
+
+
+@dataclass(frozen=True)
+class Found:
+    """A diagnosis of so many effects, with the logger whose offset is `rows`."""
+
+    effects: tuple[str, ...]
+    rows: float
+    verdict: str = "attributed"
+    not_tried: tuple[str, ...] = ()
+    power: None = None
+
+    @property
+    def selection(self):
+        return SimpleNamespace(final=SimpleNamespace(effects=self.effects, values={}))
+
+    @property
+    def final(self):
+        return self.selection.final
+
+    @property
+    def logger(self):
+        return Logger(self.rows, 0.1, period=0.01)
+
+    @property
+    def held_out_after(self):
+        return SimpleNamespace(rmse_thrust=0.1)
+
+
+def test_the_logger_is_estimated_beside_effects_that_resemble_an_offset_too(monkeypatch):
+    """An inflow biases the offset: beside the drift alone it is 0, beside both -1 row, where no third effect is needed."""
+    beside, offsets = [], {("drift",): 0.0, ("drift", "inflow_lag"): -1.0}
+    diagnoses = {0.0: Found(("drift", "inflow_lag", "row_clock"), 0.0), -1.0: Found(("drift", "inflow_lag"), -1.0)}
+
+    def estimated(gate, effects, library, values):
+        beside.append(tuple(effects))
+        return SimpleNamespace(logger=Logger(offsets[tuple(effects)], 0.1, period=0.01))
+
+    monkeypatch.setattr(diagnosing, "passed", lambda *_: None)
+    monkeypatch.setattr(diagnosing, "likely_loggers", lambda *_: iter([SimpleNamespace(logger=Logger(0.0))]))
+    monkeypatch.setattr(diagnosing, "as_logged", estimated)
+    monkeypatch.setattr(diagnosing, "_may_be_loggers", lambda found: False)
+    monkeypatch.setattr(diagnosing, "_diagnosed", lambda *given: diagnoses[given[-1].logger.rows])
+    monkeypatch.setattr(diagnosing, "_power", lambda found: None)
+    library = [SimpleNamespace(name=name) for name in diagnoses[0.0].effects]
+    assert diagnosing.diagnose(None, library).effects == ("drift", "inflow_lag")
+    assert beside == [("drift",), ("drift", "inflow_lag")]
 
 
 @pytest.mark.parametrize(("speed", "pitch", "offset"), [(1.9, 2.9, 1.9), (4.0, 6.0, 0.0), (1.9, 0.0, 0.0), (1.9, 1.9, 1.9)])

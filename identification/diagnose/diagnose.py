@@ -51,8 +51,11 @@ from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig
 
-LATE = ("row_clock", "reading_delay", "sensor_lag", "speed_delay", "pitch_delay", "inflow_lag", "pitch_rate_feedthrough")
-"""Effects that a wrong offset of the logger resembles: the response comes later or earlier."""
+SHIFTS = ("row_clock", "reading_delay", "sensor_lag", "speed_delay", "pitch_delay")
+"""Effects that shift a response in time, as an offset of the logger does."""
+
+LATE = (*SHIFTS, "inflow_lag", "pitch_rate_feedthrough")
+"""Effects that a wrong offset resembles. The last two do more: an offset is estimated both without and beside them."""
 
 OTHERS = 2
 """Maximum number of other loggers with which a campaign is diagnosed."""
@@ -227,14 +230,16 @@ def diagnose(
                 break
             if _missing(again := run(other)) < _missing(found):
                 found = _simpler(found, again)
-        known = [e.name for e in library]
-        named = [name for name in found.selection.final.effects if name in known]
-        beside = [name for name in named if name not in LATE]
-        if named and effort.allows(f"another logger beside {' + '.join(named)}"):
+        known, kept = [e.name for e in library], given.without_power.model.optional if given else ()
+        before: list[str] | None = None
+        for resembling in (LATE, SHIFTS):
+            named = [name for name in found.selection.final.effects if name in known]
+            beside = [name for name in named if name not in resembling]
+            if not named or beside == before or not effort.allows(f"another logger beside {' + '.join(named)}"):
+                continue
             stage("logger")
-            kept = given.without_power.model.optional if given else ()
-            again = as_logged(gate, [*kept, *beside], library, found.selection.final.values)
-            if not again.logger.agrees_with(found.logger, 1.0 if len(beside) < len(named) else SIGNIFICANT):
+            before, again = beside, as_logged(gate, [*kept, *beside], library, found.selection.final.values)
+            if not again.logger.agrees_with(found.logger, 1.0 if set(named) & set(LATE) else SIGNIFICANT):
                 found = _simpler(found, run(again))
         return replace(found, not_tried=tuple(effort.not_tried), power=_power(found))
 
