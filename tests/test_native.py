@@ -3,6 +3,7 @@
 import subprocess
 import tempfile
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -58,6 +59,21 @@ def test_runs_side_by_side_are_each_by_itself_to_the_bit(effect):
         assert found.shape == (301, len(made.outputs), len(points))
         for k, point in enumerate(points):
             np.testing.assert_array_equal(found[:, :, k], made.simulate(point, inputs, steps, late))
+
+
+def test_vectors_of_any_width_have_the_same_bits(monkeypatch):
+    """Each that this processor has, and none."""
+    cpu = Path("/proc/cpuinfo")
+    known = cpu.read_text(encoding="utf-8").split() if cpu.exists() else []
+    flags, found = [(), *((f'-DVECTORS="{name}"',) for name in compiler.VECTORS if name in known)], []
+    assert compiler._vectors() in (flags[:1] if len(flags) == 1 else flags[1:2])
+    inputs = random_steps(301, 60)
+    for own in flags:
+        monkeypatch.setattr(compiler, "_vectors", lambda own=own: own)
+        simulators._runner.cache_clear()
+        points = [{"tau_omega_1": 0.2 + 0.01 * k} for k in range(LANES)]
+        found.append(Simulator(BASE).simulate_all(points, inputs, np.full(300, 0.004)))
+    assert all(np.array_equal(found[0], other) for other in found)
 
 
 @pytest.mark.parametrize("compiler", [True, False])

@@ -56,9 +56,9 @@ void end(void *run) { free(run); }
  * to two. */
 #define PREPARED 6
 
-/* The widest vectors of the processor that the library runs on: no fused operations, and so the same bits on each. */
-#if defined(__x86_64__) && defined(__linux__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
-#define WIDEST __attribute__((target_clones("avx512f", "avx2", "default")))
+/* The widest vectors of the processor, from compiler.py: no fused operations, and so the same bits on each. */
+#ifdef VECTORS
+#define WIDEST __attribute__((target(VECTORS)))
 #else
 #define WIDEST
 #endif
