@@ -135,9 +135,11 @@ def scan(
         solution = problem.refit(solution.value)
     about = Linearised.of(problem, solution)
     (smallest,) = about.costs(simulator, [{}])
-    # The records do not identify the value within the constant piece of the cost: the end of smallest influence is taken.
-    flat = _edges(about, simulator, name, best, smallest * (1.0 + SAME), whole)
-    problem.values[name] = min(flat, key=lambda value: abs(value - off))
+    # The records do not identify the value within the constant piece of the cost: the middle is taken, or, where the range ends
+    # first, the end of smallest influence.
+    low, high = _edges(about, simulator, name, best, smallest * (1.0 + SAME), whole)
+    bounded = whole[0] < low and high < whole[-1]
+    problem.values[name] = 0.5 * (low + high) if bounded else min((low, high), key=lambda value: abs(value - off))
     return solution, _edges(about, simulator, name, problem.values[name], smallest + 0.5 * CHI2_95, whole)
 
 
