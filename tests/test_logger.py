@@ -377,7 +377,8 @@ def test_the_logger_is_estimated_beside_effects_that_resemble_an_offset_too(monk
     monkeypatch.setattr(diagnosing, "likely_loggers", lambda *_: iter([SimpleNamespace(logger=Logger(0.0))]))
     monkeypatch.setattr(diagnosing, "as_logged", estimated)
     monkeypatch.setattr(diagnosing, "_may_be_loggers", lambda found: False)
-    monkeypatch.setattr(diagnosing, "_diagnosed", lambda *given: diagnoses[given[-1].logger.rows])
+    monkeypatch.setattr(diagnosing, "_searched", lambda *given: diagnoses[given[-1].logger.rows])
+    monkeypatch.setattr(diagnosing, "_concluded", lambda *given: given[-1])
     monkeypatch.setattr(diagnosing, "_power", lambda found: None)
     library = [SimpleNamespace(name=name) for name in diagnoses[0.0].effects]
     assert diagnosing.diagnose(None, library).effects == ("drift", "inflow_lag")

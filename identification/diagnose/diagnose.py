@@ -29,7 +29,7 @@ from identification.diagnose.judgement import FORM, MIN_EVIDENCE, Smallest
 from identification.diagnose.lack_of_fit import LackOfFit, with_rotor_order
 from identification.diagnose.learned.learn import Attempt, Learned, learn
 from identification.diagnose.locate import locate
-from identification.diagnose.search.candidates import candidates
+from identification.diagnose.search.candidates import Candidate, candidates
 from identification.diagnose.search.fits import Fit
 from identification.diagnose.search.refits import evidence_over
 from identification.diagnose.selection import Selection, nearest, select
@@ -220,15 +220,15 @@ def diagnose(
         gate = passed(campaign, records, accept)
         library = tuple(library)
         present = (given.without_power.model.optional, library, given.without_power.values) if given else ()
-        run = partial(_diagnosed, campaign, library, pool, seed, effort, given, Smallest(smallest, smallest_speed))
+        sizes = Smallest(smallest, smallest_speed)
+        search = partial(_searched, campaign, library, pool, seed, effort, given, sizes)
         stage("logger")
         likely = likely_loggers(gate, *present)
-        first = next(likely)
-        found = run(first)
+        found = search(next(likely))
         for other in islice(likely, OTHERS) if _may_be_loggers(found) else ():
             if found.verdict == "none" or not effort.allows("another logger"):
                 break
-            if _missing(again := run(other)) < _missing(found):
+            if _missing(again := search(other)) < _missing(found):
                 found = _simpler(found, again)
         known, kept = [e.name for e in library], given.without_power.model.optional if given else ()
         before: list[str] | None = None
@@ -240,8 +240,9 @@ def diagnose(
             stage("logger")
             before, again = beside, as_logged(gate, [*kept, *beside], library, found.selection.final.values)
             if not again.logger.agrees_with(found.logger, 1.0 if set(named) & set(LATE) else SIGNIFICANT):
-                found = _simpler(found, run(again))
-        return replace(found, not_tried=tuple(effort.not_tried), power=_power(found))
+                found = _simpler(found, search(again))
+        done = _concluded(campaign, pool, seed, effort, given, sizes, found)
+        return replace(done, not_tried=tuple(effort.not_tried), power=_power(done))
 
 
 def _power(found: Diagnosis) -> PowerDiagnosis | None:
@@ -250,27 +251,57 @@ def _power(found: Diagnosis) -> PowerDiagnosis | None:
     return diagnose_power(records, unseen, found.parameters(found.final), found.noise.block)
 
 
-def _may_be_loggers(found: Diagnosis) -> bool:
+@dataclass(frozen=True)
+class _Searched:
+    """A campaign, corrected for one logger and searched for effects of the library: what a `Diagnosis` tells before a term is
+    learned. `at`: the start of the search. `options`: the candidates. `shipped(present, base, found, partly)`: validation."""
+
+    gate: Passed
+    at: InitialModel
+    groups: Sequence[Sequence[Fitted]]
+    unseen: Unseen | None
+    options: Sequence[Candidate]
+    judge: Judge
+    distinguishability: Distinguishability
+    selection: Selection
+    verdict: str
+    before: LackOfFit
+    after: LackOfFit
+    base: Fit
+    final: Fit
+    refuted: str
+    shipped: Callable[..., tuple[Fit, str]]
+
+    @property
+    def logger(self) -> Logger:
+        return self.gate.logger
+
+    @property
+    def held_out_after(self) -> HeldOut:
+        return self.judge.held_out(self.final)
+
+
+def _may_be_loggers(found: _Searched) -> bool:
     """Whether another logger may explain what is missing: loggers that are not distinguished differ by few nats, also in
     records that are longer than those that the logger was estimated from."""
     selection = found.selection
     return found.verdict != "none" and evidence_over(selection.final, selection.base) < MOST_OF_LOGGER
 
 
-def _missing(found: Diagnosis) -> tuple[int, bool]:
+def _missing(found: _Searched) -> tuple[int, bool]:
     """(number of effects, whether anything is missing), in the order in which diagnoses are preferred."""
     return len(found.final.effects), found.verdict != "none"
 
 
-def _simpler(one: Diagnosis, other: Diagnosis) -> Diagnosis:
-    """The diagnosis that finds less missing, if its held-out error has at most the share FORM more power than that of the
+def _simpler(one: _Searched, other: _Searched) -> _Searched:
+    """The one that finds less missing, if its held-out error has at most the share FORM more power than that of the
     other."""
     few, many = sorted((one, other), key=lambda found: (*_missing(found), found.held_out_after.rmse_thrust))
     powers = [found.held_out_after.rmse_thrust**2 for found in (few, many)]
     return few if powers[0] <= (1.0 + FORM) * powers[1] else many
 
 
-def _diagnosed(
+def _searched(
     campaign: Campaign,
     library: tuple[Effect, ...],
     pool: ThreadPoolExecutor,
@@ -279,8 +310,8 @@ def _diagnosed(
     given: ParameterSet | None,
     smallest: Smallest,
     gate: Passed,
-) -> Diagnosis:
-    """Diagnose a campaign whose records passed the `gate`, corrected for its logger."""
+) -> _Searched:
+    """Search a campaign whose records passed the `gate`, corrected for its logger."""
     effort.stage("identify")
     groups, unseen = roles(gate.campaign, gate.further)
     fitted = tuple(one for group in groups for one in group)
@@ -319,46 +350,76 @@ def _diagnosed(
     ):
         (selection, after, final), refuted = others, ""
         word = verdict(base, selection.final, before, after, selection.family)
-    lack = before if refuted else after
-    word = unnamed(before) if refuted else word
-    attempt = Attempt()
+    return _Searched(
+        gate=gate,
+        at=at,
+        groups=groups,
+        unseen=unseen,
+        options=options,
+        judge=judge,
+        distinguishability=distinguishable,
+        selection=selection,
+        verdict=unnamed(before) if refuted else word,
+        before=before,
+        after=after,
+        base=identified,
+        final=final,
+        refuted=refuted,
+        shipped=shipped,
+    )
+
+
+def _concluded(
+    campaign: Campaign,
+    pool: ThreadPoolExecutor,
+    seed: int,
+    effort: Effort,
+    given: ParameterSet | None,
+    smallest: Smallest,
+    found: _Searched,
+) -> Diagnosis:
+    """The diagnosis from a search: a term of unknown form is learned if lack of fit remains, and the next experiment chosen."""
+    at, judge, selection, after, attempt = found.at, found.judge, found.selection, found.after, Attempt()
+    searcher, base, final, refuted, word = judge.searcher, judge.base, found.final, found.refuted, found.verdict
+    lack = found.before if refuted else after
     if effort.thorough and word in UNEXPLAINED and lack.significant and effort.allows("a term of unknown form"):
         besides = [base, selection.final] if word == "partly" else [base]
 
         def learned_beside(beside: Fit) -> Attempt:
-            return learn(searcher, beside, smallest, at.rig.scales, gate.campaign.steps, pool, effort)
+            return learn(searcher, beside, smallest, at.rig.scales, found.gate.campaign.steps, pool, effort)
 
-        attempt, final = _learned(learned_beside, besides, judge, final, shipped)
+        attempt, final = _learned(learned_beside, besides, judge, final, found.shipped)
     if attempt.learned:
         word, refuted, selection = "learned", "", _with(selection, attempt.learned)
         after = with_rotor_order(judge.lack(selection.final), selection.final)
+    fitted = tuple(one for group in found.groups for one in group)
     experiment, guess = discriminating_experiment(_timed(at, final), seed, fitted[0].record.period), None
     if word in UNEXPLAINED:
-        tried = partial(nearest, judge, selection, options, effort, pool)
-        guess = best_guess(judge, selection, (before, after), refuted, word == "partly", tried, experiment)
+        tried = partial(nearest, judge, selection, found.options, effort, pool)
+        guess = best_guess(judge, selection, (found.before, after), refuted, word == "partly", tried, experiment)
     shown = predict(final.problem.model, final.values, fitted[0].record)
     return Diagnosis(
         campaign=campaign,
-        quality=at.identification.quality if at.identification else gate.findings,
-        logger=gate.logger,
+        quality=at.identification.quality if at.identification else found.gate.findings,
+        logger=found.logger,
         identification=at.identification,
         given=given,
         rig=at.rig,
         fitted=fitted,
-        base=identified,
+        base=found.base,
         noise=searcher.experiments[0].noise,
         reading_noise=at.noise,
         selection=selection,
         verdict=word,
-        before=before,
+        before=found.before,
         after=after,
-        distinguishability=distinguishable,
-        location=locate([one.record for one in groups[0]], shown.thrust, shown.omega, shown.beta),
+        distinguishability=found.distinguishability,
+        location=locate([one.record for one in found.groups[0]], shown.thrust, shown.omega, shown.beta),
         experiment=experiment,
         final=final,
-        held_out_before=judge.held_out(identified),
+        held_out_before=judge.held_out(found.base),
         held_out_after=judge.held_out(final),
-        unseen=unseen,
+        unseen=found.unseen,
         refuted=refuted,
         attempt=attempt,
         best_guess=guess,
