@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.fft import dct, idct
+from scipy.fft import dct, idct, next_fast_len
 
 from identification.fit.ar_filter import ar_residuals
 from identification.fit.converter import grid
@@ -238,10 +238,11 @@ def _with_later(columns: np.ndarray, reach: int) -> np.ndarray:
     Other rows are excluded: with a filter near a random walk the level is almost free, and the ends would add it.
     """
     rows = len(columns)
-    spectrum = np.abs(np.fft.rfft(columns, 2 * rows, axis=0)) ** 2
+    size = next_fast_len(rows + reach, real=True)  # the circular correlation of padded columns is a linear one up to this lag
+    spectrum = np.abs(np.fft.rfft(columns, size, axis=0)) ** 2
     found, lags = np.zeros((reach + 1, reach + 1)), np.arange(min(reach, rows - 1) + 1)
     first = columns[:reach] @ columns[:reach].T
-    found[0, lags] = np.fft.irfft(spectrum.sum(axis=1))[lags] - [np.trace(first, -lag) for lag in lags]
+    found[0, lags] = np.fft.irfft(spectrum.sum(axis=1), size)[lags] - [np.trace(first, -lag) for lag in lags]
     # Each further lag adds a row at the start and removes one at the end.
     last = columns[rows - reach :] @ columns[rows - reach :].T
     for i in range(reach if rows > 2 * reach else 0):
