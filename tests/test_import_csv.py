@@ -11,7 +11,7 @@ from studies.gate import SIZES
 
 from identification.logs.clock import guessed_unit, mended, read_clock
 from identification.logs.commands import fitted_map
-from identification.logs.mapping import read_sections
+from identification.logs.mapping import propose, read_sections
 from identification.logs.raw_table import RawTable, plain, split_unit
 from identification.logs.sampling import between, said_of_gaps, said_of_rows
 from identification.logs.speed_choice import likelihood_gain
@@ -259,11 +259,11 @@ def test_names_that_say_little_are_told_by_their_units(tmp_path, vpp, names):
     "names",
     [
         {"time": "t", "omega_ref": "speed_cmd", "beta_ref": "pitch_cmd", "thrust": "force"},
-        {"time": "t_s", "omega_ref": "n_soll_rpm", "omega": "n_ist_rpm", "thrust": "F_N"},
+        {"time": "t_s", "omega_ref": "n_soll_rpm", "omega": "n_ist_rpm", "thrust": "force_n"},
     ],
 )
 def test_guessed_units_are_refused_with_the_words_that_would_do_and_accepted_by_yes(tmp_path, vpp, names):
-    """The N behind a force is no speed."""
+    """The n behind a force is no speed, and may be newton."""
     t = truth()
     path = table(tmp_path / "log.csv", {header: t[name] for name, header in names.items()})
     code, _, err = vpp(path, "-o", tmp_path / "out")
@@ -276,6 +276,93 @@ def test_guessed_units_are_refused_with_the_words_that_would_do_and_accepted_by_
         record = read_record(tmp_path / folder / "open_loop.csv")
         for name in names:
             np.testing.assert_allclose(record[name], t[name], rtol=1e-8)
+
+
+def test_units_that_an_end_of_a_name_can_only_mean_are_taken_without_asking(tmp_path, vpp):
+    t = truth()
+    names = {"time": "t_s", "omega_ref": "n_soll_rpm", "beta_ref": "pitch_cmd_deg", "omega": "esc_rpm", "thrust": "F_N"}
+    path = table(tmp_path / "log.csv", {header: t[name] for name, header in names.items()} | {"ticks": t["time"]})
+    code, out, _ = vpp(path, "-o", tmp_path / "out")
+    assert (code, "not used: ticks\n" in out) == (0, True)
+    record = read_record(tmp_path / "out" / "open_loop.csv")
+    for name in names:
+        np.testing.assert_allclose(record[name], t[name], rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("header", "quantity"),
+    [
+        ("ESC speed", "omega"),
+        ("esc_status.rpm", "omega"),
+        ("esc_voltage", "voltage"),
+        ("ESC current (A)", "current"),
+        ("ESC signal", "signal"),
+        ("ESC throttle (%)", "signal"),
+        ("esc", "signal"),
+    ],
+)
+def test_what_an_esc_reports_is_no_signal_to_it(header, quantity):
+    table = RawTable("log.csv", {header: np.linspace(1.0, 99.0, 50)}, np.arange(50))
+    assert list(propose(table)) == [quantity]
+
+
+def test_a_pitch_of_less_than_a_degree_is_proposed_in_radians(tmp_path, vpp):
+    t = truth()
+    names = {"time": "t (s)", "omega_ref": "rpm_cmd (rpm)", "beta_ref": "pitch_cmd", "thrust": "Fz (N)"}
+    path = table(tmp_path / "log.csv", {h: np.radians(t[n]) if n == "beta_ref" else t[n] for n, h in names.items()})
+    code, _, err = vpp(path, "-o", tmp_path / "out")
+    assert (code, "pitch_cmd as beta_ref in rad" in err) == (2, True)
+    assert vpp(path, "--yes", "-o", tmp_path / "out")[0] == 0
+    np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["beta_ref"], t["beta_ref"], rtol=1e-8)
+
+
+@pytest.mark.parametrize(("header", "known"), [("theta_cmd [deg]", True), ("vane setpoint [deg]", True), ("xi [deg]", False)])
+def test_an_angle_that_moves_is_the_pitch_or_stops_the_import(tmp_path, vpp, header, known):
+    t = truth()
+    names = {"time": "t [s]", "omega_ref": "speed cmd [rpm]", "thrust": "Fz [N]"}
+    path = table(tmp_path / "log.csv", {h: t[n] for n, h in names.items()} | {header: t["beta_ref"]})
+    code, _, err = vpp(path, "-o", tmp_path / "out")
+    if not known:
+        assert (code, err.count("\n")) == (2, 1)
+        assert f"{header}, an angle that moves from {t['beta_ref'].min():g} to {t['beta_ref'].max():g} deg" in err
+        assert vpp(path, "--map", f"beta_ref={header}", "-o", tmp_path / "out")[0] == 0
+    np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["beta_ref"], t["beta_ref"], atol=1e-12)
+    assert vpp(path, "--map", "beta_ref=-", "--fixed", "beta_ref=3:deg", "-o", tmp_path / "fixed")[0] == 0
+
+
+def test_the_time_of_an_arduinos_monitor_is_the_time_of_its_lines(tmp_path, vpp):
+    t, rows = truth(), []
+    for k in range(len(t["time"])):
+        rows.append(f"23:59:{58.25 + t['time'][k]:06.3f} -> set:{t['omega_ref'][k]:g} rpm  thrust:{t['thrust'][k]:.6f} N")
+        if k == 70:
+            rows.append("23:59:58.955 -> set:40thrust:1.2")
+    path = tmp_path / "serial.txt"
+    path.write_text("\n".join(rows[:150]) + "\n")
+    code, out, _ = vpp(path, "--map", "omega_ref=set", "-o", tmp_path / "out")
+    assert (code, "lines without these values 1\n" in out) == (0, True)
+    record = read_record(tmp_path / "out" / "open_loop.csv")
+    for name in ("time", "omega_ref", "thrust"):
+        np.testing.assert_allclose(record[name], t[name][:149], atol=1e-6)
+
+
+def test_one_run_is_taken_of_a_log_whose_time_starts_again(tmp_path, vpp):
+    t = truth()
+    names = {"time": "t [s]", "omega_ref": "speed cmd [rpm]", "omega": "speed [rpm]", "thrust": "Fz [N]"}
+    twice = np.append(np.arange(150), np.arange(150))
+    columns = {h: t[n][twice] if n == "time" else t[n][:300] for n, h in names.items()}
+    path = table(tmp_path / "log.csv", columns)
+    code, _, err = vpp(path, "-o", tmp_path / "out")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "--run 1 for the first of 2 runs" in err
+    for run, rows in ((1, slice(0, 150)), (2, slice(150, 300))):
+        code, out, _ = vpp(path, "--run", run, "-o", tmp_path / str(run))
+        assert (code, f"run {run} of 2 is taken" in out) == (0, True)
+        record = read_record(tmp_path / str(run) / "open_loop.csv")
+        np.testing.assert_allclose(record.time, t["time"][:150], atol=1e-9)
+        np.testing.assert_allclose(record["thrust"], t["thrust"][rows], rtol=1e-8)
+    code, _, err = vpp(path, "--run", 3, "-o", tmp_path / "out")
+    assert (code, "--run: found 3, expected 1 to 2" in err) == (2, True)
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_throttle_in_per_cent_by_its_name_is_accepted_by_yes(tmp_path, vpp):

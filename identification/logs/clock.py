@@ -14,6 +14,7 @@ import numpy as np
 from identification.logs.raw_table import EMPTY, RawTable
 from identification.logs.units import QUANTITIES, factor_of
 from vpp_fmu.digits import number
+from vpp_fmu.errors import BadInput
 from vpp_fmu.files import shown
 
 CALENDAR = "iso"
@@ -51,8 +52,9 @@ class Clock:
         return float(np.median(np.diff(self.time)))
 
 
-def read_clock(table: RawTable, name: str, unit: str, runs: bool = False) -> Clock:
-    """The clock of a column. `runs`: time may start again, with each run (`restarts`, indices into Clock.rows). BadInput."""
+def read_clock(table: RawTable, name: str, unit: str, runs: bool = False, run: int | None = None) -> Clock:
+    """The clock of a column. `runs`: time may start again, with each run (`restarts`, indices into Clock.rows). `run`: the
+    only one to take, from 1. BadInput."""
     stamps, start = _seconds(table, name, unit)
     rows = np.flatnonzero(np.isfinite(stamps))
     if len(rows) < 2:
@@ -67,13 +69,23 @@ def read_clock(table: RawTable, name: str, unit: str, runs: bool = False) -> Clo
             name, rows[-1], f"{table.columns[name][rows[-1]]}, no later than any row before", "a time that increases"
         )
     back = np.flatnonzero(np.diff(time) < -usual) + 1
-    if len(back) and not runs:
+    if len(back) and not runs and run is None:
         now, before = (table.columns[name][rows[back[0] - k]] for k in (0, 1))
-        found = f"{now} after {before}, back by {time[back[0] - 1] - time[back[0]]:.6g} s, {len(back)} such places"
+        places = "" if len(back) == 1 else f", {len(back)} such places"
+        found = f"{now} after {before}, back by {time[back[0] - 1] - time[back[0]]:.6g} s{places}"
         allowed = "time that doesn't go back by a row or more"
-        raise table.wrong(name, rows[back[0]], found, allowed, "--as steps for a log of several runs")
+        hint = f"--run 1 for the first of {len(back) + 1} runs, or --as steps where each run is a step"
+        raise table.wrong(name, rows[back[0]], found, allowed, hint)
     parts, kept, restarts = [], [], []
-    for first, end in zip([0, *back], [*back, len(time)], strict=True):
+    spans = list(zip([0, *back], [*back, len(time)], strict=True))
+    if run is not None:
+        if not 1 <= run <= len(spans):
+            number_of = f"1 to {len(spans)}, the runs that {name} has" if len(back) else f"1: {name} never starts again"
+            raise BadInput("command line", "--run", str(run), number_of)
+        spans = spans[run - 1 : run]
+        notes.append(f"time: run {run} of {len(back) + 1} is taken, the others are left out")
+        start = f"{table.columns[name][rows[spans[0][0]]]}, where run {run} begins"
+    for first, end in spans:
         if np.ptp(time[first:end]) == 0.0:
             raise table.wrong(name, rows[first], f"a run of {end - first} rows at one time", "runs with increasing time")
         increasing, unique, corrections = straightened(time[first:end], usual)

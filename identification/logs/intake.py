@@ -10,7 +10,7 @@ from identification.gate.files import SPEEDS, electrical_cause, pole_pairs, spee
 from identification.logs.clock import Clock, read_clock
 from identification.logs.coefficients import Propeller, thrust_of
 from identification.logs.commands import averaged_map, fitted_map, taken_over
-from identification.logs.mapping import ROWS, Column, Plan, pitch_in_other_unit
+from identification.logs.mapping import ROWS, Column, Plan, moving_angle, pitch_in_other_unit
 from identification.logs.raw_table import RawTable
 from identification.logs.speed_map import RANGES, SignalRange, SpeedMap
 from identification.logs.units import QUANTITIES, SIGNALS, factor_of, scale_of, signal_unit
@@ -62,13 +62,15 @@ def take_in(
     speed_map: SpeedMap | None = None,
     propeller: Propeller | None = None,
     force: bool = False,
+    run: int | None = None,
 ) -> Taken:
     """Convert a table for a campaign's file of a `kind`. `speed_map`: from signal to speed; None: fitted to the log.
-    `propeller`: of a table of coefficients; `force`: accept a speed that looks electrical. BadInput."""
+    `propeller`: of a table of coefficients; `force`: accept a speed that looks electrical; `run`: which, from 1, of a log whose
+    time starts again. BadInput."""
     _check(table, plan, kind)
     clock, rows, said = None, np.arange(len(table)), []
     if "time" in plan.columns:
-        clock = _clock(table, plan, kind)
+        clock = _clock(table, plan, kind, run)
         rows, said = clock.rows, [f"time 0 is {clock.start} of the log", *clock.said]
     columns = {"time": clock.time} if clock else {}
     for quantity, column in plan.columns.items():
@@ -126,9 +128,13 @@ def electrical(plan: Mapping[str, Column], columns: Mapping[str, np.ndarray]) ->
 
 
 def _no_angle(table: RawTable, plan: Plan) -> tuple[str, str, str] | None:
-    """(found, expected, hint) if the plan has no pitch, and the log has one that is not an angle; else None."""
+    """(found, expected, hint) if the plan has no pitch, and the log has a moving angle or no angle as pitch; else None."""
     if {"beta_ref", "beta"} & {*plan.columns, *plan.fixed}:
         return None
+    if (angle := moving_angle(table, {c.name for c in plan.columns.values()})) is not None:
+        name, unit, low, high = angle
+        found = f"{name}, an angle that moves from {low:g} to {high:g} {unit}, and no pitch"
+        return found, "a command of pitch", f"--map 'beta_ref={name}', or --fixed beta_ref=8:deg if the pitch is fixed"
     if (other := pitch_in_other_unit(table, {c.name for c in plan.columns.values()})) is None:
         return None
     name, unit, low, high = other
@@ -174,12 +180,12 @@ def _names(table: RawTable) -> str:
     return text if len(text) < 200 else f"{text[:197]}..."
 
 
-def _clock(table: RawTable, plan: Plan, kind: str) -> Clock:
+def _clock(table: RawTable, plan: Plan, kind: str, run: int | None) -> Clock:
     column = plan.columns["time"]
     if column.name == ROWS and ROWS not in table.columns:
         step = factor_of(QUANTITIES["time"], column.unit)
         return Clock(np.arange(len(table)), step * np.arange(len(table)), f"row 1, rows are {column.unit} apart", ())
-    return read_clock(table, column.name, column.unit, runs=kind == "steps")
+    return read_clock(table, column.name, column.unit, kind == "steps", run)
 
 
 def _held(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], list[str]]:

@@ -33,11 +33,20 @@ LEAVE_OUT = "-"
 STEEP = 90.0
 """deg, above the pitch of any blade; larger numbers are a servo's pulses or counts."""
 
+MOVES = 2.0
+"""deg, by which an angle moves more than a stand does."""
+
+_PLAIN = frozenset(["N", "mN", "kN", "gf", "kgf", "lbf", "deg", "rad", "rpm", "Hz", "ms", "us"])
+"""Units that an end of a name can only mean, such as thrust_N."""
+
+SMALL_ANGLE = 0.6
+"""Largest number of a pitch without a unit that is taken as rad: no rotor's pitch moves by less than a degree in all."""
+
 _WORDS = {
     "time": "time t timestamp zeit uhrzeit datetime clock elapsed seconds epoch utc sec millis micros temps tiempo stamp x",
     "thrust": "thrust fz force schub schubkraft kraft load loadcell lift f poussee empuje newton",
     "omega": "omega rpm speed n drehzahl rotor rot motorspeed optical electrical rev tach tacho tachometer velocity w vitesse",
-    "beta": "beta pitch blade collective anstellwinkel blattwinkel bladeangle bladepitch angle servo",
+    "beta": "beta pitch blade collective anstellwinkel blattwinkel bladeangle bladepitch angle servo theta alpha aoa winkel",
     "signal": "esc throttle pwm dshot gas",
     "voltage": "voltage volt volts u vbat vbatt spannung v vin battery",
     "current": "current amp amps ampere i ibat strom ibatt",
@@ -223,6 +232,19 @@ def completed(
     return {q: columns[q] for q in QUANTITIES if q in columns}, said
 
 
+def moving_angle(table: RawTable, taken: Collection[str]) -> tuple[str, str, float, float] | None:
+    """(column, unit, smallest and largest number) of a column that is an angle by its unit, moves as a pitch may, and is not
+    taken; None if there is none."""
+    for name in table.columns:
+        unit = table.unit(name) or ""
+        if name in taken or not unit or not _fits("beta", unit) or not _numeric(table, name):
+            continue
+        seen = _seen(table, name)
+        if len(seen) and np.ptp(seen) * factor_of(QUANTITIES["beta"], unit) > MOVES:
+            return name, unit, float(seen.min()), float(seen.max())
+    return None
+
+
 def pitch_in_other_unit(table: RawTable, taken: Collection[str]) -> tuple[str, str, float, float] | None:
     """(column, unit, smallest and largest number) of a column that is pitch by its name but not an angle: a servo's pulse, a
     stroke, counts. None if there is none, or if it is empty or always 0."""
@@ -270,10 +292,13 @@ def _meant(table: RawTable, name: str) -> tuple[str, float, list[str], str]:
         return "", 0.0, tokens, tail
     command = any(_commands(t) for t in tokens)
     scores = {q: _score([t for t in tokens if t not in _COMMAND], words.split()) for q, words in _WORDS.items()}
-    if scores["beta"] > 0.0:
-        scores["signal"] = 0.0  # "servo pwm" is no motor's
+    told_by_esc = not any(_is(t, word) for t in tokens if t != "esc" for word in _WORDS["signal"].split())
+    if scores["beta"] > 0.0 or (told_by_esc and max(scores["omega"], scores["voltage"], scores["current"]) > 0.0):
+        scores["signal"] = 0.0  # "servo pwm" is no motor's, and "esc rpm" is a speed
     if set(tokens) <= _COMMAND | _NOISE and _fits("omega", table.unit(name) or ""):
         scores["omega"] = 0.5  # "target (rpm)" says by its unit alone what it is
+    if command and max(scores.values()) <= 0.0 and _fits("beta", table.unit(name) or ""):
+        scores["beta"] = 0.5  # and so does "target (deg)"
     quantity = max(scores, key=scores.get)
     score = scores[quantity]
     if score <= 0.0:
@@ -301,7 +326,7 @@ def proposed(table: RawTable, name: str) -> tuple[str, float, Column] | None:
     if quantity in ("signal", "beta", "beta_ref"):
         tail = _ending(name) or tail
     if unit is None and tail and (tail == _ending(name) or (QUANTITIES[quantity].unit and _fits(quantity, tail))):
-        unit, sure = tail, LIKELY if _assumed(table, name, quantity) == (tail, LIKELY) else NAMED
+        unit, sure = tail, LIKELY if tail in _PLAIN or _assumed(table, name, quantity) == (tail, LIKELY) else NAMED
     if unit is not None and not _fits(quantity, unit):  # "motor cmd (us)" is no speed
         is_signal = quantity in ("omega", "omega_ref") and unit and factor_of(QUANTITIES["signal"], unit) is not None
         return ("signal", 0.5, Column(name, unit, LIKELY)) if is_signal else None
@@ -348,6 +373,8 @@ def _assumed(table: RawTable, name: str, quantity: str) -> tuple[str | None, str
     unit = QUANTITIES[quantity].unit
     if not unit:
         return "", SURE
+    if quantity in ("beta", "beta_ref") and 0.0 < np.abs(_seen(table, name)).max(initial=0.0) < SMALL_ANGLE:
+        return "rad", GUESS
     return unit, LIKELY if quantity in ("voltage", "current") and len(name) > 1 else GUESS
 
 

@@ -15,6 +15,7 @@ Names: time omega_ref beta_ref omega thrust beta voltage current torque power si
 advance_ratio."""
 
 import codecs
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,7 @@ from identification.logs.intake import Taken, contradictions, signal_range, take
 from identification.logs.mapping import (
     FILE,
     FORMAT,
+    Column,
     Plan,
     completed,
     parse_fixed,
@@ -45,7 +47,7 @@ from identification.logs.units import QUANTITIES
 from identification.static.static_map import DENSITY
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.import_place import add_kind, add_speed_from, headline, placed
-from vpp_fmu.app.cli.options import Number
+from vpp_fmu.app.cli.options import Number, whole
 from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
@@ -68,6 +70,8 @@ def configure(parser):
     parser.add_argument(
         "--rotor", metavar="R", help="of several rotors in one file, such as rpm_1 and rpm_2 (default: the first)"
     )
+    text = "of a log whose time starts again: the N-th run alone, from 1"
+    parser.add_argument("--run", dest="run_number", type=whole(1, 100000), metavar="N", help=text)
     add_speed_from(parser)
     parser.add_argument(
         "--diameter", type=Number(0.0, 30.0, "m", above=True), metavar="D", help="m, of the rotor: makes coefficients thrust"
@@ -110,9 +114,9 @@ def run(options):
         )
     beside = map_beside(options.output, span, options.log) if span and given is None else None
     propeller = Propeller(options.diameter, options.density)
-    taken = take_in(table, plan, options.kind, given or beside, propeller, options.force)
+    taken = take_in(table, plan, options.kind, given or beside, propeller, options.force, options.run_number)
     folder, said = _placed(options, plan, taken)
-    lines += [*_columns(plan, taken), *taken.said, *said]
+    lines += [*_columns(plan, taken), *_unused(table, plan.columns), *taken.said, *said]
     content = {"format": FORMAT, options.kind: plan.section(Path(options.log).name)}
     return Answer(headline(folder, options.kind, taken.columns, options.log), content, lines, written=written(folder))
 
@@ -173,8 +177,7 @@ def _propose(table: RawTable, options, lines: list[str]) -> Answer:
     for quantity, column in columns.items():
         note = f"in {column.unit}" if column.unit else ""
         lines.append(f"  {quantity:10} <- {column.name:{width}} {note:12} {column.sure}")
-    unused = [name for name in table.columns if name not in {c.name for c in columns.values()}]
-    lines += [*said, f"not used: {', '.join(unused) or 'none'}"]
+    lines += [*said, *_unused(table, columns)]
     lines += [f"as options: {plan.words()}"] if columns else []
     lines += contradictions(table, plan)
     content, place = {"format": FORMAT, options.kind: plan.section(Path(options.log).name)}, []
@@ -186,6 +189,13 @@ def _propose(table: RawTable, options, lines: list[str]) -> Answer:
         place = [f"saved in {options.propose}"]
     text = f"The header of {Path(options.log).name} proposes {len(columns)} of {len(table.columns)} columns."
     return Answer(text, content, lines, written=place)
+
+
+def _unused(table: RawTable, columns: Mapping[str, Column]) -> list[str]:
+    """The columns that are not taken, in a line; none if all are."""
+    taken = {column.name for column in columns.values()}
+    unused = [name for name in table.columns if name not in taken]
+    return [f"not used: {', '.join(unused)}"] if unused else []
 
 
 def _columns(plan: Plan, taken: Taken) -> list[str]:
