@@ -299,11 +299,100 @@ def test_units_that_an_end_of_a_name_can_only_mean_are_taken_without_asking(tmp_
         ("ESC signal", "signal"),
         ("ESC throttle (%)", "signal"),
         ("esc", "signal"),
+        ("Electrical Power (W)", "power"),
+        ("P_elec [W]", "power"),
+        ("Mz [Nm]", "torque"),
+        ("Q [N.m]", "torque"),
+        ("T [N]", "thrust"),
+        ("load_cell_kg", "thrust"),
+        ("theta_cmd [deg]", "beta_ref"),
     ],
 )
-def test_what_an_esc_reports_is_no_signal_to_it(header, quantity):
+def test_what_an_esc_reports_is_no_signal_to_it_and_a_unit_may_tell_the_quantity(header, quantity):
     table = RawTable("log.csv", {header: np.linspace(1.0, 99.0, 50)}, np.arange(50))
     assert list(propose(table)) == [quantity]
+
+
+@pytest.mark.parametrize("header", ["Mechanical Power (W)", "T motor (C)", "roll [deg]", "fan", "servo_cmd", "adc force"])
+def test_columns_of_no_known_quantity_are_not_proposed(header):
+    table = RawTable("log.csv", {header: np.linspace(1.0, 99.0, 50)}, np.arange(50))
+    assert not propose(table)
+
+
+def test_of_an_optical_and_an_electrical_speed_the_optical_one_is_taken():
+    names = ("Motor Electrical Speed (RPM)", "Motor Optical Speed (RPM)")
+    table = RawTable("log.csv", {name: np.linspace(1.0, 99.0, 50) for name in names}, np.arange(50))
+    assert propose(table)["omega"].name == names[1]
+
+
+def test_a_speed_named_omega_is_proposed_in_radians_per_second_unless_no_rotor_is_as_fast():
+    slow, fast = np.linspace(100.0, 600.0, 50), np.linspace(1000.0, 6000.0, 50)
+    for values, unit in ((slow, "rad/s"), (fast, "rpm")):
+        assert propose(RawTable("log.csv", {"omega_cmd": values}, np.arange(50)))["omega_ref"].unit == unit
+
+
+@pytest.mark.parametrize("header", ["load cell (mV)", "loadcell_raw", "force counts"])
+def test_a_load_cell_without_a_force_asks_for_two_points(tmp_path, vpp, header):
+    t = truth()
+    names = {"time": "t [s]", "omega_ref": "speed cmd [rpm]", "beta_ref": "pitch cmd [deg]"}
+    raw = np.round(84213.0 - t["thrust"] / 0.0021)
+    path = table(tmp_path / "log.csv", {h: t[n] for n, h in names.items()} | {header: raw})
+    for words in ((), ("--yes",)):
+        code, _, err = vpp(path, *words, "-o", tmp_path / "out")
+        assert (code, err.count("\n")) == (2, 1)
+        assert f"thrust: found {header}, thrust by its name, from {raw.min():g} to {raw.max():g}" in err
+    points = err.split("--map 'thrust=")[1].split("'")[0].replace("@A=0,B=10", "@84213=0,79213=10.5")
+    assert vpp(path, "--map", f"thrust={points}", "-o", tmp_path / "out")[0] == 0
+    np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["thrust"], t["thrust"], atol=0.0011)
+
+
+def test_two_load_cells_of_one_rotor_are_added_or_stop_the_import(tmp_path, vpp):
+    t = truth()
+    names = {"time": "t [s]", "omega_ref": "speed cmd [rpm]", "beta_ref": "pitch cmd [deg]"}
+    columns = {h: t[n] for n, h in names.items()} | {"F left [N]": 0.25 * t["thrust"], "F right [N]": 0.75 * t["thrust"]}
+    path = table(tmp_path / "log.csv", columns)
+    code, _, err = vpp(path, "-o", tmp_path / "out")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "F left [N], F right [N], and one speed, expected one thrust" in err
+    code, out, _ = vpp(path, "--map", "thrust=F left+F right", "-o", tmp_path / "out")
+    assert (code, "not used" in out) == (0, False)
+    np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["thrust"], t["thrust"], rtol=1e-8)
+    assert vpp(path, "--map", tmp_path / "out" / "import.toml", "-o", tmp_path / "again")[0] == 0
+    assert vpp(path, "--rotor", "left", "-o", tmp_path / "left")[0] == 0
+    np.testing.assert_allclose(read_record(tmp_path / "left" / "open_loop.csv")["thrust"], 0.25 * t["thrust"], rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("names", "scale"), [(("stamp.sec", "stamp.nanosec"), 1e-9), (("tv_sec", "tv_usec"), 1e-6), (("secs", "nsecs"), 1e-9)]
+)
+def test_seconds_and_their_fraction_in_two_columns_are_one_time(tmp_path, vpp, names, scale):
+    t = truth()
+    whole = np.floor(t["time"])
+    columns = dict(zip(names, (1.7e9 + whole, np.round((t["time"] - whole) / scale)), strict=True))
+    columns |= {"speed cmd [rpm]": t["omega_ref"], "pitch cmd [deg]": t["beta_ref"], "Fz [N]": t["thrust"]}
+    path = table(tmp_path / "log.csv", columns)
+    code, out, _ = vpp(path, "-o", tmp_path / "out")
+    assert (code, f"time is {names[0]} + {names[1]}" in out) == (0, True)
+    np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv").time, t["time"], atol=1e-6)
+
+
+def test_minutes_and_seconds_go_on_behind_the_hour(tmp_path, vpp):
+    t = truth()
+    stamps = [f"{s // 60 % 60:02.0f}:{s % 60:06.3f}" for s in 3598.5 + t["time"]]
+    columns = {"Elapsed": stamps, "speed cmd [rpm]": t["omega_ref"], "pitch cmd [deg]": t["beta_ref"], "Fz [N]": t["thrust"]}
+    code, out, _ = vpp(table(tmp_path / "log.csv", columns), "-o", tmp_path / "out")
+    assert (code, "each after 3600 s (an hour): unwrapped" in out) == (0, True)
+    np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv").time, t["time"], atol=1e-9)
+
+
+def test_rows_in_a_wrong_order_are_no_runs(tmp_path, vpp):
+    t = truth()
+    order = np.arange(len(t["time"]))
+    names = {"time": "t [s]", "omega_ref": "speed cmd [rpm]", "beta_ref": "pitch cmd [deg]", "thrust": "Fz [N]"}
+    order[200:208] = order[[204, 205, 206, 207, 200, 201, 202, 203]]
+    path = table(tmp_path / "log.csv", {h: t[n][order] for n, h in names.items()})
+    code, _, err = vpp(path, "-o", tmp_path / "out")
+    assert (code, "Try: sort the rows by their time" in err) == (2, True)
 
 
 def test_a_pitch_of_less_than_a_degree_is_proposed_in_radians(tmp_path, vpp):

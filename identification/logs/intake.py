@@ -10,7 +10,7 @@ from identification.gate.files import SPEEDS, electrical_cause, pole_pairs, spee
 from identification.logs.clock import Clock, read_clock
 from identification.logs.coefficients import Propeller, thrust_of
 from identification.logs.commands import averaged_map, fitted_map, taken_over
-from identification.logs.mapping import ROWS, Column, Plan, moving_angle, pitch_in_other_unit
+from identification.logs.mapping import ROWS, Column, Plan, in_other_unit, moving_angle
 from identification.logs.raw_table import RawTable
 from identification.logs.speed_map import RANGES, SignalRange, SpeedMap
 from identification.logs.units import QUANTITIES, SIGNALS, factor_of, scale_of, signal_unit
@@ -135,7 +135,7 @@ def _no_angle(table: RawTable, plan: Plan) -> tuple[str, str, str] | None:
         name, unit, low, high = angle
         found = f"{name}, an angle that moves from {low:g} to {high:g} {unit}, and no pitch"
         return found, "a command of pitch", f"--map 'beta_ref={name}', or --fixed beta_ref=8:deg if the pitch is fixed"
-    if (other := pitch_in_other_unit(table, {c.name for c in plan.columns.values()})) is None:
+    if (other := in_other_unit(table, "beta", {c.name for c in plan.columns.values()})) is None:
         return None
     name, unit, low, high = other
     found = f"{name}, pitch by its name, from {low:g} to {high:g} {unit}".rstrip()
@@ -162,6 +162,11 @@ def _check(table: RawTable, plan: Plan, kind: str) -> None:
         field, found = f"ct, column {plan.columns['ct'].name}", "thrust coefficients, which are steady points"
         raise BadInput(table.source, field, found, f"a record in time for {kind}.csv", "--as static")
     if not {"thrust", "ct"} & {*plan.columns}:
+        if other := in_other_unit(table, "thrust", {c.name for c in plan.columns.values()}):
+            name, unit, low, high = other
+            found = f"{name}, thrust by its name, from {low:g} to {high:g} {unit}".rstrip()
+            hint = f"--map 'thrust={name}:{unit}@A=0,B=10' with the numbers A and B that mean 0 and 10 N"
+            raise BadInput(table.source, "thrust", found, "a force", hint)
         found = f"no column of it among {_names(table)}"
         raise BadInput(table.source, "thrust", found, "a column of thrust", "--map thrust=COLUMN:UNIT")
     if "time" not in plan.columns and kind != "static":

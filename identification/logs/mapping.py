@@ -33,8 +33,22 @@ LEAVE_OUT = "-"
 STEEP = 90.0
 """deg, above the pitch of any blade; larger numbers are a servo's pulses or counts."""
 
+COUNTS_FROM = 1000.0
+"""Numbers above it in a column that calls itself raw are counts."""
+
+FAST = 3000.0
+"""rad/s, above any rotor's speed: larger numbers named omega are rpm."""
+
 MOVES = 2.0
 """deg, by which an angle moves more than a stand does."""
+
+_TELLING = {
+    "omega": ("rpm", "RPM", "1/min", "U/min", "rev/min", "rev/s", "rps", "krpm"),
+    "beta": ("deg", "°", "rad"),
+    "thrust": ("N", "mN", "kN", "kgf", "gf", "lbf", "ozf"),
+    "torque": ("Nm", "N.m", "N·m", "N*m", "mNm", "Ncm"),
+}
+"""Units that tell a column's quantity if its name does not; of angles, only a command's."""
 
 _PLAIN = frozenset(["N", "mN", "kN", "gf", "kgf", "lbf", "deg", "rad", "rpm", "Hz", "ms", "us"])
 """Units that an end of a name can only mean, such as thrust_N."""
@@ -45,12 +59,12 @@ SMALL_ANGLE = 0.6
 _WORDS = {
     "time": "time t timestamp zeit uhrzeit datetime clock elapsed seconds epoch utc sec millis micros temps tiempo stamp x",
     "thrust": "thrust fz force schub schubkraft kraft load loadcell lift f poussee empuje newton",
-    "omega": "omega rpm speed n drehzahl rotor rot motorspeed optical electrical rev tach tacho tachometer velocity w vitesse",
+    "omega": "omega rpm speed n drehzahl rotor rot motorspeed optical rev tach tacho tachometer velocity w vitesse",
     "beta": "beta pitch blade collective anstellwinkel blattwinkel bladeangle bladepitch angle servo theta alpha aoa winkel",
     "signal": "esc throttle pwm dshot gas",
     "voltage": "voltage volt volts u vbat vbatt spannung v vin battery",
     "current": "current amp amps ampere i ibat strom ibatt",
-    "torque": "torque drehmoment",
+    "torque": "torque drehmoment mz",
     "power": "",
     "run": "run step stepnumber lauf test",
     "thrust_std": "",
@@ -58,20 +72,27 @@ _WORDS = {
     "ct": "ct",
     "advance_ratio": "j advance",
 }
-"""Words of a header by quantity, the most specific first. Power has none: a log may have that of the shaft, too."""
+"""Words of a header by quantity, the most specific first. Power is told by _ELECTRIC: a log may have that of the shaft, too."""
 
 
-_PITCH = ("pitch", "collective", "servo", "beta", "anstellwinkel", "blattwinkel")
-"""The words that mean pitch only; an angle may be the stand's."""
+_MEANT_BY = {
+    "beta": ("pitch", "collective", "servo", "beta", "anstellwinkel", "blattwinkel"),
+    "thrust": ("thrust", "force", "schub", "kraft", "loadcell"),
+}
+"""The words that mean pitch or thrust only; an angle may be the stand's, a load the motor's."""
 
 
 def _words(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
-_COMMAND = _words("cmd command commanded ref reference set setpoint sp target soll des desired demand demanded wanted")
+_COMMAND = _words(
+    "cmd command commanded ref reference set setpoint sp target tgt soll des desired demand demanded wanted consigne"
+)
 _NOISE = _words("motor prop propeller signal measured meas ist actual value raw rotor sensor channel ch filtered")
-_NOT = _words("torque mz mx my power watt efficiency acc accx accy accz vibration temperature temp esc2 cell moment")
+_ELECTRIC = _words("electrical electric elec el dc in input battery supply esc")
+_COUNTS = _words("adc counts count digits lsb ticks")
+_NOT = _words("mx my power watt efficiency acc accx accy accz vibration temperature temp esc2 cell moment")
 
 
 @dataclass(frozen=True)
@@ -245,21 +266,27 @@ def moving_angle(table: RawTable, taken: Collection[str]) -> tuple[str, str, flo
     return None
 
 
-def pitch_in_other_unit(table: RawTable, taken: Collection[str]) -> tuple[str, str, float, float] | None:
-    """(column, unit, smallest and largest number) of a column that is pitch by its name but not an angle: a servo's pulse, a
-    stroke, counts. None if there is none, or if it is empty or always 0."""
+def in_other_unit(table: RawTable, quantity: str, taken: Collection[str]) -> tuple[str, str, float, float] | None:
+    """(column, unit, smallest and largest number) of a column that is `beta` or `thrust` by its name but in another unit: a
+    servo's pulse, a stroke, counts, mV. None if there is none, or if it is empty or always 0."""
     for name in table.columns:
-        quantity, _, tokens, _ = _meant(table, name)
+        meant, _, tokens, _ = _meant(table, name)
         unit = table.unit(name) or _ending(name) or None
-        plainly = quantity in ("beta", "beta_ref") and any(_is(token, word) for token in tokens for word in _PITCH)
-        if name in taken or not plainly or not _numeric(table, name):
+        plainly = any(_is(token, word) for token in tokens for word in _MEANT_BY[quantity])
+        if name in taken or meant not in (quantity, f"{quantity}_ref") or not plainly or not _numeric(table, name):
             continue
         if unit is not None and (_fits(quantity, unit) or is_rate(unit)):
             continue
-        seen = _seen(table, name)
-        if seen.any() and (unit is not None or np.abs(seen).max() > STEEP):
+        if (seen := _seen(table, name)).any() and (unit is not None or _unscaled(meant, tokens, seen)):
             return name, unit or "", float(seen.min()), float(seen.max())
     return None
+
+
+def _unscaled(quantity: str, tokens: Collection[str], seen: np.ndarray) -> bool:
+    """Whether numbers without a unit are no angle or no force: a servo's command, counts, large numbers."""
+    if quantity == "thrust":
+        return bool(_COUNTS & set(tokens)) or ("raw" in tokens and bool(np.abs(seen).max(initial=0.0) > COUNTS_FROM))
+    return quantity in ("beta", "beta_ref") and ("servo" in tokens or bool(np.abs(seen).max(initial=0.0) > STEEP))
 
 
 def _seen(table: RawTable, name: str) -> np.ndarray:
@@ -280,7 +307,7 @@ def _ending(name: str) -> str:
 def _meant(table: RawTable, name: str) -> tuple[str, float, list[str], str]:
     """(quantity, score, words, last word as written) of a header's name; quantity "" if the name suggests none."""
     base, _ = split_unit(name)
-    text = re.sub(r"(?i)\bload[ _]cell\b", "loadcell", re.sub(r"(?<=[a-zäöü])(?=[A-Z])", " ", base))
+    text = re.sub(r"(?i)load[ _]cell", "loadcell", re.sub(r"(?<=[a-zäöü])(?=[A-Z])", " ", base))
     tokens = [t for t in re.split(r"[\W_]+|(?<=[a-zA-Z])(?=\d)", text.casefold()) if t and not t.isdigit()]
     tail = re.split(r"[\W_]+", base)[-1] if len(tokens) > 1 else ""  # as it is written: N is newton, n is none
     if tail == "N":
@@ -288,6 +315,8 @@ def _meant(table: RawTable, name: str) -> tuple[str, float, list[str], str]:
     exact = base.casefold().replace(" ", "_")
     if exact in QUANTITIES:
         return exact, 3.0, tokens, tail
+    if {"power", "p"} & set(tokens) and _ELECTRIC & set(tokens) and _fits("power", table.unit(name) or tail):
+        return "power", 1.0, tokens, tail
     if not tokens or set(tokens) & _NOT:
         return "", 0.0, tokens, tail
     command = any(_commands(t) for t in tokens)
@@ -295,11 +324,11 @@ def _meant(table: RawTable, name: str) -> tuple[str, float, list[str], str]:
     told_by_esc = not any(_is(t, word) for t in tokens if t != "esc" for word in _WORDS["signal"].split())
     if scores["beta"] > 0.0 or (told_by_esc and max(scores["omega"], scores["voltage"], scores["current"]) > 0.0):
         scores["signal"] = 0.0  # "servo pwm" is no motor's, and "esc rpm" is a speed
-    if set(tokens) <= _COMMAND | _NOISE and _fits("omega", table.unit(name) or ""):
-        scores["omega"] = 0.5  # "target (rpm)" says by its unit alone what it is
-    if command and max(scores.values()) <= 0.0 and _fits("beta", table.unit(name) or ""):
-        scores["beta"] = 0.5  # and so does "target (deg)"
     quantity = max(scores, key=scores.get)
+    unit = table.unit(name) or ""
+    if scores[quantity] <= 0.0 or (unit and quantity not in ("omega", "beta") and not _fits(quantity, unit)):
+        told = next((q for q, units in _TELLING.items() if unit in units and (q != "beta" or command)), "")
+        quantity, scores = (told, {told: 0.5}) if told else (quantity, scores)  # "target (rpm)", "T [N]"
     score = scores[quantity]
     if score <= 0.0:
         return "", 0.0, tokens, tail
@@ -332,7 +361,7 @@ def proposed(table: RawTable, name: str) -> tuple[str, float, Column] | None:
         return ("signal", 0.5, Column(name, unit, LIKELY)) if is_signal else None
     if unit is None:
         unit, sure = _assumed(table, name, quantity)
-    if quantity in ("beta", "beta_ref") and sure == GUESS and np.any(np.abs(_seen(table, name)) > STEEP):
+    if sure == GUESS and _unscaled(quantity, tokens, _seen(table, name)):
         return None
     return None if unit is None else (quantity, score, Column(name, unit, sure))
 
@@ -375,6 +404,9 @@ def _assumed(table: RawTable, name: str, quantity: str) -> tuple[str | None, str
         return "", SURE
     if quantity in ("beta", "beta_ref") and 0.0 < np.abs(_seen(table, name)).max(initial=0.0) < SMALL_ANGLE:
         return "rad", GUESS
+    tokens = re.split(r"[\W_]+", name.casefold())
+    if quantity in ("omega", "omega_ref") and {"omega", "w"} & {*tokens} and _seen(table, name).max(initial=0.0) < FAST:
+        return "rad/s", GUESS
     return unit, LIKELY if quantity in ("voltage", "current") and len(name) > 1 else GUESS
 
 

@@ -129,7 +129,7 @@ def contradicts(quantity: Quantity, given: str, header: str) -> bool:
 def is_rate(text: str) -> bool:
     """Whether a unit is per time, such as deg/s."""
     found = _parsed(text.strip())
-    return found is not None and found.units.dimensionality.get("[time]", 0) < 0
+    return found is not None and found.units.dimensionality.get("[time]", 0) == -1
 
 
 def is_unit(text: str) -> bool:

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from identification.logs.clock import with_whole_stamps
 from identification.logs.coefficients import Propeller
 from identification.logs.commands import FILE as SPEED_MAP
 from identification.logs.commands import map_beside
@@ -141,7 +142,7 @@ def _table(options, read: dict) -> RawTable:
     own = {"encoding": options.encoding, "delimiter": options.delimiter, "decimal": decimal}
     given = {**{name: text for name, text in read.items() if name in own}, **{n: t for n, t in own.items() if t is not None}}
     table = read_container(options.log)
-    return read_delimited(options.log, given) if table is None else table
+    return with_whole_stamps(read_delimited(options.log, given) if table is None else table)
 
 
 def _plan(options, section: dict, table: RawTable, lines: list[str]) -> Plan:
@@ -154,7 +155,7 @@ def _plan(options, section: dict, table: RawTable, lines: list[str]) -> Plan:
     if saved:
         columns, said = parse_pairs(saved, table, options.force) | own, []
     else:
-        others, said = chosen(table, options.rotor, [c.name for c in own.values() if c])
+        others, said = chosen(table, options.rotor, [part for c in own.values() if c for part in table.parts(c.name)])
         lines += said
         columns, said = completed(table, own, fixed, others, options.yes)
     lines += said
@@ -193,7 +194,7 @@ def _propose(table: RawTable, options, lines: list[str]) -> Answer:
 
 def _unused(table: RawTable, columns: Mapping[str, Column]) -> list[str]:
     """The columns that are not taken, in a line; none if all are."""
-    taken = {column.name for column in columns.values()}
+    taken = {part for column in columns.values() for part in table.parts(column.name)}
     unused = [name for name in table.columns if name not in taken]
     return [f"not used: {', '.join(unused)}"] if unused else []
 
