@@ -395,6 +395,46 @@ def test_rows_in_a_wrong_order_are_no_runs(tmp_path, vpp):
     assert (code, "Try: sort the rows by their time" in err) == (2, True)
 
 
+@pytest.mark.parametrize(
+    ("quantity", "unit", "factor"),
+    [
+        ("beta", "Grad", 1.0),
+        ("beta_ref", "grad", 1.0),
+        ("beta", "-1 grados", -1.0),
+        ("omega", "tr/min", 1.0),
+        ("omega", "UPM", 1.0),
+        ("thrust", "gr", 9.80665e-3),
+        ("thrust", "-1 gr", -9.80665e-3),
+        ("current", "Amps", 1.0),
+        ("torque", "N-m", 1.0),
+        ("torque", "oz-in", 0.28349523125 * 9.80665 * 0.0254 / 10.0),
+    ],
+)
+def test_units_as_people_spell_them(quantity, unit, factor):
+    """An ounce is 28.349523125 g, an inch 25.4 mm."""
+    assert factor_of(QUANTITIES[quantity], unit) == pytest.approx(factor, rel=1e-12)
+
+
+def test_words_of_loggers_for_no_reading_are_empty_cells_and_others_are_named(tmp_path, vpp):
+    t = truth()
+    thrust = [f"{v:.5f}" for v in t["thrust"]]
+    thrust[50], thrust[60], thrust[70] = "ERR", "timeout", "#DIV/0!"
+    columns = {"t [s]": t["time"], "speed cmd [rpm]": t["omega_ref"], "pitch cmd [deg]": t["beta_ref"], "Fz [N]": thrust}
+    assert vpp(table(tmp_path / "log.csv", columns), "-o", tmp_path / "out")[0] == 0
+    found = read_record(tmp_path / "out" / "open_loop.csv", holes=("thrust",))["thrust"]
+    assert np.flatnonzero(np.isnan(found)).tolist() == [50, 60, 70]
+    thrust[80] = "12.3.4"
+    code, _, err = vpp(table(tmp_path / "log.csv", columns), "-o", tmp_path / "other")
+    assert (code, "Fz [N], line 82: found 12.3.4, expected a number" in err.replace("'", "")) == (2, True)
+
+
+def test_a_log_of_names_alone_has_no_numbers(tmp_path, vpp):
+    path = tmp_path / "log.csv"
+    path.write_text("t [s],speed cmd [rpm],pitch cmd [deg],Fz [N]\n")
+    code, _, err = vpp(path, "-o", tmp_path / "out")
+    assert (code, "found 1 line without numbers" in err) == (2, True)
+
+
 def test_a_pitch_of_less_than_a_degree_is_proposed_in_radians(tmp_path, vpp):
     t = truth()
     names = {"time": "t (s)", "omega_ref": "rpm_cmd (rpm)", "beta_ref": "pitch_cmd", "thrust": "Fz (N)"}

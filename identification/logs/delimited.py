@@ -69,11 +69,11 @@ def read_delimited(path: str | os.PathLike, given: Mapping[str, str]) -> RawTabl
         if not head and (commented := _commented_head(notes, data[0][0], delimiter, width)):
             head = commented
             notes = notes[: -len(commented)]
-        names, units, remarks = _header(path, head, width)
+        names, units, line = _header(path, head, width)
+        remarks = max(0, len(head) - 1 - any(units))
         left_out = {"comments": len(notes), "lines before and after the names": remarks, **dropped}
         read["delimiter"] = {name: key for key, name in DELIMITERS.items()}.get(delimiter, delimiter)
         separated = f"cells separated by {read['delimiter']}"
-        line = head[-1 if len(head) == 1 else 0][0] if head else 0
         named = f", names on line {line}" if head else ", no names: columns are numbered"
     cells = [row for _, row in data]
     read["decimal"] = decimal = given.get("decimal") or _decimal(cells, delimiter)
@@ -143,6 +143,9 @@ def _delimiter(path, body: Sequence[tuple[int, str]], wanted: str | None, declar
         filled = [cell for row in rows if len(row) == width for cell in row if cell.strip().lower() not in EMPTY]
         values = sum(_is_value(cell) for cell in filled) / max(1, len(filled))
         scores[delimiter] = (round(values * many / len(rows), 2), width if delimiter != " " else 0)
+    if scores and max(scores.values())[0] < 0.1 and len(body) <= _HEAD:
+        found = f"{len(body)} line{'s' * (len(body) > 1)} without numbers"
+        raise BadInput(path, "file", found, "rows of numbers under the names")
     if not scores or max(scores.values())[0] < 0.1:
         line, text = body[len(body) // 2]
         allowed = "cells separated by comma, semicolon, tab, bar or space"
@@ -264,7 +267,7 @@ def _commented_head(notes, first: int, delimiter: str, width: int):
 
 
 def _header(path, head, width: int) -> tuple[list[str], list[str], int]:
-    """(names, units, number of other rows) of the rows before the numbers. Names are in the row before the units, else in the
+    """(names, units, line of the names) of the rows before the numbers. Names are in the row before the units, else in the
     last row of distinct cells."""
     if not head:
         return [str(k) for k in range(1, width + 1)], [""] * width, 0
@@ -282,7 +285,7 @@ def _header(path, head, width: int) -> tuple[list[str], list[str], int]:
             clean = f"{clean}.{k}"
         names.append(clean or str(k))
     found = [unit.strip("()[]{}<> ") for unit in rows[units]] if units is not None else [""] * width
-    return names, [unit if is_unit(unit) else "" for unit in found], len(head) - 1 - (units is not None)
+    return names, [unit if is_unit(unit) else "" for unit in found], head[named][0]
 
 
 def _units(row: Sequence[str]) -> bool:

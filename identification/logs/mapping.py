@@ -43,7 +43,7 @@ MOVES = 2.0
 """deg, by which an angle moves more than a stand does."""
 
 _TELLING = {
-    "omega": ("rpm", "RPM", "1/min", "U/min", "rev/min", "rev/s", "rps", "krpm"),
+    "omega": ("rpm", "RPM", "1/min", "U/min", "rev/min", "rev/s", "rps", "krpm", "tr/min", "giri/min", "UPM"),
     "beta": ("deg", "°", "rad"),
     "thrust": ("N", "mN", "kN", "kgf", "gf", "lbf", "ozf"),
     "torque": ("Nm", "N.m", "N·m", "N*m", "mNm", "Ncm"),
@@ -57,10 +57,12 @@ SMALL_ANGLE = 0.6
 """Largest number of a pitch without a unit that is taken as rad: no rotor's pitch moves by less than a degree in all."""
 
 _WORDS = {
-    "time": "time t timestamp zeit uhrzeit datetime clock elapsed seconds epoch utc sec millis micros temps tiempo stamp x",
-    "thrust": "thrust fz force schub schubkraft kraft load loadcell lift f poussee empuje newton",
-    "omega": "omega rpm speed n drehzahl rotor rot motorspeed optical rev tach tacho tachometer velocity w vitesse",
-    "beta": "beta pitch blade collective anstellwinkel blattwinkel bladeangle bladepitch angle servo theta alpha aoa winkel",
+    "time": "time t timestamp zeit uhrzeit datetime clock elapsed seconds epoch utc sec millis micros stamp x "
+    "temps tiempo tempo",
+    "thrust": "thrust fz force schub schubkraft kraft load loadcell lift f poussee poussée empuje spinta newton",
+    "omega": "omega rpm speed n drehzahl rotor rot motorspeed optical rev tach tacho tachometer velocity w vitesse giri",
+    "beta": "beta pitch blade collective anstellwinkel blattwinkel bladeangle bladepitch angle servo theta alpha aoa "
+    "winkel paso passo pas",
     "signal": "esc throttle pwm dshot gas",
     "voltage": "voltage volt volts u vbat vbatt spannung v vin battery",
     "current": "current amp amps ampere i ibat strom ibatt",
@@ -87,9 +89,10 @@ def _words(text: str) -> frozenset[str]:
 
 
 _COMMAND = _words(
-    "cmd command commanded ref reference set setpoint sp target tgt soll des desired demand demanded wanted consigne"
+    "cmd command commanded ref reference set setpoint sp target tgt soll des desired demand demanded wanted "
+    "consigne deseado deseada comando"
 )
-_NOISE = _words("motor prop propeller signal measured meas ist actual value raw rotor sensor channel ch filtered")
+_NOISE = _words("motor prop propeller signal measured meas medida medido ist actual value raw rotor sensor channel ch filtered")
 _ELECTRIC = _words("electrical electric elec el dc in input battery supply esc")
 _COUNTS = _words("adc counts count digits lsb ticks")
 _NOT = _words("mx my power watt efficiency acc accx accy accz vibration temperature temp esc2 cell moment")

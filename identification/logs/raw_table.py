@@ -11,6 +11,8 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.files import shown
 
 EMPTY = frozenset(("", "nan", "na", "n/a", "#n/a", "null", "none", "nil", "-", "--", "---", "inf", "-inf", "+inf"))
+EMPTY |= {"err", "error", "invalid", "timeout", "?", "#div/0!", "#value!", "#num!"}
+EMPTY |= {"nan(ind)", "-nan(ind)", "-nan", "1.#qnan", "-1.#ind", "1.#inf"}
 """Cells that loggers write for a missing value, in lower case."""
 
 _UNIT_IN_NAME = re.compile(r"^(.*?)[\s_]*(?:\(([^()]*)\)|\[([^\[\]]*)\]|\{([^{}]*)\}|<([^<>]*)>|\s/\s*(\S+)|,\s+(\S+))\s*$")
@@ -89,7 +91,13 @@ class RawTable:
             values = np.array([_number(text) for text in texts])
         bad = [row for row in np.flatnonzero(np.isnan(values)) if texts[row] and texts[row].lower() not in EMPTY]
         if bad:
-            raise self.wrong(name, bad[0], shown(str(cells[bad[0]])), "a number or an empty cell")
+            raise self.wrong(
+                name,
+                bad[0],
+                shown(str(cells[bad[0]])),
+                "a number or an empty cell",
+                "an empty cell there if the reading is missing",
+            )
         return values
 
 
