@@ -337,6 +337,11 @@ def test_where_no_candidate_comes_near_the_report_says_so():
     assert not summary(found)["best_guess"]["near"]
 
 
+def test_the_answer_comes_before_what_was_refuted(nothing_missing):
+    said = headline(replace(nothing_missing, refuted="the error increases"))
+    assert said.startswith("Nothing is missing. The best set of effects is refuted and not used: the error increases. ")
+
+
 def test_no_guess_is_made_where_nothing_is_missing(nothing_missing, example):
     assert nothing_missing.best_guess is None
     assert example.best_guess is None

@@ -97,10 +97,11 @@ def _finding(found: Diagnosis) -> str:
     (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
     unseen, noise = found.unseen is not None, found.noise.floor
     error = thrust_error(unseen, size(before, "N"), noise)
-    if found.refuted:
-        return f"The best set of effects is refuted and not used: {found.refuted}. {error}"
+    refuted = f"The best set of effects is refuted and not used: {found.refuted}. " if found.refuted else ""
     if found.verdict == "none":
-        return f"Nothing is missing. {error}"
+        return f"Nothing is missing. {refuted}{error}"
+    if refuted:
+        return f"{refuted}{error}"
     if found.verdict == "unexplained" and not found.before.significant:
         line = f"The thrust reading has a line at the rotor frequency of {size(found.before.turning.size, 'N')} rms"
         return f"{line}: most of the noise power. Nothing else is missing. {error}"
