@@ -435,6 +435,26 @@ def test_a_log_of_names_alone_has_no_numbers(tmp_path, vpp):
     assert (code, "found 1 line without numbers" in err) == (2, True)
 
 
+def test_a_conversion_that_is_read_several_times_counts_once(tmp_path, vpp):
+    """80 conversions a second in 200 rows; noise of 50 digits. What is stuck for half a second stays for the gate to name."""
+    rng, rows = np.random.default_rng(3), np.arange(4000)
+    fresh = np.append(True, np.diff(rows * 80 // 200) > 0)
+    speed, pitch = np.repeat(rng.integers(2000, 6000, 40), 100).astype(float), np.repeat(rng.uniform(-4.0, 9.0, 20), 200)
+    thrust = np.round(12.0 * (speed / 6000.0) ** 2 + 0.3 * pitch + rng.normal(0.0, 0.05, 4000), 3)
+    held = thrust[np.maximum.accumulate(np.where(fresh, rows, 0))]
+    stuck = slice(2050, 2150)
+    held[stuck] = held[stuck.start]
+    columns = {"t [s]": 0.005 * rows, "speed cmd [rpm]": speed, "pitch cmd [deg]": pitch, "Fz [N]": held}
+    code, out, _ = vpp(table(tmp_path / "log.csv", columns), "-o", tmp_path / "out")
+    assert (code, "a new one comes every 12." in out) == (0, True)
+    found = read_record(tmp_path / "out" / "open_loop.csv", holes=("thrust",))["thrust"]
+    new = np.append(True, np.diff(held) != 0.0)
+    new[stuck] = True
+    np.testing.assert_array_equal(np.isfinite(found), new)
+    single = {**columns, "Fz [N]": np.round(thrust, 1)}  # half a digit of noise: neighbours are equal by chance
+    assert "repeats are emptied" not in vpp(table(tmp_path / "log.csv", single), "-o", tmp_path / "single")[1]
+
+
 def test_a_pitch_of_less_than_a_degree_is_proposed_in_radians(tmp_path, vpp):
     t = truth()
     names = {"time": "t (s)", "omega_ref": "rpm_cmd (rpm)", "beta_ref": "pitch_cmd", "thrust": "Fz (N)"}
