@@ -207,7 +207,8 @@ def checked_columns(table: Table, need: Sequence[str], holes: Sequence[str] = ()
     for name in need:
         if name not in table.columns:
             allowed = f"a header with {', '.join(need)}, separated by commas"
-            raise BadInput(table.source, f"column {name}", f"only {', '.join(table.columns)}"[:200], allowed)
+            hint = "vpp import csv, which makes a record of a log" if name in COMMANDS else ""
+            raise BadInput(table.source, f"column {name}", f"only {', '.join(table.columns)}"[:200], allowed, hint)
     measured = {signal.name for signal in MEASURED}
     columns, unknown = {}, []
     for name, cells in table.columns.items():
