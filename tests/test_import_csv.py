@@ -773,6 +773,18 @@ def test_a_level_held_shortly_is_no_rotor_at_rest(tmp_path, vpp):
     assert "--speed-from" not in out  # the motor holds its command
 
 
+def test_a_motor_on_its_way_holds_its_command(tmp_path, vpp):
+    """The pitch moves within a lag of the speed's moves: both commands hold while the rotor is on its way."""
+    log, rng = stand(rows=12_000, hold=1.2, lag=0.3), np.random.default_rng(2)
+    pitch = np.repeat(np.round(rng.uniform(-4.0, 9.0, 400), 1), 30)
+    log["Thrust (gf)"] = (8.0 * (log["RPM"] / 6000.0) ** 2 + 0.3 * pitch) / 9.80665e-3 + rng.normal(0.0, 5.0, 12_000)
+    path = table(
+        tmp_path / "log.csv", log | {"pitch cmd (deg)": pitch, "RPM": np.round(log["RPM"] + rng.normal(0.0, 5.0, 12_000))}
+    )
+    code, out, _ = vpp(path, "-o", tmp_path / "map")
+    assert (code, "--speed-from" in out) == (0, False)
+
+
 def test_a_motor_that_does_not_hold_its_command_is_offered_the_measured_speed(tmp_path, vpp):
     """Each hold ends 5 % off the map, at random; thrust follows the measured speed."""
     log, rng = stand(), np.random.default_rng(8)
@@ -901,8 +913,20 @@ def test_a_pitch_that_moves_without_a_command_is_not_taken_for_fixed(tmp_path, v
     path = table(tmp_path / "log.csv", t)
     words = ["--map", "time=time:s", "omega_ref=omega_ref:rpm", "beta=beta_ref:deg", "thrust=thrust:N"]
     assert "a measured pitch from" in vpp(path, *words, "-o", tmp_path / "out")[2]
+    assert "Try: --map 'beta_ref=beta_ref:deg' beta=- if its command was not logged" in vpp(path, *words)[2]
     assert vpp(path, *words, "--fixed", "beta_ref=0.1:rad", "-o", tmp_path / "out")[0] == 0
     np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["beta_ref"], np.degrees(0.1), rtol=1e-8)
+
+
+def test_a_servos_angle_is_a_command_and_an_unmoved_pitch_is_not_the_blades(tmp_path, vpp):
+    t = truth()
+    columns = {"t [s]": t["time"], "speed cmd [rpm]": t["omega_ref"], "Fz [N]": t["thrust"]}
+    assert vpp(table(tmp_path / "log.csv", columns | {"servo_deg": t["beta_ref"]}), "-o", tmp_path / "a")[0] == 0
+    np.testing.assert_allclose(read_record(tmp_path / "a" / "open_loop.csv")["beta_ref"], t["beta_ref"], atol=1e-12)
+    body = np.full(len(t["time"]), 0.5)
+    path = table(tmp_path / "body.csv", columns | {"body_pitch_deg": body, "xi_deg": t["beta_ref"]})
+    code, _, err = vpp(path, "-o", tmp_path / "b")
+    assert (code, "found xi_deg, an angle that moves" in err) == (2, True)
 
 
 # What is said of the rows

@@ -129,12 +129,12 @@ def electrical(plan: Mapping[str, Column], columns: Mapping[str, np.ndarray]) ->
 
 def _no_angle(table: RawTable, plan: Plan) -> tuple[str, str, str] | None:
     """(found, expected, hint) if the plan has no pitch, and the log has a moving angle or no angle as pitch; else None."""
-    if {"beta_ref", "beta"} & {*plan.columns, *plan.fixed}:
+    if "beta_ref" in {*plan.columns, *plan.fixed}:
         return None
     if (angle := moving_angle(table, {c.name for c in plan.columns.values()})) is not None:
         name, unit, low, high = angle
         found = f"{name}, an angle that moves from {low:g} to {high:g} {unit}, and no pitch"
-        return found, "a command of pitch", f"--map 'beta_ref={name}', or --fixed beta_ref=8:deg if the pitch is fixed"
+        return found, "a command of pitch", f"--map 'beta_ref={name}:{unit}', or --fixed beta_ref=8:deg if the pitch is fixed"
     if (other := in_other_unit(table, "beta", {c.name for c in plan.columns.values()})) is None:
         return None
     name, unit, low, high = other
@@ -246,7 +246,7 @@ def _commanded(table: RawTable, plan: Plan, columns: dict, clock: Clock | None, 
         pitch = columns.get("beta")
         if pitch is not None and np.nanmax(pitch) - np.nanmin(pitch) > 1.0:
             found = f"a measured pitch from {np.nanmin(pitch):.4g} to {np.nanmax(pitch):.4g} deg and no command of it"
-            hint = "--map beta_ref=COLUMN:deg, with the measured column if there is no other"
+            hint = f"--map 'beta_ref={plan.columns['beta']}' beta=- if its command was not logged"
             raise BadInput(table.source, "beta_ref", found, "a command of pitch", hint)
         if no_angle := _no_angle(table, plan):
             raise BadInput(table.source, "beta_ref", *no_angle)

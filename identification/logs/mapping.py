@@ -93,6 +93,7 @@ _COMMAND = _words(
     "consigne deseado deseada comando"
 )
 _NOISE = _words("motor prop propeller signal measured meas medida medido ist actual value raw rotor sensor channel ch filtered")
+_MEASURED = _words("measured meas ist actual feedback fb pos position medida")
 _ELECTRIC = _words("electrical electric elec el dc in input battery supply esc")
 _COUNTS = _words("adc counts count digits lsb ticks")
 _NOT = _words("mx my power watt efficiency acc accx accy accz vibration temperature temp esc2 cell moment")
@@ -260,7 +261,8 @@ def moving_angle(table: RawTable, taken: Collection[str]) -> tuple[str, str, flo
     """(column, unit, smallest and largest number) of a column that is an angle by its unit, moves as a pitch may, and is not
     taken; None if there is none."""
     for name in table.columns:
-        unit = table.unit(name) or ""
+        tail = re.split(r"[\W_]+", name)[-1]
+        unit = table.unit(name) or (tail if tail in _PLAIN else "")
         if name in taken or not unit or not _fits("beta", unit) or not _numeric(table, name):
             continue
         seen = _seen(table, name)
@@ -322,7 +324,7 @@ def _meant(table: RawTable, name: str) -> tuple[str, float, list[str], str]:
         return "power", 1.0, tokens, tail
     if not tokens or set(tokens) & _NOT:
         return "", 0.0, tokens, tail
-    command = any(_commands(t) for t in tokens)
+    command = any(_commands(t) for t in tokens) or ("servo" in tokens and not set(tokens) & _MEASURED)
     scores = {q: _score([t for t in tokens if t not in _COMMAND], words.split()) for q, words in _WORDS.items()}
     told_by_esc = not any(_is(t, word) for t in tokens if t != "esc" for word in _WORDS["signal"].split())
     if scores["beta"] > 0.0 or (told_by_esc and max(scores["omega"], scores["voltage"], scores["current"]) > 0.0):
