@@ -12,6 +12,7 @@ from studies.gate import SIZES
 from identification.logs.clock import guessed_unit, mended, read_clock
 from identification.logs.commands import fitted_map
 from identification.logs.mapping import propose, read_sections
+from identification.logs.pairs import named_values
 from identification.logs.raw_table import RawTable, plain, split_unit
 from identification.logs.sampling import between, said_of_gaps, said_of_rows
 from identification.logs.speed_choice import likelihood_gain
@@ -492,6 +493,11 @@ def test_the_time_of_an_arduinos_monitor_is_the_time_of_its_lines(tmp_path, vpp)
     record = read_record(tmp_path / "out" / "open_loop.csv")
     for name in ("time", "omega_ref", "thrust"):
         np.testing.assert_allclose(record[name], t[name][:149], atol=1e-6)
+
+
+def test_a_long_name_without_a_value_is_tried_once():
+    """Each of its 60 parts could be split in two ways."""
+    assert named_values([(1, "_".join(60 * "a") + " b"), (2, "1 2")], 400) is None
 
 
 def test_one_run_is_taken_of_a_log_whose_time_starts_again(tmp_path, vpp):

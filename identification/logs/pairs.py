@@ -7,7 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 
-_NAME = r"[^\W\d][\w.]*(?:[ _-][\w.]+)*(?:\s*[(\[][^()\[\]]*[)\]])?"
+_NAME = r"[^\W\d][\w.]*(?:[ -][\w.]+)*(?:\s*[(\[][^()\[\]]*[)\]])?"
 _VALUE = r"[+-]?\d+(?:[.,]\d+)*(?:[eE][+-]?\d+)?|[+-]?[.,]\d+|(?i:nan|null|none|inf|-inf)\b"
 _UNIT = r"[^\W\d_]{1,9}(?:/[a-z]{1,4})?|%|°"
 _PAIR = re.compile(rf"[\"']?({_NAME})[\"']?\s*[=:]\s*[\"']?({_VALUE})[\"']?(?:\s*({_UNIT})(?!\s*[=:(\[]))?(?=[\s,;|}}\]]|$)")
