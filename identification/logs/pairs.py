@@ -37,9 +37,12 @@ def _pairs(line: str) -> list[tuple[str, str]]:
     """(name, value with its unit) of each pair; empty if the line holds anything else."""
     stamp = _STAMP.match(line)
     pairs, place = [("time", stamp[1])] if stamp else [], stamp.end() if stamp else 0
-    for found in _PAIR.finditer(line, place):
-        if not _BETWEEN.fullmatch(line[place : found.start()]):
+    while place < len(line):
+        place = _BETWEEN.match(line, place).end()
+        if place == len(line):
+            break
+        if (found := _PAIR.match(line, place)) is None:
             return []
         pairs.append((found[1], f"{found[2]} {found[3] or ''}".strip()))
         place = found.end()
-    return pairs if _BETWEEN.fullmatch(line[place:]) else []
+    return pairs
