@@ -3,10 +3,10 @@
 --map says which column is what, and in which unit: thrust=Fz:gf. A unit is whatever pint knows, with a factor if need be
 ("thrust=Fz:-1 gf"); without one it is the log's own. A time may be since any moment, or a date ("iso"). omega=COLUMN:erpm/7 is
 the electrical speed of a motor with 7 pole pairs. beta_ref=COLUMN:us@1000=-5,2000=10 is a linear calibration: -5 deg at a
-reading of 1000, 10 deg at 2000. In the place of omega_ref a signal to the motor's controller will do, with a measured omega:
-its map is fitted to the log, and shared by all logs of the folder. What --map does not name is taken as the log's header says,
-unless NAME=- leaves it out; --propose shows it. The mapping is saved in import.toml beside the record, and --map import.toml
-uses it again.
+reading of 1000, 10 deg at 2000; thrust=COLUMN:mV@0.2=0,1.5=10 is one in N. thrust=A+B adds two columns. In the place of
+omega_ref a signal to the motor's controller will do, with a measured omega: its map is fitted to the log, and shared by all
+logs of the folder. What --map does not name is taken as the log's header says, unless NAME=- leaves it out; --propose shows it.
+The mapping is saved in import.toml beside the record, and --map import.toml uses it again.
 
 A table of coefficients (rpm, CT, perhaps J and pitch) becomes static.csv with --as static --diameter D: T = CT rho n^2 D^4, n
 in rev/s; rows with J above 0 are left out.
