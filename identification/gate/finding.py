@@ -60,6 +60,7 @@ KINDS = {
     ),
     "slow_sampling": Kind(WARNING, "the sampling period is longer than a fifth of the fastest lag", "Log more often"),
     "power": Kind(WARNING, "torque or power contradicts itself, or does not suffice for a map", "Look at signs and units"),
+    "no_motor": Kind(WARNING, "torque and power in a record only", "Measure steady points with both"),
     "no_fit": Kind(ERROR, "no model can be fitted", "See above"),
 }
 """Every finding of the gate, by code."""
