@@ -925,6 +925,16 @@ def test_a_pitch_that_moves_without_a_command_is_not_taken_for_fixed(tmp_path, v
     np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["beta_ref"], np.degrees(0.1), rtol=1e-8)
 
 
+def test_steady_points_may_have_measured_speed_and_pitch_alone(tmp_path, vpp):
+    columns = {"RPM [rpm]": [3000.0, 4000.0, 5000.0], "Pitch angle [deg]": [-2.0, 3.0, 8.0], "Thrust [N]": [1.0, 4.0, 9.0]}
+    path = table(tmp_path / "points.csv", columns | {"Thrust std [N]": [0.05, 0.06, 0.07]})
+    assert vpp(path, "--as", "static", "-o", tmp_path / "out")[0] == 0
+    static = read_static(tmp_path / "out" / "static.csv")
+    for found, wanted in zip((static.omega_ref, static.beta_ref, static.thrust), columns.values(), strict=True):
+        np.testing.assert_array_equal(found, wanted)
+    np.testing.assert_array_equal(static.thrust_std, [0.05, 0.06, 0.07])
+
+
 def test_a_servos_angle_is_a_command_and_an_unmoved_pitch_is_not_the_blades(tmp_path, vpp):
     t = truth()
     columns = {"t [s]": t["time"], "speed cmd [rpm]": t["omega_ref"], "Fz [N]": t["thrust"]}

@@ -242,8 +242,11 @@ def _commanded(table: RawTable, plan: Plan, columns: dict, clock: Clock | None, 
     if "omega_ref" not in columns:
         columns["omega_ref"] = columns["omega"]
         said.append("omega_ref: the measured speed, as the log has no command")
+    pitch = columns.get("beta")
+    if "beta_ref" not in columns and pitch is not None and kind == "static" and (clock is None or clock.step > FASTER):
+        columns["beta_ref"] = pitch
+        said.append("beta_ref: the measured pitch, as the points have no command")
     if "beta_ref" not in columns:
-        pitch = columns.get("beta")
         if pitch is not None and np.nanmax(pitch) - np.nanmin(pitch) > 1.0:
             found = f"a measured pitch from {np.nanmin(pitch):.4g} to {np.nanmax(pitch):.4g} deg and no command of it"
             hint = f"--map 'beta_ref={plan.columns['beta']}' beta=- if its command was not logged"
