@@ -508,6 +508,8 @@ def _refused() -> list[Format]:
     back = lambda t: t | {"time": np.where(np.arange(ROWS) < 200, t["time"], t["time"] - 1.0)}  # noqa: E731
     return [
         Format("a workbook", "log.xlsx", workbook, refused="workbook"),
+        Format("a ROS bag", "log.bag", lambda path, t: path.write_bytes(b"#ROSBAG V2.0\n" + bytes(200)), refused="a ROS bag"),
+        Format("MCAP", "log.mcap", lambda path, t: path.write_bytes(b"\x89MCAP0\r\n" + bytes(200)), refused="MCAP"),
         Format("comma for both", "log.csv", text(decimal=","), refused="decimal"),
         Format("back by a second", "log.csv", _with(back, text()), refused="back by 0.99"),
         Format("a unit that nobody knows", "log.csv", text(PLAIN), unit("bananas"), refused="bananas"),
