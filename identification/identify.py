@@ -221,7 +221,8 @@ def identify(
 
 def with_power(found: Identification) -> Identification:
     """The identification with torque and power of its plant, if the campaign has them: of the steady points, else of the first
-    fitted record. What contradicts itself is a finding, and the plant stays without."""
+    fitted record. What contradicts itself is a finding, and the plant stays without. Torque beside power in a record alone
+    gives no motor: then the power has its map, and torque none."""
     scales, static = found.parameters.values, found.campaign.static
     try:
         readings = steady_readings(static, scales) if static else None
@@ -229,6 +230,10 @@ def with_power(found: Identification) -> Identification:
             readings = moving_readings(found.predictions[found.fitted[0]], scales)
         if readings is None:
             return found
+        if readings.rate is not None and readings.torque is not None and readings.power is not None:
+            message = "torque and power in a record only: power has its map, torque and motor have none"
+            finding = Finding("no_motor", readings.source, "torque", 0.0, "1", message, "no static.csv with both")
+            readings, found = replace(readings, torque=None), replace(found, quality=(*found.quality, finding))
         fit, rotor = fit_power(readings), found.parameters.rig.rotor
         if rotor and static and readings.torque is not None and readings.rate is None:
             merit = figure_of_merit(readings, static.thrust, rotor)

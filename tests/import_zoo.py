@@ -234,6 +234,11 @@ def _holes(t):
     return t | {"thrust": thrust}
 
 
+def _named(form: str, units: Mapping[str, str] | None = None) -> dict[str, Callable[[float], str]]:
+    """Cells that hold their name in front, and perhaps a unit behind."""
+    return {name: lambda value, name=name: form.format(name, value, (units or {}).get(name)) for name in PLAIN}
+
+
 def _texts() -> list[Format]:
     told = [name.split(" (")[0] for name in TOLD.values()]
     units = [name.split(" (")[1][:-1] for name in TOLD.values()]
@@ -290,6 +295,52 @@ def _texts() -> list[Format]:
             "log.csv",
             text(lines=lambda r: [*r[:200], ",".join(TOLD.values()), *r[200:]]),
             said=["names once more 1"],
+        ),
+        Format(
+            "LabVIEW, counts and units above the names",
+            "log.lvm",
+            _with(
+                lambda t: t | {"note": t["time"]},
+                text(
+                    bare | {"note": "Comment"},
+                    delimiter="\t",
+                    head=[
+                        "LabVIEW Measurement",
+                        "Separator\tTab",
+                        "***End_of_Header***",
+                        "\t".join(["Samples", *["400"] * 6]),
+                        "\t".join(["Date", *["2024/05/31"] * 6]),
+                        "\t".join(["Y_Unit_Label", *units[1:], ""]),
+                        "X_Dimension\tTime",
+                    ],
+                    cells={"note": lambda v: ""},
+                ),
+            ),
+        ),
+        Format(
+            "a name before each value",
+            "serial.txt",
+            text(dict.fromkeys(PLAIN, ""), delimiter=", ", head=["Booting...", "ready: 1"], cells=_named("{}={:.10g}")),
+            said=["lines without these values 2"],
+        ),
+        Format(
+            "a name before each value, units behind it",
+            "serial.txt",
+            text(
+                dict.fromkeys(PLAIN, ""),
+                delimiter=" ",
+                cells=_named("{}: {:.10g} {}", dict(zip(PLAIN, ("s", "rpm", "deg", "rpm", "N", "V"), strict=True))),
+            ),
+        ),
+        Format(
+            "JSON lines",
+            "log.jsonl",
+            text(
+                dict.fromkeys(PLAIN, ""),
+                delimiter=", ",
+                cells=_named('"{}": {:.10g}'),
+                lines=lambda rows: [f"{{{row}}}" for row in rows],
+            ),
         ),
         Format("cut off in the last row", "log.csv", text(lines=lambda r: [*r, "4.0,3000,2"]), said=["cut off at the end 1"]),
         Format("a comma at each end", "log.csv", text(tail=",")),
@@ -457,6 +508,8 @@ def _refused() -> list[Format]:
     back = lambda t: t | {"time": np.where(np.arange(ROWS) < 200, t["time"], t["time"] - 1.0)}  # noqa: E731
     return [
         Format("a workbook", "log.xlsx", workbook, refused="workbook"),
+        Format("a ROS bag", "log.bag", lambda path, t: path.write_bytes(b"#ROSBAG V2.0\n" + bytes(200)), refused="a ROS bag"),
+        Format("MCAP", "log.mcap", lambda path, t: path.write_bytes(b"\x89MCAP0\r\n" + bytes(200)), refused="MCAP"),
         Format("comma for both", "log.csv", text(decimal=","), refused="decimal"),
         Format("back by a second", "log.csv", _with(back, text()), refused="back by 0.99"),
         Format("a unit that nobody knows", "log.csv", text(PLAIN), unit("bananas"), refused="bananas"),

@@ -175,8 +175,9 @@ def test_the_plant_with_torque_and_power_has_the_thrust_of_the_plant_without_to_
     np.testing.assert_allclose(with_power[:, 3:5], np.column_stack([torque(w, b), electrical(w, b)]), rtol=1e-4)
 
 
-def test_power_in_a_record_is_enough(tmp_path):
-    """Rows in motion: the rotor's acceleration takes power, too, which is not the map's."""
+@pytest.mark.parametrize("torque", [False, True])
+def test_power_in_a_record_is_enough(tmp_path, capsys, torque):
+    """Rows in motion: the rotor's acceleration takes power, too, which is not the map's. Torque beside it gives no motor."""
     rng, time = np.random.default_rng(0), np.arange(0.0, 60.0, 0.02)
     moves = {"omega_ref": rng.uniform(2500.0, 5800.0, 60), "beta_ref": rng.uniform(-2.0, 10.0, 60)}
     columns = {"time": time} | {name: np.repeat(levels, 50) for name, levels in moves.items()}
@@ -188,8 +189,11 @@ def test_power_in_a_record_is_enough(tmp_path):
         name: values + scale * rng.standard_normal(len(time))
         for (name, values), scale in zip(measured.items(), (0.05, 1.0, 1.0), strict=True)
     }
+    if torque:
+        noisy["torque"] = 0.8 * noisy["power"] / (shown.omega * 2.0 * np.pi / 60.0)
     write_record(OutputFolder(tmp_path / "campaign"), "open_loop.csv", Record(columns | noisy, "made"))
     assert main(["identify", str(tmp_path / "campaign"), "--starts", "1", "-o", str(tmp_path / "out")]) == 0
+    assert ("no_motor" in capsys.readouterr().out) == torque
     found = read_parameters(tmp_path / "out" / "parameters.json", plant)
     at = np.array([3000.0, 4500.0, 5500.0]), np.array([0.0, 5.0, 9.0])
     told, wanted = PowerModel.of(found), PowerModel.of(truth)

@@ -100,6 +100,10 @@ def test_no_folder_no_campaign(tmp_path):
     assert "file.csv: campaign folder: found a file, expected a folder with any of static.csv, steps.csv" in failure(
         read_campaign, tmp_path / "file.csv"
     )
+    (tmp_path / "logs").mkdir()
+    for name, hint in (("log.csv", "vpp import csv "), ("open_loop.csv", "its folder, "), ("repeat.csv.gz", "its folder, ")):
+        (tmp_path / "logs" / name).touch()
+        assert f". Try: {hint}" in failure(read_campaign, tmp_path / "logs" / name)
     assert "campaign folder: found none of a campaign's files, expected any of static.csv, steps.csv" in failure(
         read_campaign, tmp_path
     )

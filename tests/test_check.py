@@ -154,6 +154,21 @@ def test_single_spikes_are_left_out_and_steps_are_not(record):
     assert screen(record.with_columns(thrust=steps))[1] == ()
 
 
+@pytest.mark.parametrize("every", [200, 30])
+def test_lost_pulses_are_left_out_however_many(every):
+    """One reading in 30 puts two of 30 differences of neighbours beyond any quantile of the moves."""
+    rows = np.arange(6000)
+    command = 2000.0 + 3000.0 * (rows // 500 % 2)
+    speed = command + 5.0 * np.random.default_rng(0).standard_normal(6000)
+    lost = rows[every // 2 :: every]
+    speed[lost] = 0.0
+    columns = {"time": 0.01 * rows, "omega_ref": command, "beta_ref": np.zeros(6000), "omega": speed}
+    record = Record(columns | {"thrust": np.random.default_rng(1).standard_normal(6000)}, "open_loop.csv")
+    kept, findings = screen(record)
+    assert [(f.code, f.field, f.value) for f in findings] == [("spikes", "omega", len(lost))]
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(kept["omega"])), lost)
+
+
 def test_dead_speed_sensor_is_left_out(record):
     kept, findings = screen(record.with_columns(omega=np.zeros(len(record))))
     assert [f.code for f in findings] == ["speed_dead"]

@@ -337,6 +337,20 @@ def test_where_no_candidate_comes_near_the_report_says_so():
     assert not summary(found)["best_guess"]["near"]
 
 
+def test_the_answer_comes_before_what_was_refuted(nothing_missing):
+    said = headline(replace(nothing_missing, refuted="the error increases"))
+    assert said.startswith("Nothing is missing. The best set of effects is refuted and not used: the error increases. ")
+
+
+def test_an_unseen_record_of_another_logger_is_told(nothing_missing):
+    """Its thrust is read a second late; held-out parts of the fitted records are as before."""
+    record = nothing_missing.unseen.record
+    late = record.with_columns(thrust=np.roll(record["thrust"], round(1.0 / record.period)))
+    other = replace(nothing_missing, unseen=replace(nothing_missing.unseen, record=late))
+    assert "another logger" not in headline(nothing_missing)
+    assert headline(other).endswith(f"does {other.unseen.name} have another logger or rig?")
+
+
 def test_no_guess_is_made_where_nothing_is_missing(nothing_missing, example):
     assert nothing_missing.best_guess is None
     assert example.best_guess is None

@@ -11,7 +11,8 @@ from studies.gate import SIZES
 
 from identification.logs.clock import guessed_unit, mended, read_clock
 from identification.logs.commands import fitted_map
-from identification.logs.mapping import read_sections
+from identification.logs.mapping import propose, read_sections
+from identification.logs.pairs import named_values
 from identification.logs.raw_table import RawTable, plain, split_unit
 from identification.logs.sampling import between, said_of_gaps, said_of_rows
 from identification.logs.speed_choice import likelihood_gain
@@ -259,11 +260,11 @@ def test_names_that_say_little_are_told_by_their_units(tmp_path, vpp, names):
     "names",
     [
         {"time": "t", "omega_ref": "speed_cmd", "beta_ref": "pitch_cmd", "thrust": "force"},
-        {"time": "t_s", "omega_ref": "n_soll_rpm", "omega": "n_ist_rpm", "thrust": "F_N"},
+        {"time": "t_s", "omega_ref": "n_soll_rpm", "omega": "n_ist_rpm", "thrust": "force_n"},
     ],
 )
 def test_guessed_units_are_refused_with_the_words_that_would_do_and_accepted_by_yes(tmp_path, vpp, names):
-    """The N behind a force is no speed."""
+    """The n behind a force is no speed, and may be newton."""
     t = truth()
     path = table(tmp_path / "log.csv", {header: t[name] for name, header in names.items()})
     code, _, err = vpp(path, "-o", tmp_path / "out")
@@ -276,6 +277,247 @@ def test_guessed_units_are_refused_with_the_words_that_would_do_and_accepted_by_
         record = read_record(tmp_path / folder / "open_loop.csv")
         for name in names:
             np.testing.assert_allclose(record[name], t[name], rtol=1e-8)
+
+
+def test_units_that_an_end_of_a_name_can_only_mean_are_taken_without_asking(tmp_path, vpp):
+    t = truth()
+    names = {"time": "t_s", "omega_ref": "n_soll_rpm", "beta_ref": "pitch_cmd_deg", "omega": "esc_rpm", "thrust": "F_N"}
+    path = table(tmp_path / "log.csv", {header: t[name] for name, header in names.items()} | {"ticks": t["time"]})
+    code, out, _ = vpp(path, "-o", tmp_path / "out")
+    assert (code, "not used: ticks\n" in out) == (0, True)
+    record = read_record(tmp_path / "out" / "open_loop.csv")
+    for name in names:
+        np.testing.assert_allclose(record[name], t[name], rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("header", "quantity"),
+    [
+        ("ESC speed", "omega"),
+        ("esc_status.rpm", "omega"),
+        ("esc_voltage", "voltage"),
+        ("ESC current (A)", "current"),
+        ("ESC signal", "signal"),
+        ("ESC throttle (%)", "signal"),
+        ("esc", "signal"),
+        ("Electrical Power (W)", "power"),
+        ("P_elec [W]", "power"),
+        ("Mz [Nm]", "torque"),
+        ("Q [N.m]", "torque"),
+        ("T [N]", "thrust"),
+        ("load_cell_kg", "thrust"),
+        ("theta_cmd [deg]", "beta_ref"),
+    ],
+)
+def test_what_an_esc_reports_is_no_signal_to_it_and_a_unit_may_tell_the_quantity(header, quantity):
+    table = RawTable("log.csv", {header: np.linspace(1.0, 99.0, 50)}, np.arange(50))
+    assert list(propose(table)) == [quantity]
+
+
+@pytest.mark.parametrize("header", ["Mechanical Power (W)", "T motor (C)", "roll [deg]", "fan", "servo_cmd", "adc force"])
+def test_columns_of_no_known_quantity_are_not_proposed(header):
+    table = RawTable("log.csv", {header: np.linspace(1.0, 99.0, 50)}, np.arange(50))
+    assert not propose(table)
+
+
+def test_of_an_optical_and_an_electrical_speed_the_optical_one_is_taken():
+    names = ("Motor Electrical Speed (RPM)", "Motor Optical Speed (RPM)")
+    table = RawTable("log.csv", {name: np.linspace(1.0, 99.0, 50) for name in names}, np.arange(50))
+    assert propose(table)["omega"].name == names[1]
+
+
+def test_a_speed_named_omega_is_proposed_in_radians_per_second_unless_no_rotor_is_as_fast():
+    slow, fast = np.linspace(100.0, 600.0, 50), np.linspace(1000.0, 6000.0, 50)
+    for values, unit in ((slow, "rad/s"), (fast, "rpm")):
+        assert propose(RawTable("log.csv", {"omega_cmd": values}, np.arange(50)))["omega_ref"].unit == unit
+
+
+@pytest.mark.parametrize("header", ["load cell (mV)", "loadcell_raw", "force counts"])
+def test_a_load_cell_without_a_force_asks_for_two_points(tmp_path, vpp, header):
+    t = truth()
+    names = {"time": "t [s]", "omega_ref": "speed cmd [rpm]", "beta_ref": "pitch cmd [deg]"}
+    raw = np.round(84213.0 - t["thrust"] / 0.0021)
+    path = table(tmp_path / "log.csv", {h: t[n] for n, h in names.items()} | {header: raw})
+    for words in ((), ("--yes",)):
+        code, _, err = vpp(path, *words, "-o", tmp_path / "out")
+        assert (code, err.count("\n")) == (2, 1)
+        assert f"thrust: found {header}, thrust by its name, from {raw.min():g} to {raw.max():g}" in err
+    points = err.split("--map 'thrust=")[1].split("'")[0].replace("@A=0,B=10", "@84213=0,79213=10.5")
+    assert vpp(path, "--map", f"thrust={points}", "-o", tmp_path / "out")[0] == 0
+    np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["thrust"], t["thrust"], atol=0.0011)
+
+
+def test_two_load_cells_of_one_rotor_are_added_or_stop_the_import(tmp_path, vpp):
+    t = truth()
+    names = {"time": "t [s]", "omega_ref": "speed cmd [rpm]", "beta_ref": "pitch cmd [deg]"}
+    columns = {h: t[n] for n, h in names.items()} | {"F left [N]": 0.25 * t["thrust"], "F right [N]": 0.75 * t["thrust"]}
+    path = table(tmp_path / "log.csv", columns)
+    code, _, err = vpp(path, "-o", tmp_path / "out")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "F left [N], F right [N], and one speed, expected one thrust" in err
+    code, out, _ = vpp(path, "--map", "thrust=F left+F right", "-o", tmp_path / "out")
+    assert (code, "not used" in out) == (0, False)
+    np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["thrust"], t["thrust"], rtol=1e-8)
+    assert vpp(path, "--map", tmp_path / "out" / "import.toml", "-o", tmp_path / "again")[0] == 0
+    assert vpp(path, "--rotor", "left", "-o", tmp_path / "left")[0] == 0
+    np.testing.assert_allclose(read_record(tmp_path / "left" / "open_loop.csv")["thrust"], 0.25 * t["thrust"], rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("names", "scale"), [(("stamp.sec", "stamp.nanosec"), 1e-9), (("tv_sec", "tv_usec"), 1e-6), (("secs", "nsecs"), 1e-9)]
+)
+def test_seconds_and_their_fraction_in_two_columns_are_one_time(tmp_path, vpp, names, scale):
+    t = truth()
+    whole = np.floor(t["time"])
+    columns = dict(zip(names, (1.7e9 + whole, np.round((t["time"] - whole) / scale)), strict=True))
+    columns |= {"speed cmd [rpm]": t["omega_ref"], "pitch cmd [deg]": t["beta_ref"], "Fz [N]": t["thrust"]}
+    path = table(tmp_path / "log.csv", columns)
+    code, out, _ = vpp(path, "-o", tmp_path / "out")
+    assert (code, f"time is {names[0]} + {names[1]}" in out) == (0, True)
+    np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv").time, t["time"], atol=1e-6)
+
+
+def test_minutes_and_seconds_go_on_behind_the_hour(tmp_path, vpp):
+    t = truth()
+    stamps = [f"{s // 60 % 60:02.0f}:{s % 60:06.3f}" for s in 3598.5 + t["time"]]
+    columns = {"Elapsed": stamps, "speed cmd [rpm]": t["omega_ref"], "pitch cmd [deg]": t["beta_ref"], "Fz [N]": t["thrust"]}
+    code, out, _ = vpp(table(tmp_path / "log.csv", columns), "-o", tmp_path / "out")
+    assert (code, "each after 3600 s (an hour): unwrapped" in out) == (0, True)
+    np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv").time, t["time"], atol=1e-9)
+
+
+def test_rows_in_a_wrong_order_are_no_runs(tmp_path, vpp):
+    t = truth()
+    order = np.arange(len(t["time"]))
+    names = {"time": "t [s]", "omega_ref": "speed cmd [rpm]", "beta_ref": "pitch cmd [deg]", "thrust": "Fz [N]"}
+    order[200:208] = order[[204, 205, 206, 207, 200, 201, 202, 203]]
+    path = table(tmp_path / "log.csv", {h: t[n][order] for n, h in names.items()})
+    code, _, err = vpp(path, "-o", tmp_path / "out")
+    assert (code, "Try: sort the rows by their time" in err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "unit", "factor"),
+    [
+        ("beta", "Grad", 1.0),
+        ("beta_ref", "grad", 1.0),
+        ("beta", "-1 grados", -1.0),
+        ("omega", "tr/min", 1.0),
+        ("omega", "UPM", 1.0),
+        ("thrust", "gr", 9.80665e-3),
+        ("thrust", "-1 gr", -9.80665e-3),
+        ("current", "Amps", 1.0),
+        ("torque", "N-m", 1.0),
+        ("torque", "oz-in", 0.28349523125 * 9.80665 * 0.0254 / 10.0),
+    ],
+)
+def test_units_as_people_spell_them(quantity, unit, factor):
+    """An ounce is 28.349523125 g, an inch 25.4 mm."""
+    assert factor_of(QUANTITIES[quantity], unit) == pytest.approx(factor, rel=1e-12)
+
+
+def test_words_of_loggers_for_no_reading_are_empty_cells_and_others_are_named(tmp_path, vpp):
+    t = truth()
+    thrust = [f"{v:.5f}" for v in t["thrust"]]
+    thrust[50], thrust[60], thrust[70] = "ERR", "timeout", "#DIV/0!"
+    columns = {"t [s]": t["time"], "speed cmd [rpm]": t["omega_ref"], "pitch cmd [deg]": t["beta_ref"], "Fz [N]": thrust}
+    assert vpp(table(tmp_path / "log.csv", columns), "-o", tmp_path / "out")[0] == 0
+    found = read_record(tmp_path / "out" / "open_loop.csv", holes=("thrust",))["thrust"]
+    assert np.flatnonzero(np.isnan(found)).tolist() == [50, 60, 70]
+    thrust[80] = "12.3.4"
+    code, _, err = vpp(table(tmp_path / "log.csv", columns), "-o", tmp_path / "other")
+    assert (code, "Fz [N], line 82: found 12.3.4, expected a number" in err.replace("'", "")) == (2, True)
+
+
+def test_a_log_of_names_alone_has_no_numbers(tmp_path, vpp):
+    path = tmp_path / "log.csv"
+    path.write_text("t [s],speed cmd [rpm],pitch cmd [deg],Fz [N]\n")
+    code, _, err = vpp(path, "-o", tmp_path / "out")
+    assert (code, "found 1 line without numbers" in err) == (2, True)
+
+
+def test_a_conversion_that_is_read_several_times_counts_once(tmp_path, vpp):
+    """80 conversions a second in 200 rows; noise of 50 digits. What is stuck for half a second stays for the gate to name."""
+    rng, rows = np.random.default_rng(3), np.arange(4000)
+    fresh = np.append(True, np.diff(rows * 80 // 200) > 0)
+    speed, pitch = np.repeat(rng.integers(2000, 6000, 40), 100).astype(float), np.repeat(rng.uniform(-4.0, 9.0, 20), 200)
+    thrust = np.round(12.0 * (speed / 6000.0) ** 2 + 0.3 * pitch + rng.normal(0.0, 0.05, 4000), 3)
+    held = thrust[np.maximum.accumulate(np.where(fresh, rows, 0))]
+    stuck = slice(2050, 2150)
+    held[stuck] = held[stuck.start]
+    columns = {"t [s]": 0.005 * rows, "speed cmd [rpm]": speed, "pitch cmd [deg]": pitch, "Fz [N]": held}
+    code, out, _ = vpp(table(tmp_path / "log.csv", columns), "-o", tmp_path / "out")
+    assert (code, "a new one comes every 12." in out) == (0, True)
+    found = read_record(tmp_path / "out" / "open_loop.csv", holes=("thrust",))["thrust"]
+    new = np.append(True, np.diff(held) != 0.0)
+    new[stuck] = True
+    np.testing.assert_array_equal(np.isfinite(found), new)
+    single = {**columns, "Fz [N]": np.round(thrust, 1)}  # half a digit of noise: neighbours are equal by chance
+    assert "repeats are emptied" not in vpp(table(tmp_path / "log.csv", single), "-o", tmp_path / "single")[1]
+
+
+def test_a_pitch_of_less_than_a_degree_is_proposed_in_radians(tmp_path, vpp):
+    t = truth()
+    names = {"time": "t (s)", "omega_ref": "rpm_cmd (rpm)", "beta_ref": "pitch_cmd", "thrust": "Fz (N)"}
+    path = table(tmp_path / "log.csv", {h: np.radians(t[n]) if n == "beta_ref" else t[n] for n, h in names.items()})
+    code, _, err = vpp(path, "-o", tmp_path / "out")
+    assert (code, "pitch_cmd as beta_ref in rad" in err) == (2, True)
+    assert vpp(path, "--yes", "-o", tmp_path / "out")[0] == 0
+    np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["beta_ref"], t["beta_ref"], rtol=1e-8)
+
+
+@pytest.mark.parametrize(("header", "known"), [("theta_cmd [deg]", True), ("vane setpoint [deg]", True), ("xi [deg]", False)])
+def test_an_angle_that_moves_is_the_pitch_or_stops_the_import(tmp_path, vpp, header, known):
+    t = truth()
+    names = {"time": "t [s]", "omega_ref": "speed cmd [rpm]", "thrust": "Fz [N]"}
+    path = table(tmp_path / "log.csv", {h: t[n] for n, h in names.items()} | {header: t["beta_ref"]})
+    code, _, err = vpp(path, "-o", tmp_path / "out")
+    if not known:
+        assert (code, err.count("\n")) == (2, 1)
+        assert f"{header}, an angle that moves from {t['beta_ref'].min():g} to {t['beta_ref'].max():g} deg" in err
+        assert vpp(path, "--map", f"beta_ref={header}", "-o", tmp_path / "out")[0] == 0
+    np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["beta_ref"], t["beta_ref"], atol=1e-12)
+    assert vpp(path, "--map", "beta_ref=-", "--fixed", "beta_ref=3:deg", "-o", tmp_path / "fixed")[0] == 0
+
+
+def test_the_time_of_an_arduinos_monitor_is_the_time_of_its_lines(tmp_path, vpp):
+    t, rows = truth(), []
+    for k in range(len(t["time"])):
+        rows.append(f"23:59:{58.25 + t['time'][k]:06.3f} -> set:{t['omega_ref'][k]:g} rpm  thrust:{t['thrust'][k]:.6f} N")
+        if k == 70:
+            rows.append("23:59:58.955 -> set:40thrust:1.2")
+    path = tmp_path / "serial.txt"
+    path.write_text("\n".join(rows[:150]) + "\n")
+    code, out, _ = vpp(path, "--map", "omega_ref=set", "-o", tmp_path / "out")
+    assert (code, "lines without these values 1\n" in out) == (0, True)
+    record = read_record(tmp_path / "out" / "open_loop.csv")
+    for name in ("time", "omega_ref", "thrust"):
+        np.testing.assert_allclose(record[name], t[name][:149], atol=1e-6)
+
+
+def test_a_long_name_without_a_value_is_tried_once():
+    """Each of its 60 parts could be split in two ways."""
+    assert named_values([(1, "_".join(60 * "a") + " b"), (2, "1 2")], 400) is None
+
+
+def test_one_run_is_taken_of_a_log_whose_time_starts_again(tmp_path, vpp):
+    t = truth()
+    names = {"time": "t [s]", "omega_ref": "speed cmd [rpm]", "omega": "speed [rpm]", "thrust": "Fz [N]"}
+    twice = np.append(np.arange(150), np.arange(150))
+    columns = {h: t[n][twice] if n == "time" else t[n][:300] for n, h in names.items()}
+    path = table(tmp_path / "log.csv", columns)
+    code, _, err = vpp(path, "-o", tmp_path / "out")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "--run 1 for the first of 2 runs" in err
+    for run, rows in ((1, slice(0, 150)), (2, slice(150, 300))):
+        code, out, _ = vpp(path, "--run", run, "-o", tmp_path / str(run))
+        assert (code, f"run {run} of 2 is taken" in out) == (0, True)
+        record = read_record(tmp_path / str(run) / "open_loop.csv")
+        np.testing.assert_allclose(record.time, t["time"][:150], atol=1e-9)
+        np.testing.assert_allclose(record["thrust"], t["thrust"][rows], rtol=1e-8)
+    code, _, err = vpp(path, "--run", 3, "-o", tmp_path / "out")
+    assert (code, "--run: found 3, expected 1 to 2" in err) == (2, True)
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_throttle_in_per_cent_by_its_name_is_accepted_by_yes(tmp_path, vpp):
@@ -537,6 +779,18 @@ def test_a_level_held_shortly_is_no_rotor_at_rest(tmp_path, vpp):
     assert "--speed-from" not in out  # the motor holds its command
 
 
+def test_a_motor_on_its_way_holds_its_command(tmp_path, vpp):
+    """The pitch moves within a lag of the speed's moves: both commands hold while the rotor is on its way."""
+    log, rng = stand(rows=12_000, hold=1.2, lag=0.3), np.random.default_rng(2)
+    pitch = np.repeat(np.round(rng.uniform(-4.0, 9.0, 400), 1), 30)
+    log["Thrust (gf)"] = (8.0 * (log["RPM"] / 6000.0) ** 2 + 0.3 * pitch) / 9.80665e-3 + rng.normal(0.0, 5.0, 12_000)
+    path = table(
+        tmp_path / "log.csv", log | {"pitch cmd (deg)": pitch, "RPM": np.round(log["RPM"] + rng.normal(0.0, 5.0, 12_000))}
+    )
+    code, out, _ = vpp(path, "-o", tmp_path / "map")
+    assert (code, "--speed-from" in out) == (0, False)
+
+
 def test_a_motor_that_does_not_hold_its_command_is_offered_the_measured_speed(tmp_path, vpp):
     """Each hold ends 5 % off the map, at random; thrust follows the measured speed."""
     log, rng = stand(), np.random.default_rng(8)
@@ -570,6 +824,7 @@ def test_the_gain_of_a_speed_is_the_ratio_of_residuals():
     assert gain == pytest.approx(expected, rel=0.15)
     assert likelihood_gain(omega, off, beta, clean + noise) == pytest.approx(-gain)
     assert likelihood_gain(off[:4], omega[:4], beta[:4], clean[:4]) == 0.0
+    assert likelihood_gain(off, omega, beta, 0.0 * clean) == 0.0
 
 
 def test_a_signal_that_never_holds_is_mapped_behind_a_lag():
@@ -665,8 +920,30 @@ def test_a_pitch_that_moves_without_a_command_is_not_taken_for_fixed(tmp_path, v
     path = table(tmp_path / "log.csv", t)
     words = ["--map", "time=time:s", "omega_ref=omega_ref:rpm", "beta=beta_ref:deg", "thrust=thrust:N"]
     assert "a measured pitch from" in vpp(path, *words, "-o", tmp_path / "out")[2]
+    assert "Try: --map 'beta_ref=beta_ref:deg' beta=- if its command was not logged" in vpp(path, *words)[2]
     assert vpp(path, *words, "--fixed", "beta_ref=0.1:rad", "-o", tmp_path / "out")[0] == 0
     np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["beta_ref"], np.degrees(0.1), rtol=1e-8)
+
+
+def test_steady_points_may_have_measured_speed_and_pitch_alone(tmp_path, vpp):
+    columns = {"RPM [rpm]": [3000.0, 4000.0, 5000.0], "Pitch angle [deg]": [-2.0, 3.0, 8.0], "Thrust [N]": [1.0, 4.0, 9.0]}
+    path = table(tmp_path / "points.csv", columns | {"Thrust std [N]": [0.05, 0.06, 0.07]})
+    assert vpp(path, "--as", "static", "-o", tmp_path / "out")[0] == 0
+    static = read_static(tmp_path / "out" / "static.csv")
+    for found, wanted in zip((static.omega_ref, static.beta_ref, static.thrust), columns.values(), strict=True):
+        np.testing.assert_array_equal(found, wanted)
+    np.testing.assert_array_equal(static.thrust_std, [0.05, 0.06, 0.07])
+
+
+def test_a_servos_angle_is_a_command_and_an_unmoved_pitch_is_not_the_blades(tmp_path, vpp):
+    t = truth()
+    columns = {"t [s]": t["time"], "speed cmd [rpm]": t["omega_ref"], "Fz [N]": t["thrust"]}
+    assert vpp(table(tmp_path / "log.csv", columns | {"servo_deg": t["beta_ref"]}), "-o", tmp_path / "a")[0] == 0
+    np.testing.assert_allclose(read_record(tmp_path / "a" / "open_loop.csv")["beta_ref"], t["beta_ref"], atol=1e-12)
+    body = np.full(len(t["time"]), 0.5)
+    path = table(tmp_path / "body.csv", columns | {"body_pitch_deg": body, "xi_deg": t["beta_ref"]})
+    code, _, err = vpp(path, "-o", tmp_path / "b")
+    assert (code, "found xi_deg, an angle that moves" in err) == (2, True)
 
 
 # What is said of the rows

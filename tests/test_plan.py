@@ -341,6 +341,14 @@ def test_nothing_is_planned_for_a_rig_that_nobody_knows(tmp_path, capsys):
     assert ranges(read_record(tmp_path / "plan.csv"))[2:] == (2.0, 2.0)
 
 
+def test_a_slow_logger_does_not_keep_its_user_from_a_plan(parameters, tmp_path):
+    """A rig's commands are at most a tenth of its time scale apart: 0.05 s for the paper's, whose log has a row each 0.2 s."""
+    slow = ParameterSet(BASE, source=SOURCE | {"sample_period": 0.2}).replaced(SORTED)
+    parameters.write_text(to_json(slow))
+    assert cli.main(["plan", "--parameters", str(parameters), "--seconds", "8", "-o", str(tmp_path / "out")]) == 0
+    assert read_record(tmp_path / "out" / "plan.csv").period == pytest.approx(0.1 * slow.rig.scales.time_scale, rel=1e-9)
+
+
 def test_a_campaign_tells_range_sampling_and_noise(parameters, tmp_path, capsys):
     rng, time = np.random.default_rng(0), 0.01 * np.arange(3000)
     commands = {"time": time, "omega_ref": 2000.0 + 500.0 * (time // 3 % 3), "beta_ref": 6.0 * (time // 1 % 2)}

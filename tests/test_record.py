@@ -98,6 +98,15 @@ def test_gaps_in_measured_columns_become_nan(tmp_path):
         read_record(tmp_path / "record.csv", NEED_THRUST)
 
 
+def test_a_simulation_has_the_voltage_between_its_readings():
+    columns = {"time": [0.0, 1.0, 3.0, 4.0], "voltage": [10.0, np.nan, 40.0, np.nan], "omega": [1.0, np.nan, 2.0, 3.0]}
+    record = Record(columns, "made up")
+    inputs, *_ = record.run
+    np.testing.assert_allclose(inputs["voltage"], [10.0, 20.0, 40.0, 40.0], rtol=1e-15)
+    assert np.isnan(inputs["omega"][1])
+    assert np.isnan(record["voltage"][1])
+
+
 def test_unknown_columns_are_kept_and_named_in_one_warning(tmp_path):
     text = "time,omega_ref,beta_ref,strain,note,gap\n0,1,2,0.5,start,\n1,1,2,0.6,,3\n"
     with pytest.warns(RecordWarning) as caught:

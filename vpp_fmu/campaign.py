@@ -137,7 +137,11 @@ def _listed(folder: Path) -> set[str]:
     except FileNotFoundError as error:
         raise BadInput(folder, "campaign folder", "no such folder", allowed) from error
     except NotADirectoryError as error:
-        raise BadInput(folder, "campaign folder", "a file" if folder.exists() else "no such folder", allowed) from error
+        if not folder.exists():
+            raise BadInput(folder, "campaign folder", "no such folder", allowed) from error
+        own = folder.name.removesuffix(".gz") in _FILES.split(", ")
+        hint = f"its folder, {folder.parent}" if own else f"vpp import csv {folder} -o mine, which makes one of a log"
+        raise BadInput(folder, "campaign folder", "a file", allowed, hint) from error
     except OSError as error:
         raise BadInput(folder, "campaign folder", f"not readable ({reason(error)})", allowed) from error
 

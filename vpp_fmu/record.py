@@ -85,10 +85,14 @@ class Record:
         """(n - 1,) s from row to row, rounded to the nanosecond: a grid written as 0.004 s gives exactly 0.004 each time."""
         return np.round(np.diff(self.time), 9)
 
-    @property
+    @cached_property
     def run(self) -> tuple[Mapping[str, np.ndarray], np.ndarray, float]:
-        """(columns, steps, late): the inputs of a simulation of these rows."""
-        return self.columns, self.steps, self.late
+        """(columns, steps, late): the inputs of a simulation of these rows. Empty cells of the voltage are interpolated."""
+        volts = self.columns.get(VOLTAGE.name)
+        if volts is None or (seen := np.isfinite(volts)).all() or not seen.any():
+            return self.columns, self.steps, self.late
+        filled = np.interp(self.time, self.time[seen], volts[seen])
+        return {**self.columns, VOLTAGE.name: filled}, self.steps, self.late
 
     def commands_later(self, rows: float) -> "Record":
         """The record with commands that act `rows` rows later (negative: earlier), beside the same readings.
@@ -203,7 +207,8 @@ def checked_columns(table: Table, need: Sequence[str], holes: Sequence[str] = ()
     for name in need:
         if name not in table.columns:
             allowed = f"a header with {', '.join(need)}, separated by commas"
-            raise BadInput(table.source, f"column {name}", f"only {', '.join(table.columns)}"[:200], allowed)
+            hint = "vpp import csv, which makes a record of a log" if name in COMMANDS else ""
+            raise BadInput(table.source, f"column {name}", f"only {', '.join(table.columns)}"[:200], allowed, hint)
     measured = {signal.name for signal in MEASURED}
     columns, unknown = {}, []
     for name, cells in table.columns.items():

@@ -32,8 +32,8 @@ KINDS = {
     "speed_unit": Kind(ERROR, "speed in rad/s, Hz or deg/s, or electrical speed", "Write rpm of the rotor", _GO_ON),
     "pitch_unit": Kind(ERROR, "pitch in rad, or as a share of its travel", "Write degrees", _GO_ON),
     "thrust_unit": Kind(ERROR, "thrust in gf, kgf, lbf, ozf, mN or kN", "Write newtons", _GO_ON),
-    "thrust_sign": Kind(ERROR, "thrust counts downwards", "Change the column's sign", _GO_ON),
-    "pitch_sign": Kind(ERROR, "thrust decreases with pitch", "Change the column's sign", _GO_ON),
+    "thrust_sign": Kind(ERROR, "thrust counts downwards", "Import the column as thrust=COLUMN:-1 N", _GO_ON),
+    "pitch_sign": Kind(ERROR, "thrust decreases with pitch", "Import the column as beta_ref=COLUMN:-1 deg", _GO_ON),
     "speed_dead": Kind(
         WARNING, "the measured speed is constant while its command moves", "Look at the mark and its sensor", _KEEP
     ),
@@ -60,6 +60,7 @@ KINDS = {
     ),
     "slow_sampling": Kind(WARNING, "the sampling period is longer than a fifth of the fastest lag", "Log more often"),
     "power": Kind(WARNING, "torque or power contradicts itself, or does not suffice for a map", "Look at signs and units"),
+    "no_motor": Kind(WARNING, "torque and power in a record only", "Measure steady points with both"),
     "no_fit": Kind(ERROR, "no model can be fitted", "See above"),
 }
 """Every finding of the gate, by code."""

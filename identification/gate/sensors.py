@@ -23,7 +23,7 @@ SPIKE = 8.0
 """Robust standard deviations from the median of the neighbours: Gaussian noise exceeds it once in 1e15 rows."""
 
 JUMP = 4.0
-"""Minimum ratio of a spike to the 98 % quantile of differences of neighbours: a quick move is no spike."""
+"""Minimum ratio of a spike to the 98 % quantile of differences of the running median: a quick move is no spike."""
 
 NEIGHBOURS = 7
 """Readings in the running median: it tracks a move without error and removes spikes of up to three readings."""
@@ -175,11 +175,12 @@ def _spikes(record: Record, column: str, unit: str, at: np.ndarray) -> Iterator[
     y = record[column][at]
     if len(y) < 4 * NEIGHBOURS:
         return
-    off = y - median_filter(y, NEIGHBOURS, mode="nearest")
+    course = median_filter(y, NEIGHBOURS, mode="nearest")
+    off = y - course
     noise = np.repeat([1.4826 * np.median(np.abs(off[k : k + LOCAL])) for k in range(0, len(y), LOCAL)], LOCAL)[: len(y)]
     values = np.unique(y)
     digit = float(np.min(np.diff(values))) if len(values) > 1 else 0.0
-    limit = np.maximum(SPIKE * np.maximum(noise, digit), JUMP * np.quantile(np.abs(np.diff(y)), 0.98))
+    limit = np.maximum(SPIKE * np.maximum(noise, digit), JUMP * np.quantile(np.abs(np.diff(course)), 0.98))
     far = np.abs(off) > limit
     if column == "omega":  # a lost pulse changes one value; an oscillating rotor has intermediate neighbours
         jump = np.abs(np.diff(y, prepend=y[0], append=y[-1]))

@@ -6,7 +6,7 @@ Of rows at equal time the last is kept. If a stamp covers several rows, they are
 """
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import date
 
 import numpy as np
@@ -14,14 +14,19 @@ import numpy as np
 from identification.logs.raw_table import EMPTY, RawTable
 from identification.logs.units import QUANTITIES, factor_of
 from vpp_fmu.digits import number
+from vpp_fmu.errors import BadInput
 from vpp_fmu.files import shown
 
 CALENDAR = "iso"
 """Unit of a time that is a date, a time of day, or both."""
 
 TURNS = {"32-bit us": 2.0**32 * 1e-6, "32-bit ms": 2.0**32 * 1e-3, "16-bit ms": 2.0**16 * 1e-3, "16-bit us": 2.0**16 * 1e-6}
-TURNS |= {"midnight": 86400.0, "32-bit ns": 2.0**32 * 1e-9, "24-bit us": 2.0**24 * 1e-6}
+TURNS |= {"an hour": 3600.0, "midnight": 86400.0, "32-bit ns": 2.0**32 * 1e-9, "24-bit us": 2.0**24 * 1e-6}
 """s after which a counter restarts."""
+
+_FRACTIONS = {"nanosec": 1e-9, "nsec": 1e-9, "nanoseconds": 1e-9, "nsecs": 1e-9, "nanosecs": 1e-9, "ns": 1e-9}
+_FRACTIONS |= {"usec": 1e-6, "microsec": 1e-6, "microseconds": 1e-6, "usecs": 1e-6, "us": 1e-6}
+"""s of a column that holds the fraction of a stamp's seconds, by the end of its name."""
 
 COARSE = 0.3
 """Share of rows at the time of the row before, above which stamps are coarse. A stamp per two rows gives a half; duplicate rows
@@ -31,6 +36,9 @@ GAP = 4.0
 """A step longer than this many median steps is a gap."""
 
 _CLOCK = r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d+))?)?\s*([AaPp][Mm])?\s*(Z|z|UTC|[+-]\d{2}:?\d{2})?"
+_MINUTES = re.compile(r"(\d{1,2}):(\d{2})[.,](\d+)")
+"""Minutes and seconds, as Excel writes times with fractions."""
+
 _STAMP = re.compile(rf"(?:(\d{{1,4}})[-/.](\d{{1,2}})[-/.](\d{{1,4}})(?:[T,]?\s*))?(?:{_CLOCK})?")
 
 
@@ -51,8 +59,9 @@ class Clock:
         return float(np.median(np.diff(self.time)))
 
 
-def read_clock(table: RawTable, name: str, unit: str, runs: bool = False) -> Clock:
-    """The clock of a column. `runs`: time may start again, with each run (`restarts`, indices into Clock.rows). BadInput."""
+def read_clock(table: RawTable, name: str, unit: str, runs: bool = False, run: int | None = None) -> Clock:
+    """The clock of a column. `runs`: time may start again, with each run (`restarts`, indices into Clock.rows). `run`: the
+    only one to take, from 1. BadInput."""
     stamps, start = _seconds(table, name, unit)
     rows = np.flatnonzero(np.isfinite(stamps))
     if len(rows) < 2:
@@ -67,13 +76,25 @@ def read_clock(table: RawTable, name: str, unit: str, runs: bool = False) -> Clo
             name, rows[-1], f"{table.columns[name][rows[-1]]}, no later than any row before", "a time that increases"
         )
     back = np.flatnonzero(np.diff(time) < -usual) + 1
-    if len(back) and not runs:
+    if len(back) and not runs and run is None:
         now, before = (table.columns[name][rows[back[0] - k]] for k in (0, 1))
-        found = f"{now} after {before}, back by {time[back[0] - 1] - time[back[0]]:.6g} s, {len(back)} such places"
+        places = "" if len(back) == 1 else f", {len(back)} such places"
+        found = f"{now} after {before}, back by {time[back[0] - 1] - time[back[0]]:.6g} s{places}"
         allowed = "time that doesn't go back by a row or more"
-        raise table.wrong(name, rows[back[0]], found, allowed, "--as steps for a log of several runs")
+        again = np.all(time[back] <= time[np.append(0, back[:-1])] + usual)
+        hint = f"--run 1 for the first of {len(back) + 1} runs, or --as steps where each run is a step"
+        hint = hint if again else "sort the rows by their time"
+        raise table.wrong(name, rows[back[0]], found, allowed, hint)
     parts, kept, restarts = [], [], []
-    for first, end in zip([0, *back], [*back, len(time)], strict=True):
+    spans = list(zip([0, *back], [*back, len(time)], strict=True))
+    if run is not None:
+        if not 1 <= run <= len(spans):
+            number_of = f"1 to {len(spans)}, the runs that {name} has" if len(back) else f"1: {name} never starts again"
+            raise BadInput("command line", "--run", str(run), number_of)
+        spans = spans[run - 1 : run]
+        notes.append(f"time: run {run} of {len(back) + 1} is taken, the others are left out")
+        start = f"{table.columns[name][rows[spans[0][0]]]}, where run {run} begins"
+    for first, end in spans:
         if np.ptp(time[first:end]) == 0.0:
             raise table.wrong(name, rows[first], f"a run of {end - first} rows at one time", "runs with increasing time")
         increasing, unique, corrections = straightened(time[first:end], usual)
@@ -82,6 +103,23 @@ def read_clock(table: RawTable, name: str, unit: str, runs: bool = False) -> Clo
         kept.append(rows[first:end][unique])
         notes += corrections
     return Clock(np.concatenate(kept), np.concatenate(parts), start, tuple(notes), np.array(restarts))
+
+
+def with_whole_stamps(table: RawTable) -> RawTable:
+    """The table with a column `time` in s, first, if two columns are the seconds of a stamp and their fraction: sec and nanosec
+    of ROS, tv_sec and tv_usec of C."""
+    for name, cells in table.columns.items():
+        found = re.fullmatch(r"(?i)(.*?)(secs?|seconds?|s)", name)
+        wanted = {f"{found[1]}{part}".casefold(): scale for part, scale in _FRACTIONS.items()} if found else {}
+        other = next((n for n in table.columns if n.casefold() in wanted), None)
+        if other is None or "time" in table.columns or {cells.dtype.kind, table.columns[other].dtype.kind} != {"f"}:
+            continue
+        scale, part = wanted[other.casefold()], table.columns[other]
+        if np.all(cells == np.round(cells)) and np.all((part >= 0.0) & (part * scale < 1.0)):
+            how = f"{table.how_read}; time is {name} + {other}"
+            columns, units = {"time": cells + scale * part, **table.columns}, {"time": "s", **table.units}
+            return replace(table, columns=columns, units=units, how_read=how)
+    return table
 
 
 def straightened(time: np.ndarray, usual: float) -> tuple[np.ndarray, np.ndarray, list[str]]:
@@ -198,6 +236,8 @@ def _calendar(table: RawTable, name: str) -> tuple[np.ndarray, str]:
 
 def _stamp(text: str) -> tuple[tuple[int, int, int] | None, float] | None:
     """(three numbers of a date in written order, or None; s of the day, in UTC if the offset is given). None: no stamp."""
+    if minutes := _MINUTES.fullmatch(text):
+        return None, 60.0 * int(minutes[1]) + int(minutes[2]) + float(f"0.{minutes[3]}")
     found = _STAMP.fullmatch(text)
     if found is None or not text or (found.group(1) is None and found.group(4) is None):
         return None

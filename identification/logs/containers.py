@@ -24,6 +24,9 @@ _OTHERS = {
     b"TDSm": ("a TDMS file", "the same table as CSV or HDF5"),
     b"MDF ": ("an MDF file", "the same channels as CSV, MAT or HDF5"),
     b"\xa3\x95": ("an ArduPilot log", "its messages of one kind as CSV"),
+    b"#ROSBAG": ("a ROS bag", "one topic of it as CSV (rostopic echo -b BAG -p TOPIC)"),
+    b"SQLite format 3": ("a ROS 2 bag or another database", "one table of it as CSV"),
+    b"\x89MCAP": ("an MCAP recording", "one topic of it as CSV"),
     b"ULog": ("a PX4 log", "one topic of it as CSV (ulog2csv)"),
 }
 """First bytes of formats that are not read: (what the file is, what to supply instead)."""

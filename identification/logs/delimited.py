@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from identification.logs.pairs import named_values
 from identification.logs.raw_table import EMPTY, RawTable, plain
 from identification.logs.units import QUANTITIES, factor_of, is_unit
 from vpp_fmu.errors import BadInput
@@ -34,6 +35,9 @@ _MARKS = (
 _LOOK = 400
 """Lines from the middle of the file, by which its form is detected: exceptions are at its head."""
 
+_HEAD = 40
+"""Lines after the first row of numbers in which names may still come."""
+
 _NUMBER = re.compile(r"[+-]?(\d[\d'\u2019\xa0\u202f.,]*|[.,]\d+)([eEdD][+-]?\d+)?")
 _TIME = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}([T ].*)?|\d{1,2}:\d{2}(:\d{2})?([.,]\d+)?(\s*[AaPp][Mm])?")
 _BOTH = re.compile(r"[+-]?\d{1,3}(?:([.,])\d{3})+([.,])\d*")
@@ -51,23 +55,29 @@ def read_delimited(path: str | os.PathLike, given: Mapping[str, str]) -> RawTabl
     body = [(i, line) for i, line in lines if not line.lstrip().startswith(COMMENTS)]
     if not body:
         raise BadInput(path, "file", f"{len(notes)} lines of comments and no other", "a table of numbers")
-    delimiter = _delimiter(path, body, given.get("delimiter"), declared.group(1) if declared else None)
-    rows = [(i, _cells(line, delimiter)) for i, line in body]
-    width = _width(path, rows)
-    head, data, dropped = _parts(path, rows, width, delimiter)
-    if not head and (named := _commented_head(notes, data[0][0], delimiter, width)):
-        head = named
-        notes = notes[: -len(named)]
-    names, units, remarks = _header(path, head, width)
+    read = {"encoding": encoding}
+    if (told := named_values(body, _LOOK)) and len(told[1]) > 1 and "delimiter" not in given:
+        names, data = told
+        units, delimiter, separated = [""] * len(names), "", "a name before each value"
+        left_out = {"comments": len(notes), "lines without these values": len(body) - len(data)}
+        named = ""
+    else:
+        delimiter = _delimiter(path, body, given.get("delimiter"), declared.group(1) if declared else None)
+        rows = [(i, _cells(line, delimiter)) for i, line in body]
+        width = _width(path, rows)
+        head, data, dropped = _parts(path, rows, width, delimiter)
+        if not head and (commented := _commented_head(notes, data[0][0], delimiter, width)):
+            head = commented
+            notes = notes[: -len(commented)]
+        names, units, line = _header(path, head, width)
+        remarks = max(0, len(head) - 1 - any(units))
+        left_out = {"comments": len(notes), "lines before and after the names": remarks, **dropped}
+        read["delimiter"] = {name: key for key, name in DELIMITERS.items()}.get(delimiter, delimiter)
+        separated = f"cells separated by {read['delimiter']}"
+        named = f", names on line {line}" if head else ", no names: columns are numbered"
     cells = [row for _, row in data]
-    decimal = given.get("decimal") or _decimal(cells, delimiter)
-    left_out = {"comments": len(notes), "lines before and after the names": remarks, **dropped}
-    kinds = {name: key for key, name in DELIMITERS.items()}
-    read = {"encoding": encoding, "delimiter": kinds.get(delimiter, delimiter), "decimal": decimal}
-    how = f"text in {encoding}, cells separated by {read['delimiter']}, decimal {'comma' if decimal == ',' else 'point'}"
-    how += (
-        ", names on line " + str(head[-1][0] if len(head) == 1 else head[0][0]) if head else ", no names: columns are numbered"
-    )
+    read["decimal"] = decimal = given.get("decimal") or _decimal(cells, delimiter)
+    how = f"text in {encoding}, {separated}, decimal {'comma' if decimal == ',' else 'point'}{named}"
     columns, found = {}, {}
     for k, name in enumerate(names):
         columns[name], unit = _column([row[k] for row in cells], decimal)
@@ -133,6 +143,9 @@ def _delimiter(path, body: Sequence[tuple[int, str]], wanted: str | None, declar
         filled = [cell for row in rows if len(row) == width for cell in row if cell.strip().lower() not in EMPTY]
         values = sum(_is_value(cell) for cell in filled) / max(1, len(filled))
         scores[delimiter] = (round(values * many / len(rows), 2), width if delimiter != " " else 0)
+    if scores and max(scores.values())[0] < 0.1 and len(body) <= _HEAD:
+        found = f"{len(body)} line{'s' * (len(body) > 1)} without numbers"
+        raise BadInput(path, "file", found, "rows of numbers under the names")
     if not scores or max(scores.values())[0] < 0.1:
         line, text = body[len(body) // 2]
         allowed = "cells separated by comma, semicolon, tab, bar or space"
@@ -185,14 +198,14 @@ def _is_data(cells: Sequence[str]) -> bool:
 
 def _parts(path, rows, width: int, delimiter: str):
     """(lines of the head, rows of data, numbers of dropped rows by reason). Data begin with the first row of that width."""
-    first = next(k for k, (_, cells) in enumerate(rows) if len(cells) == width and _is_data(cells))
+    first = _first_row(rows, width)
     head = [(i, _joined(cells) if delimiter == " " else cells) for i, cells in rows[:first]]
     named = [len(cells) for _, cells in head if not _is_data(cells)]
     if delimiter == "," and named and 2 < named[-1] <= width / 1.5:
         line, names = rows[first][0], named[-1]
         allowed = f"{names} cells, one a name of the header (a comma can't separate cells and mark decimals too)"
         raise BadInput(path, f"line {line}", f"{width} cells", allowed)
-    head = [(i, cells) for i, cells in head if _of_width(cells, width)]
+    head = [(i, cells) for i, cells in head if _of_width(cells, width) and not _is_data(cells)]
     preamble = first - len(head)
     data, dropped = [], Counter({"lines before the table": preamble})
     names = [cells for _, cells in head]
@@ -211,6 +224,18 @@ def _parts(path, rows, width: int, delimiter: str):
     if len(data) < 2:
         raise BadInput(path, "file", f"{len(data)} row of numbers", "two or more")
     return head, data, dict(dropped)
+
+
+def _first_row(rows: Sequence[tuple[int, list[str]]], width: int) -> int:
+    """Place of the first row of data: it has that width, and no names come after it (LabVIEW counts its samples first)."""
+    first = next(k for k, (_, cells) in enumerate(rows) if len(cells) == width and _is_data(cells))
+    before = [cells for _, cells in rows[:first]]
+    for k, (_, cells) in enumerate(rows[first + 1 : first + 1 + _HEAD], first + 1):
+        told = [cell for cell in cells if cell.lower() not in EMPTY]
+        if _of_width(told, width) and cells not in before and not any(map(_is_value, told)) and len(set(told)) == len(told):
+            more = [n for n, (_, row) in enumerate(rows[k:], k) if len(row) == width and _is_data(row)]
+            first = more[0] if more else first
+    return first
 
 
 def _joined(cells: Sequence[str]) -> list[str]:
@@ -242,12 +267,13 @@ def _commented_head(notes, first: int, delimiter: str, width: int):
 
 
 def _header(path, head, width: int) -> tuple[list[str], list[str], int]:
-    """(names, units, number of other rows) of the rows before the numbers. Names are in the row before the units, else in the
+    """(names, units, line of the names) of the rows before the numbers. Names are in the row before the units, else in the
     last row of distinct cells."""
     if not head:
         return [str(k) for k in range(1, width + 1)], [""] * width, 0
     rows = [[*cells, *[""] * width][:width] for _, cells in head]
-    units = next((k for k, row in enumerate(rows) if k and _units(row)), None)
+    twice = len(rows) > 1 and any(n > 1 for unit, n in Counter(rows[0]).items() if unit)  # names differ: LabVIEW's units
+    units = next((k for k, row in enumerate(rows) if (k or twice) and _units(row)), None)
     distinct = [k for k, row in enumerate(rows) if all(row[:-1]) and len(set(row)) == width]
     named = units - 1 if units and (units - 1 in distinct or not distinct) else max(distinct, default=0)
     names = []
@@ -258,8 +284,8 @@ def _header(path, head, width: int) -> tuple[list[str], list[str], int]:
         if clean in names:
             clean = f"{clean}.{k}"
         names.append(clean or str(k))
-    found = [unit.strip("()[]{}<> ") for unit in rows[units]] if units else [""] * width
-    return names, [unit if is_unit(unit) else "" for unit in found], len(head) - 1 - (units is not None)
+    found = [unit.strip("()[]{}<> ") for unit in rows[units]] if units is not None else [""] * width
+    return names, [unit if is_unit(unit) else "" for unit in found], head[named][0]
 
 
 def _units(row: Sequence[str]) -> bool:

@@ -10,7 +10,7 @@ from identification.gate.files import SPEEDS, electrical_cause, pole_pairs, spee
 from identification.logs.clock import Clock, read_clock
 from identification.logs.coefficients import Propeller, thrust_of
 from identification.logs.commands import averaged_map, fitted_map, taken_over
-from identification.logs.mapping import ROWS, Column, Plan, pitch_in_other_unit
+from identification.logs.mapping import ROWS, Column, Plan, in_other_unit, moving_angle
 from identification.logs.raw_table import RawTable
 from identification.logs.speed_map import RANGES, SignalRange, SpeedMap
 from identification.logs.units import QUANTITIES, SIGNALS, factor_of, scale_of, signal_unit
@@ -62,13 +62,15 @@ def take_in(
     speed_map: SpeedMap | None = None,
     propeller: Propeller | None = None,
     force: bool = False,
+    run: int | None = None,
 ) -> Taken:
     """Convert a table for a campaign's file of a `kind`. `speed_map`: from signal to speed; None: fitted to the log.
-    `propeller`: of a table of coefficients; `force`: accept a speed that looks electrical. BadInput."""
+    `propeller`: of a table of coefficients; `force`: accept a speed that looks electrical; `run`: which, from 1, of a log whose
+    time starts again. BadInput."""
     _check(table, plan, kind)
     clock, rows, said = None, np.arange(len(table)), []
     if "time" in plan.columns:
-        clock = _clock(table, plan, kind)
+        clock = _clock(table, plan, kind, run)
         rows, said = clock.rows, [f"time 0 is {clock.start} of the log", *clock.said]
     columns = {"time": clock.time} if clock else {}
     for quantity, column in plan.columns.items():
@@ -126,10 +128,14 @@ def electrical(plan: Mapping[str, Column], columns: Mapping[str, np.ndarray]) ->
 
 
 def _no_angle(table: RawTable, plan: Plan) -> tuple[str, str, str] | None:
-    """(found, expected, hint) if the plan has no pitch, and the log has one that is not an angle; else None."""
-    if {"beta_ref", "beta"} & {*plan.columns, *plan.fixed}:
+    """(found, expected, hint) if the plan has no pitch, and the log has a moving angle or no angle as pitch; else None."""
+    if "beta_ref" in {*plan.columns, *plan.fixed}:
         return None
-    if (other := pitch_in_other_unit(table, {c.name for c in plan.columns.values()})) is None:
+    if (angle := moving_angle(table, {c.name for c in plan.columns.values()})) is not None:
+        name, unit, low, high = angle
+        found = f"{name}, an angle that moves from {low:g} to {high:g} {unit}, and no pitch"
+        return found, "a command of pitch", f"--map 'beta_ref={name}:{unit}', or --fixed beta_ref=8:deg if the pitch is fixed"
+    if (other := in_other_unit(table, "beta", {c.name for c in plan.columns.values()})) is None:
         return None
     name, unit, low, high = other
     found = f"{name}, pitch by its name, from {low:g} to {high:g} {unit}".rstrip()
@@ -156,6 +162,11 @@ def _check(table: RawTable, plan: Plan, kind: str) -> None:
         field, found = f"ct, column {plan.columns['ct'].name}", "thrust coefficients, which are steady points"
         raise BadInput(table.source, field, found, f"a record in time for {kind}.csv", "--as static")
     if not {"thrust", "ct"} & {*plan.columns}:
+        if other := in_other_unit(table, "thrust", {c.name for c in plan.columns.values()}):
+            name, unit, low, high = other
+            found = f"{name}, thrust by its name, from {low:g} to {high:g} {unit}".rstrip()
+            hint = f"--map 'thrust={name}:{unit}@A=0,B=10' with the numbers A and B that mean 0 and 10 N"
+            raise BadInput(table.source, "thrust", found, "a force", hint)
         found = f"no column of it among {_names(table)}"
         raise BadInput(table.source, "thrust", found, "a column of thrust", "--map thrust=COLUMN:UNIT")
     if "time" not in plan.columns and kind != "static":
@@ -174,12 +185,12 @@ def _names(table: RawTable) -> str:
     return text if len(text) < 200 else f"{text[:197]}..."
 
 
-def _clock(table: RawTable, plan: Plan, kind: str) -> Clock:
+def _clock(table: RawTable, plan: Plan, kind: str, run: int | None) -> Clock:
     column = plan.columns["time"]
     if column.name == ROWS and ROWS not in table.columns:
         step = factor_of(QUANTITIES["time"], column.unit)
         return Clock(np.arange(len(table)), step * np.arange(len(table)), f"row 1, rows are {column.unit} apart", ())
-    return read_clock(table, column.name, column.unit, runs=kind == "steps")
+    return read_clock(table, column.name, column.unit, kind == "steps", run)
 
 
 def _held(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], list[str]]:
@@ -231,11 +242,14 @@ def _commanded(table: RawTable, plan: Plan, columns: dict, clock: Clock | None, 
     if "omega_ref" not in columns:
         columns["omega_ref"] = columns["omega"]
         said.append("omega_ref: the measured speed, as the log has no command")
+    pitch = columns.get("beta")
+    if "beta_ref" not in columns and pitch is not None and kind == "static" and (clock is None or clock.step > FASTER):
+        columns["beta_ref"] = pitch
+        said.append("beta_ref: the measured pitch, as the points have no command")
     if "beta_ref" not in columns:
-        pitch = columns.get("beta")
         if pitch is not None and np.nanmax(pitch) - np.nanmin(pitch) > 1.0:
             found = f"a measured pitch from {np.nanmin(pitch):.4g} to {np.nanmax(pitch):.4g} deg and no command of it"
-            hint = "--map beta_ref=COLUMN:deg, with the measured column if there is no other"
+            hint = f"--map 'beta_ref={plan.columns['beta']}' beta=- if its command was not logged"
             raise BadInput(table.source, "beta_ref", found, "a command of pitch", hint)
         if no_angle := _no_angle(table, plan):
             raise BadInput(table.source, "beta_ref", *no_angle)

@@ -33,15 +33,40 @@ LEAVE_OUT = "-"
 STEEP = 90.0
 """deg, above the pitch of any blade; larger numbers are a servo's pulses or counts."""
 
+COUNTS_FROM = 1000.0
+"""Numbers above it in a column that calls itself raw are counts."""
+
+FAST = 3000.0
+"""rad/s, above any rotor's speed: larger numbers named omega are rpm."""
+
+MOVES = 2.0
+"""deg, by which an angle moves more than a stand does."""
+
+_TELLING = {
+    "omega": ("rpm", "RPM", "1/min", "U/min", "rev/min", "rev/s", "rps", "krpm", "tr/min", "giri/min", "UPM"),
+    "beta": ("deg", "°", "rad"),
+    "thrust": ("N", "mN", "kN", "kgf", "gf", "lbf", "ozf"),
+    "torque": ("Nm", "N.m", "N·m", "N*m", "mNm", "Ncm"),
+}
+"""Units that tell a column's quantity if its name does not; of angles, only a command's."""
+
+_PLAIN = frozenset(["N", "mN", "kN", "gf", "kgf", "lbf", "deg", "rad", "rpm", "Hz", "ms", "us"])
+"""Units that an end of a name can only mean, such as thrust_N."""
+
+SMALL_ANGLE = 0.6
+"""Largest number of a pitch without a unit that is taken as rad: no rotor's pitch moves by less than a degree in all."""
+
 _WORDS = {
-    "time": "time t timestamp zeit uhrzeit datetime clock elapsed seconds epoch utc sec millis micros temps tiempo stamp x",
-    "thrust": "thrust fz force schub schubkraft kraft load loadcell lift f poussee empuje newton",
-    "omega": "omega rpm speed n drehzahl rotor rot motorspeed optical electrical rev tach tacho tachometer velocity w vitesse",
-    "beta": "beta pitch blade collective anstellwinkel blattwinkel bladeangle bladepitch angle servo",
+    "time": "time t timestamp zeit uhrzeit datetime clock elapsed seconds epoch utc sec millis micros stamp x "
+    "temps tiempo tempo",
+    "thrust": "thrust fz force schub schubkraft kraft load loadcell lift f poussee poussée empuje spinta newton",
+    "omega": "omega rpm speed n drehzahl rotor rot motorspeed optical rev tach tacho tachometer velocity w vitesse giri",
+    "beta": "beta pitch blade collective anstellwinkel blattwinkel bladeangle bladepitch angle servo theta alpha aoa "
+    "winkel paso passo pas",
     "signal": "esc throttle pwm dshot gas",
     "voltage": "voltage volt volts u vbat vbatt spannung v vin battery",
     "current": "current amp amps ampere i ibat strom ibatt",
-    "torque": "torque drehmoment",
+    "torque": "torque drehmoment mz",
     "power": "",
     "run": "run step stepnumber lauf test",
     "thrust_std": "",
@@ -49,20 +74,29 @@ _WORDS = {
     "ct": "ct",
     "advance_ratio": "j advance",
 }
-"""Words of a header by quantity, the most specific first. Power has none: a log may have that of the shaft, too."""
+"""Words of a header by quantity, the most specific first. Power is told by _ELECTRIC: a log may have that of the shaft, too."""
 
 
-_PITCH = ("pitch", "collective", "servo", "beta", "anstellwinkel", "blattwinkel")
-"""The words that mean pitch only; an angle may be the stand's."""
+_MEANT_BY = {
+    "beta": ("pitch", "collective", "servo", "beta", "anstellwinkel", "blattwinkel"),
+    "thrust": ("thrust", "force", "schub", "kraft", "loadcell"),
+}
+"""The words that mean pitch or thrust only; an angle may be the stand's, a load the motor's."""
 
 
 def _words(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
-_COMMAND = _words("cmd command commanded ref reference set setpoint sp target soll des desired demand demanded wanted")
-_NOISE = _words("motor prop propeller signal measured meas ist actual value raw rotor sensor channel ch filtered")
-_NOT = _words("torque mz mx my power watt efficiency acc accx accy accz vibration temperature temp esc2 cell moment")
+_COMMAND = _words(
+    "cmd command commanded ref reference set setpoint sp target tgt soll des desired demand demanded wanted "
+    "consigne deseado deseada comando"
+)
+_NOISE = _words("motor prop propeller signal measured meas medida medido ist actual value raw rotor sensor channel ch filtered")
+_MEASURED = _words("measured meas ist actual feedback fb pos position medida")
+_ELECTRIC = _words("electrical electric elec el dc in input battery supply esc")
+_COUNTS = _words("adc counts count digits lsb ticks")
+_NOT = _words("mx my power watt efficiency acc accx accy accz vibration temperature temp esc2 cell moment")
 
 
 @dataclass(frozen=True)
@@ -223,21 +257,41 @@ def completed(
     return {q: columns[q] for q in QUANTITIES if q in columns}, said
 
 
-def pitch_in_other_unit(table: RawTable, taken: Collection[str]) -> tuple[str, str, float, float] | None:
-    """(column, unit, smallest and largest number) of a column that is pitch by its name but not an angle: a servo's pulse, a
-    stroke, counts. None if there is none, or if it is empty or always 0."""
+def moving_angle(table: RawTable, taken: Collection[str]) -> tuple[str, str, float, float] | None:
+    """(column, unit, smallest and largest number) of a column that is an angle by its unit, moves as a pitch may, and is not
+    taken; None if there is none."""
     for name in table.columns:
-        quantity, _, tokens, _ = _meant(table, name)
+        tail = re.split(r"[\W_]+", name)[-1]
+        unit = table.unit(name) or (tail if tail in _PLAIN else "")
+        if name in taken or not unit or not _fits("beta", unit) or not _numeric(table, name):
+            continue
+        seen = _seen(table, name)
+        if len(seen) and np.ptp(seen) * factor_of(QUANTITIES["beta"], unit) > MOVES:
+            return name, unit, float(seen.min()), float(seen.max())
+    return None
+
+
+def in_other_unit(table: RawTable, quantity: str, taken: Collection[str]) -> tuple[str, str, float, float] | None:
+    """(column, unit, smallest and largest number) of a column that is `beta` or `thrust` by its name but in another unit: a
+    servo's pulse, a stroke, counts, mV. None if there is none, or if it is empty or always 0."""
+    for name in table.columns:
+        meant, _, tokens, _ = _meant(table, name)
         unit = table.unit(name) or _ending(name) or None
-        plainly = quantity in ("beta", "beta_ref") and any(_is(token, word) for token in tokens for word in _PITCH)
-        if name in taken or not plainly or not _numeric(table, name):
+        plainly = any(_is(token, word) for token in tokens for word in _MEANT_BY[quantity])
+        if name in taken or meant not in (quantity, f"{quantity}_ref") or not plainly or not _numeric(table, name):
             continue
         if unit is not None and (_fits(quantity, unit) or is_rate(unit)):
             continue
-        seen = _seen(table, name)
-        if seen.any() and (unit is not None or np.abs(seen).max() > STEEP):
+        if (seen := _seen(table, name)).any() and (unit is not None or _unscaled(meant, tokens, seen)):
             return name, unit or "", float(seen.min()), float(seen.max())
     return None
+
+
+def _unscaled(quantity: str, tokens: Collection[str], seen: np.ndarray) -> bool:
+    """Whether numbers without a unit are no angle or no force: a servo's command, counts, large numbers."""
+    if quantity == "thrust":
+        return bool(_COUNTS & set(tokens)) or ("raw" in tokens and bool(np.abs(seen).max(initial=0.0) > COUNTS_FROM))
+    return quantity in ("beta", "beta_ref") and ("servo" in tokens or bool(np.abs(seen).max(initial=0.0) > STEEP))
 
 
 def _seen(table: RawTable, name: str) -> np.ndarray:
@@ -258,7 +312,7 @@ def _ending(name: str) -> str:
 def _meant(table: RawTable, name: str) -> tuple[str, float, list[str], str]:
     """(quantity, score, words, last word as written) of a header's name; quantity "" if the name suggests none."""
     base, _ = split_unit(name)
-    text = re.sub(r"(?i)\bload[ _]cell\b", "loadcell", re.sub(r"(?<=[a-zäöü])(?=[A-Z])", " ", base))
+    text = re.sub(r"(?i)load[ _]cell", "loadcell", re.sub(r"(?<=[a-zäöü])(?=[A-Z])", " ", base))
     tokens = [t for t in re.split(r"[\W_]+|(?<=[a-zA-Z])(?=\d)", text.casefold()) if t and not t.isdigit()]
     tail = re.split(r"[\W_]+", base)[-1] if len(tokens) > 1 else ""  # as it is written: N is newton, n is none
     if tail == "N":
@@ -266,15 +320,20 @@ def _meant(table: RawTable, name: str) -> tuple[str, float, list[str], str]:
     exact = base.casefold().replace(" ", "_")
     if exact in QUANTITIES:
         return exact, 3.0, tokens, tail
+    if {"power", "p"} & set(tokens) and _ELECTRIC & set(tokens) and _fits("power", table.unit(name) or tail):
+        return "power", 1.0, tokens, tail
     if not tokens or set(tokens) & _NOT:
         return "", 0.0, tokens, tail
-    command = any(_commands(t) for t in tokens)
+    command = any(_commands(t) for t in tokens) or ("servo" in tokens and not set(tokens) & _MEASURED)
     scores = {q: _score([t for t in tokens if t not in _COMMAND], words.split()) for q, words in _WORDS.items()}
-    if scores["beta"] > 0.0:
-        scores["signal"] = 0.0  # "servo pwm" is no motor's
-    if set(tokens) <= _COMMAND | _NOISE and _fits("omega", table.unit(name) or ""):
-        scores["omega"] = 0.5  # "target (rpm)" says by its unit alone what it is
+    told_by_esc = not any(_is(t, word) for t in tokens if t != "esc" for word in _WORDS["signal"].split())
+    if scores["beta"] > 0.0 or (told_by_esc and max(scores["omega"], scores["voltage"], scores["current"]) > 0.0):
+        scores["signal"] = 0.0  # "servo pwm" is no motor's, and "esc rpm" is a speed
     quantity = max(scores, key=scores.get)
+    unit = table.unit(name) or ""
+    if scores[quantity] <= 0.0 or (unit and quantity not in ("omega", "beta") and not _fits(quantity, unit)):
+        told = next((q for q, units in _TELLING.items() if unit in units and (q != "beta" or command)), "")
+        quantity, scores = (told, {told: 0.5}) if told else (quantity, scores)  # "target (rpm)", "T [N]"
     score = scores[quantity]
     if score <= 0.0:
         return "", 0.0, tokens, tail
@@ -301,13 +360,13 @@ def proposed(table: RawTable, name: str) -> tuple[str, float, Column] | None:
     if quantity in ("signal", "beta", "beta_ref"):
         tail = _ending(name) or tail
     if unit is None and tail and (tail == _ending(name) or (QUANTITIES[quantity].unit and _fits(quantity, tail))):
-        unit, sure = tail, LIKELY if _assumed(table, name, quantity) == (tail, LIKELY) else NAMED
+        unit, sure = tail, LIKELY if tail in _PLAIN or _assumed(table, name, quantity) == (tail, LIKELY) else NAMED
     if unit is not None and not _fits(quantity, unit):  # "motor cmd (us)" is no speed
         is_signal = quantity in ("omega", "omega_ref") and unit and factor_of(QUANTITIES["signal"], unit) is not None
         return ("signal", 0.5, Column(name, unit, LIKELY)) if is_signal else None
     if unit is None:
         unit, sure = _assumed(table, name, quantity)
-    if quantity in ("beta", "beta_ref") and sure == GUESS and np.any(np.abs(_seen(table, name)) > STEEP):
+    if sure == GUESS and _unscaled(quantity, tokens, _seen(table, name)):
         return None
     return None if unit is None else (quantity, score, Column(name, unit, sure))
 
@@ -348,6 +407,11 @@ def _assumed(table: RawTable, name: str, quantity: str) -> tuple[str | None, str
     unit = QUANTITIES[quantity].unit
     if not unit:
         return "", SURE
+    if quantity in ("beta", "beta_ref") and 0.0 < np.abs(_seen(table, name)).max(initial=0.0) < SMALL_ANGLE:
+        return "rad", GUESS
+    tokens = re.split(r"[\W_]+", name.casefold())
+    if quantity in ("omega", "omega_ref") and {"omega", "w"} & {*tokens} and _seen(table, name).max(initial=0.0) < FAST:
+        return "rad/s", GUESS
     return unit, LIKELY if quantity in ("voltage", "current") and len(name) > 1 else GUESS
 
 

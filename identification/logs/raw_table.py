@@ -11,6 +11,8 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.files import shown
 
 EMPTY = frozenset(("", "nan", "na", "n/a", "#n/a", "null", "none", "nil", "-", "--", "---", "inf", "-inf", "+inf"))
+EMPTY |= {"err", "error", "invalid", "timeout", "?", "#div/0!", "#value!", "#num!"}
+EMPTY |= {"nan(ind)", "-nan(ind)", "-nan", "1.#qnan", "-1.#ind", "1.#inf"}
 """Cells that loggers write for a missing value, in lower case."""
 
 _UNIT_IN_NAME = re.compile(r"^(.*?)[\s_]*(?:\(([^()]*)\)|\[([^\[\]]*)\]|\{([^{}]*)\}|<([^<>]*)>|\s/\s*(\S+)|,\s+(\S+))\s*$")
@@ -43,9 +45,11 @@ class RawTable:
         return BadInput(self.source, f"{name}, {self.rows_are} {self.lines[row]}", found, allowed, hint)
 
     def find(self, wanted: str) -> str:
-        """Name of the column that matches a name, a name without its unit, or a number from 1. BadInput."""
+        """Name of the column that matches a name, a name without its unit, or a number from 1; A+B is a sum. BadInput."""
         if wanted in self.columns:
             return wanted
+        if "+" in wanted.strip("+"):
+            return "+".join(self.find(part.strip()) for part in wanted.split("+"))
         for form in (_folded, lambda name: _folded(split_unit(name)[0])):
             found = [name for name in self.columns if form(name) == form(wanted)]
             if len(found) == 1:
@@ -60,12 +64,21 @@ class RawTable:
             self.source, f"column {wanted}", "no such column", allowed if len(allowed) < 400 else f"{allowed[:397]}..."
         )
 
+    def parts(self, name: str) -> list[str]:
+        """The columns of a name that `find` returned: several for a sum."""
+        return [name] if name in self.columns else name.split("+")
+
     def unit(self, name: str) -> str | None:
-        """Unit of a column: from the row of units, else from its name, else None."""
+        """Unit of a column: from the row of units, else from its name, else None; of a sum, that of all its columns."""
+        if len(parts := self.parts(name)) > 1:
+            units = {self.unit(part) for part in parts}
+            return units.pop() if len(units) == 1 else None
         return self.units.get(name) or split_unit(name)[1] or None
 
     def numbers(self, name: str) -> np.ndarray:
         """The column (n,) as float, NaN for cells that are empty or not finite. BadInput names the first cell of other text."""
+        if len(parts := self.parts(name)) > 1:
+            return np.sum([self.numbers(part) for part in parts], axis=0)
         cells = self.columns[name]
         if cells.dtype.kind == "f":
             return np.where(np.isfinite(cells), cells, np.nan)
@@ -78,7 +91,13 @@ class RawTable:
             values = np.array([_number(text) for text in texts])
         bad = [row for row in np.flatnonzero(np.isnan(values)) if texts[row] and texts[row].lower() not in EMPTY]
         if bad:
-            raise self.wrong(name, bad[0], shown(str(cells[bad[0]])), "a number or an empty cell")
+            raise self.wrong(
+                name,
+                bad[0],
+                shown(str(cells[bad[0]])),
+                "a number or an empty cell",
+                "an empty cell there if the reading is missing",
+            )
         return values
 
 

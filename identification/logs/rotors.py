@@ -41,7 +41,7 @@ def rotors(table: RawTable) -> Rotors:
 
 def chosen(table: RawTable, wanted: str | None, mapped: Iterable[str]) -> tuple[set[str], list[str]]:
     """(columns of the rotors that are not imported, messages). The rotor is the `wanted` one, else that of the columns that the
-    user has `mapped`, else the first. BadInput for an unknown rotor."""
+    user has `mapped`, else the first. BadInput for an unknown rotor, or if only the thrust has several columns."""
     there = rotors(table)
     if not there.found:
         if wanted is not None:
@@ -50,6 +50,13 @@ def chosen(table: RawTable, wanted: str | None, mapped: Iterable[str]) -> tuple[
     if wanted is not None and wanted.casefold() not in there.found:
         raise BadInput(table.source, "--rotor", wanted, f"one of {', '.join(there.found)}")
     own = [there.label[name] for name in mapped if name in there.label]
+    if wanted is None and len(set(own)) > 1:
+        return set(), []  # a sum of cells
+    cells = [name for name in there.label if proposed(table, name)[0] == "thrust"]
+    if wanted is None and not own and len(cells) == len(there.label):
+        found = f"{', '.join(cells)}, and one speed"
+        hint = f"--map 'thrust={'+'.join(cells)}' for the cells of one rotor, or --rotor {there.found[0]}"
+        raise BadInput(table.source, "thrust", found, "one thrust", hint)
     rotor = wanted.casefold() if wanted is not None else own[0] if own else there.found[0]
     taken = ", ".join(name for name, label in there.label.items() if label == rotor)
     other = next(label for label in there.found if label != rotor)

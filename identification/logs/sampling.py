@@ -9,6 +9,7 @@ from identification.gate.finding import Finding
 from identification.gate.fitted import FIFTH
 from identification.gate.gate import look
 from identification.gate.response import Look
+from identification.gate.sensors import runs_of_equals
 from identification.logs.clock import GAP, gaps
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.digits import number
@@ -31,8 +32,51 @@ FEWEST_MOVES = 4
 ROWS_BACK = 20
 """Earlier rows whose changes of a command may still change the speed."""
 
+REPEATED, BY_CHANCE = 0.2, 4.0
+"""Minimum share of readings that equal the one before, in half of a record's PARTS, for repeats; and its minimum ratio to the
+share by chance, 1 / (2 sqrt(pi) s) for noise with a standard deviation of s digits."""
+
+PARTS = 20
+"""Parts of a record: a rotor at rest has equal readings, too, but not everywhere."""
+
+LONGEST = 3.0
+"""Ratio of the longest run of repeats to the usual one."""
+
+FEWEST_REPEATS = 100
+"""Minimum number of readings that show repeats."""
+
 CHANCE = 5.0
 """Standard errors that noise alone exceeds in one of three million logs."""
+
+
+def read_once(record: Record) -> tuple[Record, list[str]]:
+    """(the record with repeated thrust readings emptied, a message if there are any).
+
+    An amplifier that is slower than the rows is read several times per conversion. A reading counts once, at the row in which
+    it is new. Runs longer than LONGEST usual ones stay as they are: the sensor is frozen or clipped.
+    """
+    seen = np.flatnonzero(np.isfinite(record["thrust"]))
+    if len(seen) < FEWEST_REPEATS:
+        return record, []
+    thrust = record["thrust"][seen]
+    first, length = runs_of_equals(thrust)
+    change = np.abs(np.diff(thrust[first]))
+    equal = float(np.median([np.mean(part) for part in np.array_split(np.diff(thrust) == 0.0, PARTS)]))
+    if len(change) < 2 or equal < REPEATED:
+        return record, []
+    digit = float(np.min(np.diff(np.unique(thrust))))
+    by_chance = digit / (np.sqrt(2.0 * np.pi) * 1.4826 * float(np.median(change)))
+    if equal < BY_CHANCE * by_chance:
+        return record, []
+    usual = float(np.median(length))
+    again = np.ones(len(seen), bool)
+    again[first] = False
+    again &= np.repeat(length <= LONGEST * usual, length)
+    emptied = record["thrust"].copy()
+    emptied[seen[again]] = np.nan
+    every = record.period * len(seen) / max(1, len(seen) - int(again.sum()))
+    count = f"{int(again.sum())} of {len(seen)} cells repeat the reading before, a new one comes every {1e3 * every:.3g} ms"
+    return record.with_columns(thrust=emptied), [f"thrust: {count}: repeats are emptied"]
 
 
 def said_of_gaps(record: Record) -> list[str]:

@@ -5,7 +5,9 @@ the motor and its errors.
 """
 
 import numpy as np
+from scipy.signal import lfilter
 
+from identification.logs.commands import LAGS
 from identification.logs.kinds import typical_hold
 from identification.logs.speed_map import UNSTEADY
 from identification.static.static_map import design
@@ -27,14 +29,14 @@ def said_of_speed(record: Record) -> list[str]:
     explained better."""
     if "omega" not in record:
         return []
-    found = [
-        s
-        for s in resting(record, min(SETTLE, 0.5 * typical_hold(record)))
-        if len(s.omega) > 1 and s.omega_ref > 0.0 and s.omega.std() < UNSTEADY * s.omega.mean()
-    ]
-    if not found:
+    settle = min(SETTLE, 0.5 * typical_hold(record))
+    follows = np.where(np.isfinite(record["thrust"]), _followed(record), np.nan)
+    pairs = zip(resting(record, settle), resting(record.with_columns(thrust=follows), settle), strict=True)
+    held = [(s, f) for s, f in pairs if len(s.omega) > 1 and s.omega_ref > 0.0 and s.omega.std() < UNSTEADY * s.omega.mean()]
+    if not held:
         return []
-    command, beta = (np.array([getattr(s, name) for s in found]) for name in ("omega_ref", "beta_ref"))
+    found = [s for s, _ in held]
+    command, beta = np.array([f.thrust.mean() for _, f in held]), np.array([s.beta_ref for s in found])
     omega, thrust = (np.array([getattr(s, name).mean() for s in found]) for name in ("omega", "thrust"))
     misfit = float(np.sqrt(np.mean((command - omega) ** 2)))
     scatter = float(np.sqrt(np.mean([s.omega.var() for s in found])))
@@ -48,20 +50,32 @@ def said_of_speed(record: Record) -> list[str]:
     ]
 
 
+def _followed(record: Record) -> np.ndarray:
+    """(n,) rpm: the command behind the lag that leaves the least of the measured speed. A motor on its way is not off it."""
+    command, first = record["omega_ref"], record["omega_ref"][0]
+    seen = np.isfinite(record["omega"])
+
+    def behind(lag: float) -> np.ndarray:
+        kept = float(np.exp(-record.period / lag))
+        return first + lfilter([0.0, 1.0 - kept], [1.0, -kept], command - first)
+
+    return min((command, *map(behind, LAGS)), key=lambda speed: float(np.mean((record["omega"] - speed)[seen] ** 2)))
+
+
 def likelihood_gain(command: np.ndarray, omega: np.ndarray, beta: np.ndarray, thrust: np.ndarray) -> float:
     """Log-likelihood gain [nats] of steady thrust (n,) N if measured speed `omega` replaces the `command`, both rpm, in the
     thrust map at pitch `beta` [deg]:
 
         n / 2 log(S_command / S_omega),   S: sum of squared residuals of the fitted map
 
-    Both maps have the same number of parameters, so penalties cancel. 0 if points are too few for a residual.
+    Both maps have the same number of parameters, so penalties cancel. 0 for too few points or no thrust.
     """
     sums = []
     for speed in (command, omega):
         points = {"omega_ref": speed, "omega": speed, "beta_ref": beta, "thrust": thrust}
         scales = vars(infer_rig([], points, {}).scales)
         found, _, rank, _ = np.linalg.lstsq(a := design(speed, beta, scales), thrust, rcond=1e-9)
-        if len(thrust) <= rank + 2:
+        if len(thrust) <= rank + 2 or not thrust.any():
             return 0.0
         sums.append(max(float(np.sum((thrust - a @ found) ** 2)), 1e-12 * float(thrust @ thrust)))
     return 0.5 * len(thrust) * float(np.log(sums[0] / sums[1]))

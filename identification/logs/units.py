@@ -64,6 +64,19 @@ _ELECTRICAL = re.compile(r"(?i)e[-_ ]?rpm\s*/\s*([1-9]\d*)")
 _NEWTON_METRES = re.compile(r"N([cm]?m)\b")
 """As people write it: Nm, Ncm, mNm."""
 
+_SPELLINGS = {
+    "deg": "grad grads grade grados gradi º",
+    "rpm": "upm umdr/min umdr./min tr/min tr/mn giri/min r.p.m. rev./min",
+    "g": "gr grs",
+    "A": "amp amps",
+    "N*m": "n-m newton-metre newton-meter",
+    "ft*lbf": "ft-lb ft-lbf lb-ft lbf-ft ft.lb",
+    "inch*lbf": "in-lb in-lbf lb-in lbf-in",
+    "inch*ozf": "in-oz oz-in ozf-in",
+}
+_SPELLED = {text: unit for unit, texts in _SPELLINGS.items() for text in texts.split()}
+"""Units as people write them, in lower case, that pint does not know or takes for another: grad is no gon, gr no grain."""
+
 _POINT = r"\s*([-+]?[\d.]+(?:e[-+]?\d+)?)\s*"
 _CALIBRATION = re.compile(rf"(?i)([^@]*)@{_POINT}={_POINT},{_POINT}={_POINT}")
 
@@ -129,7 +142,7 @@ def contradicts(quantity: Quantity, given: str, header: str) -> bool:
 def is_rate(text: str) -> bool:
     """Whether a unit is per time, such as deg/s."""
     found = _parsed(text.strip())
-    return found is not None and found.units.dimensionality.get("[time]", 0) < 0
+    return found is not None and found.units.dimensionality.get("[time]", 0) == -1
 
 
 def is_unit(text: str) -> bool:
@@ -179,6 +192,8 @@ def _known(quantity: Quantity, text: str) -> pint.Quantity | None:
 @lru_cache(maxsize=512)
 def _parsed(text: str) -> pint.Quantity | None:
     """A unit parsed by pint; None if it fails."""
+    number, unit = re.fullmatch(r"(?s)\s*([-+]?[\d.]*(?:[eE][-+]?\d+)?)\s*(.*?)\s*", text).groups()
+    text = f"{number} {_SPELLED[unit.casefold()]}".strip() if unit.casefold() in _SPELLED else text
     if len(text) > 40 or not re.search(r"[^\W\d_]|[°%]", text) or re.search(r"[\d)]\s*(\*\*|\^)", text):
         return None  # a power of a number is not a unit, and pint would never finish 9**9**9
     try:

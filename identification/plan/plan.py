@@ -31,6 +31,11 @@ NOISE = 0.02
 """Default standard deviation of a thrust reading, as a share of the thrust scale: the paper's 0.3 N."""
 
 
+def step_of(period: float | None, rig: Rig) -> float | None:
+    """Time between commands [s] for readings `period` [s] apart: at most what STEPS allows for the rig; None: unknown."""
+    return None if period is None else min(period, STEPS[1] * rig.scales.time_scale)
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """An experiment. `commands`: a record of time, omega_ref, beta_ref, every `step` s; `thrust` (rows,) N predicted by the
@@ -108,7 +113,7 @@ def plan(
         raise BadInput("experiment", "seconds", f"{seconds:g} s", f"{shortest:g} to {longest:g} s")
     if not STEPS[0] <= step <= STEPS[1] * unit:
         allowed = f"{STEPS[0]:g} to {STEPS[1] * unit:g} s for a rig that takes {unit:g} s"
-        raise BadInput("experiment", "step", f"{step:g} s", allowed)
+        raise BadInput("experiment", "step", f"{step:g} s", allowed, "--step S within it")
     for field, std in (("noise of thrust", noise_std), ("noise of speed", omega_std)):
         if std is not None and not 0.0 < std < np.inf:
             raise BadInput("experiment", field, f"{std:g}", "a number above 0")

@@ -238,8 +238,7 @@ def _with_motor(readings: Readings, torque: _Map) -> PowerFit:
     each weighted by its noise, from the map that torque alone gives."""
     omega, power = readings.omega, readings.power
     assert power is not None
-    if readings.rate is not None:
-        raise BadInput(readings.source, "torque, power", "both, but in a record only", "steady points with both, for the motor")
+    assert readings.rate is None
     k, n, mean = len(torque.values), len(power), float(np.mean(power))
     columns = np.column_stack([polynomial([(int(q[1]), int(q[2]))], (1.0,), readings.w, readings.b) for q in torque.names])
     load = columns @ torque.values

@@ -15,6 +15,7 @@ from identification.fit.problem import Prior
 from identification.gate.finding import check_accepted
 from identification.identify import identify as identified
 from identification.plan.plan import plan as planned
+from identification.plan.plan import step_of
 from identification.power.allocation import allocate as allocated
 from identification.power.model import PowerModel
 from identification.tune.controllers import controllers, rig_controller
@@ -186,7 +187,7 @@ def plan(
         floor = knowledge.found.noise.std if knowledge.found.noise else None
     elif knowledge is not None:
         prior, inflation = read_knowledge(knowledge)
-    step = step if step is not None else held.sample_period
+    step = step if step is not None else step_of(held.sample_period, rig)
     found = planned(held.model, held.values, rig, seconds, noise if noise is not None else floor, prior, seed, step=step)
     return PlanResult(found, held, inflation)
 

@@ -3,10 +3,10 @@
 --map says which column is what, and in which unit: thrust=Fz:gf. A unit is whatever pint knows, with a factor if need be
 ("thrust=Fz:-1 gf"); without one it is the log's own. A time may be since any moment, or a date ("iso"). omega=COLUMN:erpm/7 is
 the electrical speed of a motor with 7 pole pairs. beta_ref=COLUMN:us@1000=-5,2000=10 is a linear calibration: -5 deg at a
-reading of 1000, 10 deg at 2000. In the place of omega_ref a signal to the motor's controller will do, with a measured omega:
-its map is fitted to the log, and shared by all logs of the folder. What --map does not name is taken as the log's header says,
-unless NAME=- leaves it out; --propose shows it. The mapping is saved in import.toml beside the record, and --map import.toml
-uses it again.
+reading of 1000, 10 deg at 2000; thrust=COLUMN:mV@0.2=0,1.5=10 is one in N. thrust=A+B adds two columns. In the place of
+omega_ref a signal to the motor's controller will do, with a measured omega: its map is fitted to the log, and shared by all
+logs of the folder. What --map does not name is taken as the log's header says, unless NAME=- leaves it out; --propose shows it.
+The mapping is saved in import.toml beside the record, and --map import.toml uses it again.
 
 A table of coefficients (rpm, CT, perhaps J and pitch) becomes static.csv with --as static --diameter D: T = CT rho n^2 D^4, n
 in rev/s; rows with J above 0 are left out.
@@ -15,10 +15,12 @@ Names: time omega_ref beta_ref omega thrust beta voltage current torque power si
 advance_ratio."""
 
 import codecs
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
+from identification.logs.clock import with_whole_stamps
 from identification.logs.coefficients import Propeller
 from identification.logs.commands import FILE as SPEED_MAP
 from identification.logs.commands import map_beside
@@ -28,6 +30,7 @@ from identification.logs.intake import Taken, contradictions, signal_range, take
 from identification.logs.mapping import (
     FILE,
     FORMAT,
+    Column,
     Plan,
     completed,
     parse_fixed,
@@ -45,7 +48,7 @@ from identification.logs.units import QUANTITIES
 from identification.static.static_map import DENSITY
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.import_place import add_kind, add_speed_from, headline, placed
-from vpp_fmu.app.cli.options import Number
+from vpp_fmu.app.cli.options import Number, whole
 from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
@@ -68,6 +71,8 @@ def configure(parser):
     parser.add_argument(
         "--rotor", metavar="R", help="of several rotors in one file, such as rpm_1 and rpm_2 (default: the first)"
     )
+    text = "of a log whose time starts again: the N-th run alone, from 1"
+    parser.add_argument("--run", dest="run_number", type=whole(1, 100000), metavar="N", help=text)
     add_speed_from(parser)
     parser.add_argument(
         "--diameter", type=Number(0.0, 30.0, "m", above=True), metavar="D", help="m, of the rotor: makes coefficients thrust"
@@ -110,9 +115,9 @@ def run(options):
         )
     beside = map_beside(options.output, span, options.log) if span and given is None else None
     propeller = Propeller(options.diameter, options.density)
-    taken = take_in(table, plan, options.kind, given or beside, propeller, options.force)
+    taken = take_in(table, plan, options.kind, given or beside, propeller, options.force, options.run_number)
     folder, said = _placed(options, plan, taken)
-    lines += [*_columns(plan, taken), *taken.said, *said]
+    lines += [*_columns(plan, taken), *_unused(table, plan.columns), *taken.said, *said]
     content = {"format": FORMAT, options.kind: plan.section(Path(options.log).name)}
     return Answer(headline(folder, options.kind, taken.columns, options.log), content, lines, written=written(folder))
 
@@ -137,7 +142,7 @@ def _table(options, read: dict) -> RawTable:
     own = {"encoding": options.encoding, "delimiter": options.delimiter, "decimal": decimal}
     given = {**{name: text for name, text in read.items() if name in own}, **{n: t for n, t in own.items() if t is not None}}
     table = read_container(options.log)
-    return read_delimited(options.log, given) if table is None else table
+    return with_whole_stamps(read_delimited(options.log, given) if table is None else table)
 
 
 def _plan(options, section: dict, table: RawTable, lines: list[str]) -> Plan:
@@ -150,7 +155,7 @@ def _plan(options, section: dict, table: RawTable, lines: list[str]) -> Plan:
     if saved:
         columns, said = parse_pairs(saved, table, options.force) | own, []
     else:
-        others, said = chosen(table, options.rotor, [c.name for c in own.values() if c])
+        others, said = chosen(table, options.rotor, [part for c in own.values() if c for part in table.parts(c.name)])
         lines += said
         columns, said = completed(table, own, fixed, others, options.yes)
     lines += said
@@ -173,8 +178,7 @@ def _propose(table: RawTable, options, lines: list[str]) -> Answer:
     for quantity, column in columns.items():
         note = f"in {column.unit}" if column.unit else ""
         lines.append(f"  {quantity:10} <- {column.name:{width}} {note:12} {column.sure}")
-    unused = [name for name in table.columns if name not in {c.name for c in columns.values()}]
-    lines += [*said, f"not used: {', '.join(unused) or 'none'}"]
+    lines += [*said, *_unused(table, columns)]
     lines += [f"as options: {plan.words()}"] if columns else []
     lines += contradictions(table, plan)
     content, place = {"format": FORMAT, options.kind: plan.section(Path(options.log).name)}, []
@@ -186,6 +190,13 @@ def _propose(table: RawTable, options, lines: list[str]) -> Answer:
         place = [f"saved in {options.propose}"]
     text = f"The header of {Path(options.log).name} proposes {len(columns)} of {len(table.columns)} columns."
     return Answer(text, content, lines, written=place)
+
+
+def _unused(table: RawTable, columns: Mapping[str, Column]) -> list[str]:
+    """The columns that are not taken, in a line; none if all are."""
+    taken = {part for column in columns.values() for part in table.parts(column.name)}
+    unused = [name for name in table.columns if name not in taken]
+    return [f"not used: {', '.join(unused)}"] if unused else []
 
 
 def _columns(plan: Plan, taken: Taken) -> list[str]:

@@ -8,7 +8,7 @@ import numpy as np
 from identification.logger_fit import mended
 from identification.logs.intake import Taken
 from identification.logs.kinds import KINDS, repeat_of, runs_of, static_of
-from identification.logs.sampling import findings, said_of_rows
+from identification.logs.sampling import findings, read_once, said_of_rows
 from identification.logs.speed_choice import said_of_speed
 from vpp_fmu.app.report.sentences import size
 from vpp_fmu.campaign import write_static, write_steps
@@ -71,12 +71,14 @@ def headline(folder: OutputSet, kind: str, columns: Mapping[str, np.ndarray] | R
 
 
 def _record(place: Path, kind: str, taken: Taken, mend: bool) -> tuple[Record, list[str]]:
-    record, said = taken.record(), []
+    record = taken.record()
     if taken.points:
         allowed = "rows close enough to show how the thrust moves"
         raise BadInput(record.source, "time", f"rows {number(record.period)} s apart", allowed, "--as static for steady points")
+    record, said = read_once(record)
     if mend:
-        record, said = mended(record)
+        record, remarks = mended(record)
+        said += remarks
     if kind == "repeat" and (first := there(place, "open_loop")):
         record, remarks = repeat_of(record, read_record(first, holes=("thrust",)))
         said += remarks

@@ -15,7 +15,7 @@ from identification.logs.commands import FILE as SPEED_MAP
 from identification.logs.commands import map_beside
 from identification.logs.delimited import read_delimited
 from identification.logs.intake import Taken
-from identification.logs.mapping import parse_fixed, pitch_in_other_unit
+from identification.logs.mapping import in_other_unit, parse_fixed
 from identification.logs.rcbenchmark import REMEMBERED, Log, read_log
 from identification.logs.speed_map import SpeedMap, fit_quality, fit_speed_map, read_speed_map
 from vpp_fmu.app.cli.answer import Answer
@@ -72,7 +72,7 @@ def _pitch(options, log: Log) -> float:
         if [*(fixed := parse_fixed([options.fixed]))] != ["beta_ref"]:
             raise BadInput("command line", "--fixed", options.fixed, "beta_ref=VALUE:UNIT, such as beta_ref=8:deg")
         return fixed["beta_ref"]
-    if other := pitch_in_other_unit(read_delimited(options.log, {}), log.names.values()):
+    if other := in_other_unit(read_delimited(options.log, {}), "beta", log.names.values()):
         found = f"{other[0]}, pitch by its name, from {other[2]:g} to {other[3]:g} {other[1]}".rstrip()
         hint = "--fixed beta_ref=8:deg for a fixed pitch, or vpp import csv to map the column"
         raise BadInput(log.source, "beta_ref", found, "a pitch in degrees", hint)

@@ -11,7 +11,7 @@ import numpy as np
 from identification.assessment.information import read_noise
 from identification.assessment.prediction import predict
 from identification.assessment.reading_noise import reading_noise
-from identification.plan.plan import NOISE, Plan, plan
+from identification.plan.plan import NOISE, Plan, plan, step_of
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.knowledge import knowledge_of
 from vpp_fmu.app.cli.options import SEED, Number
@@ -70,7 +70,12 @@ def configure(parser):
         parser.add_argument(name, nargs=2, type=OPTIONS[name], metavar=("LOW", "HIGH"), help=text)
     for name, what in (("--omega-slew", "speed command in rpm/s"), ("--pitch-slew", "pitch command in deg/s")):
         number(name, "the rig's; without one it may jump", f"largest slew of the {what}")
-    number("--step", "the campaign's", "time between commands and between readings in s", "S")
+    number(
+        "--step",
+        "the campaign's, at most a tenth of the rig's time scale",
+        "time between commands and between readings in s",
+        "S",
+    )
     text = "standard deviation of a thrust reading in N"
     number("--noise", f"that of --knowledge or --campaign, else {NOISE:g} of the thrust scale", text)
     number("--omega-noise", "speed is not measured", "standard deviation of a speed reading in rpm")
@@ -167,16 +172,16 @@ def _basis(options, parameters: ParameterSet, known_in: str | None) -> Basis:
         raise BadInput(
             options.parameters, f"range of {' and '.join(rig.unknown)}", "none", "a measured or declared range", hint
         )
-    return Basis(rig, *_noise(options, campaign, parameters, known_in), _step(options, campaign, parameters))
+    return Basis(rig, *_noise(options, campaign, parameters, known_in), _step(options, campaign, parameters, rig))
 
 
-def _step(options, campaign: Campaign | None, parameters: ParameterSet) -> float | None:
-    """Sampling period [s]: from the command line, or the rig's; None: unknown."""
+def _step(options, campaign: Campaign | None, parameters: ParameterSet, rig: Rig) -> float | None:
+    """Sampling period [s]: from the command line, or the rig's as far as a plan may have it; None: unknown."""
     if options.step is not None:
         return options.step
     records = (campaign.open_loop, campaign.repeat, campaign.validation) if campaign is not None else ()
     periods = [record.period for record in records if record is not None]
-    return periods[0] if periods else parameters.sample_period
+    return step_of(periods[0] if periods else parameters.sample_period, rig)
 
 
 def _narrowed(rig: Rig, options) -> Rig:

@@ -40,6 +40,9 @@ ZOOM, SMOOTHED = 3.0, 0.2
 VISIBLE = 10.0
 """Log-likelihood gain at a plausible size from which an effect counts as visible."""
 
+WORSE = 1.5
+"""Ratio of the unseen record's error to that of held-out parts, from which the unseen record is of other conditions."""
+
 CLOSE = 0.8
 """Squared cosine from which a pair of effects is shown."""
 
@@ -97,10 +100,11 @@ def _finding(found: Diagnosis) -> str:
     (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
     unseen, noise = found.unseen is not None, found.noise.floor
     error = thrust_error(unseen, size(before, "N"), noise)
-    if found.refuted:
-        return f"The best set of effects is refuted and not used: {found.refuted}. {error}"
+    refuted = f"The best set of effects is refuted and not used: {found.refuted}. " if found.refuted else ""
     if found.verdict == "none":
-        return f"Nothing is missing. {error}"
+        return f"Nothing is missing. {refuted}{error}{_other_conditions(found, before)}"
+    if refuted:
+        return f"{refuted}{error}"
     if found.verdict == "unexplained" and not found.before.significant:
         line = f"The thrust reading has a line at the rotor frequency of {size(found.before.turning.size, 'N')} rms"
         return f"{line}: most of the noise power. Nothing else is missing. {error}"
@@ -113,6 +117,15 @@ def _finding(found: Diagnosis) -> str:
         error = thrust_error(unseen, change(before, after, "N"), noise)
     doubt = " A part of the lack of fit remains unexplained." if found.verdict == "partly" else ""
     return f"{sentence(_effects(found))}{_rivals(found)}{doubt} {error}"
+
+
+def _other_conditions(found: Diagnosis, unseen: float) -> str:
+    """A sentence if the unseen record is predicted worse than parts of the fitted ones that were held out; else empty."""
+    held_out = found.held_out_before.rmse_thrust
+    if found.unseen is None or unseen < WORSE * held_out:
+        return ""
+    question = f"does {found.unseen.name} have another logger or rig?"
+    return f" Held-out parts of the fitted records have {size(held_out, 'N')}: {question}"
 
 
 def _effects(found: Diagnosis) -> list[str]:
