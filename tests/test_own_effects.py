@@ -63,6 +63,8 @@ def test_what_breaks_an_invariant_is_caught(name, tmp_path, capsys):
         ("states=tuple(", "states=list(", "EFFECT, states: found [State("),
         ('"tau", "s", 0.0, 0.0', '"tau", "s", "0.0", 0.0', "EFFECT, 'tau', default: found '0.0', expected float"),
         ('State(n, "N"', "State(n, print", "EFFECT, 'reading', unit: found <built-in function print>, expected str"),
+        ('"tau", "s", 0.0', '"tau", "0.0", 0.0', "EFFECT, tau, unit: found '0.0' is no unit that pint knows, expected 1"),
+        ('State(n, "N"', 'State(n, "blub"', "EFFECT, reading, unit: found 'blub' is no unit that pint knows, expected 1, s"),
         ('reading="thrust"', 'says="slow by {lag}"', "EFFECT, says: found 'slow by {lag}' ('lag'), expected a sentence with"),
         ('reading="thrust"', 'says="slow by {"', "EFFECT, says: found 'slow by {' ("),
     ],

@@ -18,7 +18,7 @@ from vpp_fmu.files import read_text
 from vpp_fmu.kernel.learned import PORTS, placed
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.kernel.types import Effect, Parameter, Signal, State
-from vpp_fmu.units import base_unit
+from vpp_fmu.units import check_unit
 
 GROUP = "vpp.effects"
 
@@ -66,10 +66,7 @@ def _with(path: str | os.PathLike, content: Mapping, library: tuple[Effect, ...]
                 raise BadInput(
                     path, f"EFFECT, {_brief(quantity.name)}, {field.name}", _brief(given), KINDS[field.type][0].__name__
                 )
-        try:
-            base_unit(quantity.unit)
-        except KeyError as error:
-            raise BadInput(path, f"EFFECT, {quantity.name}, unit", repr(quantity.unit), "units of vpp_fmu.units") from error
+        check_unit(path, f"EFFECT, {quantity.name}, unit", quantity.unit)
     try:
         effect.says.format_map(dict.fromkeys((q.name for q in effect.parameters), ""))
     except (AttributeError, KeyError, ValueError) as error:

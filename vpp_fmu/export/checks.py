@@ -17,7 +17,7 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.ops import NUMBERS, Unseen
 from vpp_fmu.kernel.types import BOOLEAN, INSTANT, INTEGER, REAL, Effect, Model, Parameter, Signal, State, no_step
 from vpp_fmu.tracer.graph import Graph
-from vpp_fmu.units import TRIED, UnknownUnit, base_unit
+from vpp_fmu.units import check_unit
 
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
@@ -172,7 +172,7 @@ class _Check:
 
     def number(self, field: str, q: Signal | Parameter, what: str, value: float) -> None:
         """A quantity's unit, range and start value."""
-        self.unit(field, q.unit)
+        check_unit(self.where, f"{field}, unit", q.unit)
         if q.kind not in (REAL, INTEGER, BOOLEAN):
             self.refuse(f"{field}, kind", repr(q.kind), f"{REAL}, {INTEGER} or {BOOLEAN}")
         if not q.description:
@@ -188,17 +188,11 @@ class _Check:
         if q.kind != REAL and value != round(value):
             self.refuse(f"{field}, {what}", str(value), "0 or 1" if q.kind == BOOLEAN else "a whole number")
 
-    def unit(self, field: str, unit: str) -> None:
-        try:
-            base_unit(unit)
-        except UnknownUnit as error:
-            raise BadInput(self.where, f"{field}, unit", str(error), TRIED) from error
-
     def effect(self, effect: Effect) -> None:
         for p in effect.parameters:
             self.number(f"parameter {effect.full(p.name)}", p, "default", p.default)
         for x in effect.states:
-            self.unit(f"state {effect.full(x.name)}", x.unit)
+            check_unit(self.where, f"state {effect.full(x.name)}, unit", x.unit)
             if not callable(x.start):
                 self.refuse(f"state {effect.full(x.name)}, start", repr(x.start), "a function of (ops, s, p)")
         known = [p.name for p in effect.parameters]
