@@ -76,8 +76,7 @@ class Blocks:
 
 
 def blocks(record: Record, length: float) -> Blocks:
-    """Blocks of equal numbers of rows, about `length` seconds each; remaining rows at the end are omitted. A record that is
-    shorter is one block.
+    """Blocks of equal numbers of rows, about `length` seconds each; remaining rows at the end are omitted.
 
     If thrust is renewed more slowly, blocks are long enough for one reading each. 0: one row a block.
     """
@@ -85,7 +84,7 @@ def blocks(record: Record, length: float) -> Blocks:
         renewed = record.time[np.isfinite(record["thrust"])] if "thrust" in record else record.time
         between = float(np.median(np.diff(renewed))) if len(renewed) > 1 else 0.0
         length = max(length, 1.5 * between) if between > 1.5 * record.period else length
-    rows = min(max(1, round(length / record.period)), len(record)) if length else 1
+    rows = max(1, round(length / record.period)) if length else 1
     edges = np.arange(0, len(record) - rows + 1, rows)
     edges = np.append(edges, edges[-1] + rows)
     time = record.time

@@ -64,7 +64,7 @@ def _look(campaign: Campaign, further: Mapping[str, Record], accept: frozenset[s
     found = [f for r in (own | further).values() for f in unusable(r)]
     short = {f.where for f in found if f.level == ERROR}
     unseen = {campaign.validation.source} if campaign.validation is not None else set()
-    found = [f for f in found if f.where not in unseen or f.code == "thrust_dead"]  # it is not fitted
+    found = [f for f in found if f.where not in unseen or f.code != "no_move"]  # it is not fitted
     kept: dict[str, Record] = {}
     for name, record in (own | further).items():
         kept[name], faults = (record, ()) if record.source in short else screen(record, accept)
