@@ -30,7 +30,9 @@ README = (Path(__file__).parents[1] / "README.md").read_text()
 COMMANDS = [shlex.split(line, comments=True) for line in re.findall(r"^\.venv/bin/vpp (.*)$", README, flags=re.M)]
 
 RIGS = {
+    "rig_e": {"speed": (833.33333, 2500.0), "pitch": (0.0, 25.0), "period": 0.008},
     "rig_f": {"speed": (6666.6667, 20000.0), "pitch": (-12.0, 12.0), "period": 0.002},
+    "rig_h": {"speed": (2269.5, 5519.1), "pitch": (4.0, 4.0), "period": 0.004},
     "log": {"speed": (2230.31, 5764.29), "pitch": (0.0, 0.0), "period": 0.02},
 }
 """What the files command, and the period of their rows; the log's speeds are those of its map from throttle to speed."""
@@ -42,7 +44,9 @@ SHORTER = {
 }
 """Options that only save time."""
 
-BEYOND_THE_EMULATOR = {"rig_f"}
+BEYOND_THE_EMULATOR = {"rig_e", "rig_f"}
+
+of_each_rig = pytest.mark.sampled("written")
 
 
 @pytest.fixture(scope="module", params=RIGS)
@@ -89,6 +93,7 @@ def _ran(quick, words):
     return code, out.getvalue() + err.getvalue()
 
 
+@of_each_rig
 def test_every_command_ends_well_or_says_a_way_out(written):
     rig, _, found = written
     for verb, (code, said) in found.items():
@@ -109,6 +114,7 @@ def approx(rig):
     return pytest.approx(RIGS[rig]["speed"], rel=1e-3), pytest.approx(RIGS[rig]["pitch"], rel=1e-3)
 
 
+@of_each_rig
 def test_every_controller_that_is_written_has_the_rigs_limits_and_sampling(written):
     rig, folder, found = written
     starts = []
@@ -131,6 +137,7 @@ def test_every_controller_that_is_written_has_the_rigs_limits_and_sampling(writt
     assert f"within {low} to {high} rpm" in found["export"][1]
 
 
+@of_each_rig
 def test_every_command_that_is_written_is_the_rigs(written):
     rig, folder, _ = written
     (low, high), (least, most) = RIGS[rig]["speed"], RIGS[rig]["pitch"]
@@ -165,6 +172,7 @@ def _packed(name, data):
                 yield f"{name}/{inner}", packed.read(inner).decode()
 
 
+@of_each_rig
 def test_no_number_of_the_papers_rig_is_in_what_is_written(written):
     rig, folder, found = written
     scaled = rig in BEYOND_THE_EMULATOR  # the others have the paper's size, and its scales
