@@ -100,7 +100,7 @@ def test_every_command_ends_well_or_says_a_way_out(written):
         refused = {"hil", "twin"} if rig in BEYOND_THE_EMULATOR else {"twin"}
         if verb in refused:
             assert code == 2, (verb, said)
-            assert "--rig emulated RIG.json" in said if rig in BEYOND_THE_EMULATOR else "one moving channel" in said
+            assert "Try: vpp cosim, which closes" in said if rig in BEYOND_THE_EMULATOR else "one moving channel" in said
         else:
             assert code == 0, (verb, said)
     assert {"check", "diagnose", "export", "cosim", "tune", "plan", "hil", "twin", "check-effect"} <= set(found)
@@ -221,6 +221,21 @@ def test_twin_and_hil_take_the_same_emulated_rig(wide):
         for pitch in WIDE.pitch:
             assert found.calibration.pitch(found.calibration.lac_pulse(pitch)) == pytest.approx(pitch)
     assert hil_verb.gains_of(options).values["beta_max"] == WIDE.pitch[1]
+
+
+def test_a_way_out_that_is_named_is_one(tmp_path, capsys):
+    """A rig of the paper's size that turns faster than the emulated one does what the message says."""
+    fast = Rig("fast", (2000.0, 9000.0), (-5.0, 10.0), (0.0, 15.0), origin=CAMPAIGN)
+    (tmp_path / "parameters.json").write_text(to_json(ParameterSet(plant(), source={"rig": fast.summary()})))
+    (tmp_path / "step.csv").write_text("time,thrust_set\n0,2\n1,4\n2,4\n")
+    narrower = {"format": "vpp-rig/1", "speed": {"min": 2000, "max": 6500, "unit": "rpm"}}
+    (tmp_path / "RIG.json").write_text(json.dumps(narrower))
+    words = ["hil", "run", "--virtual", "--parameters", str(tmp_path), "--profile", str(tmp_path / "step.csv")]
+    words += ["-o", str(tmp_path / "run")]
+    assert cli.main(words) == 2
+    assert "Try: --rig emulated RIG.json, which declares narrower ranges" in capsys.readouterr().err
+    assert cli.main([*words, "--rig", "emulated", str(tmp_path / "RIG.json")]) == 0
+    assert "within 2000 to 6500 rpm" in capsys.readouterr().out
 
 
 def test_gains_that_leave_the_parameters_rig_are_not_exported(wide, capsys):
