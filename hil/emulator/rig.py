@@ -24,7 +24,7 @@ from hil.emulator.uno import Uno
 from hil.emulator.world import LoadCell, World
 from hil.physics.pitch_actuator import ACTUATOR
 from hil.physics.rig_model import library, powertrain
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, near
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.rig import PAPERS_SIZE
 from vpp_fmu.rig import Rig as Ranges
@@ -82,7 +82,7 @@ def _hidden(text: str) -> tuple[str, dict[str, float]]:
     left, _, size = text.partition("=")
     name, _, parameter = left.partition(".")
     if name not in known:
-        raise BadInput("command line", "--hide", name, f"one of {', '.join(known)}")
+        raise BadInput("command line", "--hide", name, f"one of {', '.join(known)}{near(name, known)}")
     effect = known[name]
     values = dict(effect.probe)
     if size or parameter:
