@@ -573,6 +573,7 @@ def test_the_gain_of_a_speed_is_the_ratio_of_residuals():
     assert gain == pytest.approx(expected, rel=0.15)
     assert likelihood_gain(omega, off, beta, clean + noise) == pytest.approx(-gain)
     assert likelihood_gain(off[:4], omega[:4], beta[:4], clean[:4]) == 0.0
+    assert likelihood_gain(off, omega, beta, 0.0 * clean) == 0.0  # a load cell that is not connected
 
 
 def test_a_signal_that_never_holds_is_mapped_behind_a_lag():

@@ -54,14 +54,15 @@ def likelihood_gain(command: np.ndarray, omega: np.ndarray, beta: np.ndarray, th
 
         n / 2 log(S_command / S_omega),   S: sum of squared residuals of the fitted map
 
-    Both maps have the same number of parameters, so penalties cancel. 0 if points are too few for a residual.
+    Both maps have the same number of parameters, so penalties cancel. 0 if points are too few for a residual, or their
+    thrust is 0.
     """
     sums = []
     for speed in (command, omega):
         points = {"omega_ref": speed, "omega": speed, "beta_ref": beta, "thrust": thrust}
         scales = vars(infer_rig([], points, {}).scales)
         found, _, rank, _ = np.linalg.lstsq(a := design(speed, beta, scales), thrust, rcond=1e-9)
-        if len(thrust) <= rank + 2:
+        if len(thrust) <= rank + 2 or not thrust.any():
             return 0.0
         sums.append(max(float(np.sum((thrust - a @ found) ** 2)), 1e-12 * float(thrust @ thrust)))
     return 0.5 * len(thrust) * float(np.log(sums[0] / sums[1]))
