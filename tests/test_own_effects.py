@@ -25,7 +25,7 @@ BROKEN = {
     "off is the model without it": SOURCE.replace(
         "reading = ops.where(p.tau > 0.0, reading, s.thrust)", "reading = 1.001 * reading"
     ),
-    "C is Python": SOURCE.replace("ops.where(p.tau > 0.0, reading, s.thrust)", "reading if p.tau > 0.0 else s.thrust"),
+    "C is Python": SOURCE.replace("    return", "    reading = reading + 0.1 * isinstance(p.tau, float)\n    return"),
     "the probe shows": SOURCE.replace('probe={"tau": 0.05}', 'probe={"tau": 1e-6}'),
     "finite at every bound": SOURCE.replace(
         "reading = ops.where", "reading = reading / (0.3 - p.tau)\n    reading = ops.where"
@@ -75,6 +75,16 @@ def test_parts_of_an_effect_are_of_their_kind(word, other, says, tmp_path):
     with pytest.raises(BadInput) as refused:
         library_with([path])
     assert str(refused.value).startswith(f"{path}: {says}")
+
+
+@pytest.mark.parametrize("verb", ["check-effect {}", "effects --effects-from {}", "diagnose {} --effects-from {}"])
+def test_what_cannot_be_traced_is_refused_by_every_verb_with_its_line(verb, tmp_path, capsys):
+    path = tmp_path / "branches.py"
+    path.write_text(SOURCE.replace("ops.where(p.tau > 0.0, reading, s.thrust)", "reading if p.tau > 0.0 else s.thrust"))
+    line = SOURCE[: SOURCE.index("reading = ops.where(p.tau")].count("\n") + 1
+    assert main([word.format(path) for word in verb.split()]) == 2
+    said = f"{path}: effect cell_lag, step, branches.py line {line}: found if, which can't be traced, expected ops.where"
+    assert said in capsys.readouterr().err
 
 
 def test_an_effect_says_its_sentence_or_else_its_description(tmp_path):

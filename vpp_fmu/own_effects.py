@@ -14,9 +14,10 @@ from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
 
 from vpp_fmu.errors import BadInput
+from vpp_fmu.export.checks import check_traced
 from vpp_fmu.files import read_text
 from vpp_fmu.kernel.learned import PORTS, placed
-from vpp_fmu.kernel.plant import LIBRARY
+from vpp_fmu.kernel.plant import LIBRARY, plant
 from vpp_fmu.kernel.types import Effect, Parameter, Signal, State
 from vpp_fmu.units import check_unit
 
@@ -76,11 +77,14 @@ def _with(path: str | os.PathLike, content: Mapping, library: tuple[Effect, ...]
     if port is not None:
         if port not in tuple(PORTS):
             raise BadInput(path, "PORT", repr(port), f"one of {', '.join(PORTS)}")
-        return placed(library, effect, PORTS[port])
-    if before is not None and before not in names:
-        raise BadInput(path, "BEFORE", repr(before), f"one of {', '.join(names)}")
-    at = len(library) if before is None else names.index(before)
-    return (*library[:at], effect, *library[at:])
+        found = placed(library, effect, PORTS[port])
+    else:
+        if before is not None and before not in names:
+            raise BadInput(path, "BEFORE", repr(before), f"one of {', '.join(names)}")
+        at = len(library) if before is None else names.index(before)
+        found = (*library[:at], effect, *library[at:])
+    check_traced(str(path), plant([effect.name], found))
+    return found
 
 
 def _brief(found: object) -> str:

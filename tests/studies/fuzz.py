@@ -55,7 +55,7 @@ COMMANDS: Mapping[str, Sequence[tuple[str, ...]]] = {
     "diagnose": [
         ("{campaign}", "--effects", "pitch_command_deadband", "--workers", "1", "-o", "{out}"),
         ("{plain}", "--parameters", "{parameters}", "--effects", "pitch_offset", "--workers", "1", "-o", "{out}"),
-        ("{plain}", "--effects-from", "{effect}", "--effects", "pitch_offset", "--workers", "1", "-o", "{out}"),
+        ("{plain}", "--effects-from", "{effect}", "--effects", "pitch_offset,cell_lag", "--workers", "1", "-o", "{out}"),
     ],
     "allocate": [("--parameters", "{powered}", "-o", "{out}")],
     "tune": [

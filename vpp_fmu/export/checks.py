@@ -34,6 +34,11 @@ def check_model(where: str, model: Model) -> None:
     _Check(where, model).all()
 
 
+def check_traced(where: str, model: Model) -> None:
+    """BadInput for the first function that cannot be run on symbols, as the trace does."""
+    _Check(where, model).chain(graph=True)
+
+
 def at_line(field: str, error: Exception) -> str:
     """The field, with the line of the user's code that raised the error."""
     own = _own_frame(error)
@@ -123,7 +128,6 @@ class _Check:
         for effect in model.effects:
             if isinstance(effect, Effect):
                 self.tuples(f"effect {effect.name}, ", effect, ("parameters", "states", "inputs"))
-        self.unused = itertools.count(len(model.inputs) + len(model.parameters)).__next__
         self.names()
         for signal in (*model.inputs, *model.outputs):
             self.number(f"signal {signal.name}", signal, "start", signal.start)
@@ -225,7 +229,7 @@ class _Check:
     def chain(self, graph: bool) -> None:
         """Start and step of each effect in turn, on numbers or on symbols."""
         model = self.model
-        ops = Graph() if graph else NUMBERS
+        ops, unused = Graph() if graph else NUMBERS, itertools.count(len(model.inputs) + len(model.parameters))
 
         def value(i: int, number: float):
             return ops.node("v", i) if graph else number
@@ -239,7 +243,7 @@ class _Check:
                 count += len(e.parameters)
                 states = {q.name: self.call(f"state {e.full(q.name)}, start", q.start, ops, s, p) for q in e.states}
                 if graph and not starting:
-                    states = {name: ops.node("v", self.unused()) for name in states}
+                    states = {name: ops.node("v", next(unused)) for name in states}
                 x = _Given("state", **states)
                 arguments = (ops, s, x, p, INSTANT if starting else dt)
                 returned = self.call(f"effect {e.name}, step", e.step, *arguments)
