@@ -166,6 +166,13 @@ def first_fault(change, ticks=100, at=20):
     return None, None
 
 
+@pytest.mark.parametrize(("throttle", "waits"), [(0.19, 2.0), (0.21, 0.0)])
+def test_a_motor_has_2_s_to_start_but_none_under_a_wide_throttle(throttle, waits):
+    fault, ticks = first_fault(lambda reading, since: reading._replace(throttle=throttle), ticks=1000)
+    assert fault.kind is FaultKind.NO_ROTATION
+    assert ticks * DT == pytest.approx(waits, abs=DT)
+
+
 @pytest.mark.parametrize(
     ("change", "device", "kind", "ticks"),
     [
