@@ -43,6 +43,8 @@ BEGUN = {
     "begun?": str,
     "hidden?": [str],
     "profile?": {"file?": str},
+    "limits?": {"*": float},
+    "controller?": {"limits?": {"*": float}},
     "calibration?": {"sha256?": str},
     "twin?": {"false_alarms_per_hour": float, "smallest_found": float, "delay": float, "noise": float},
     "adaptive_twin?": {"units": {"*": str}, "alarms?": [{"time": float, "points_to": str}]},
@@ -101,6 +103,11 @@ class Outcome:
     log: Record | None
     loops: dict[str, Record]
     timing: Timing | None
+
+    @property
+    def reach(self) -> dict[str, tuple[float, float]]:
+        """The ranges of the commands, as from `reach`, that hil.json tells."""
+        return reach(self.content.get("limits", {}), self.content.get("controller", {}).get("limits", {}))
 
 
 Report = Callable[[Outcome], str]
@@ -269,27 +276,42 @@ def difference(first: Record, second: Record) -> Record:
     return Record({"time": both.time, "thrust": both.second["thrust"] - both.first["thrust"]}, "difference")
 
 
-def judged_steps(run: Record) -> list[Step]:
-    """Every change of the set-point, evaluated on the smoothed thrust."""
-    return steps(smoothed(run, SPAN), BAND)
+def reach(*limits: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+    """(least, greatest) of each command within all of these limits (`omega_min` and so on); none of a command without any."""
+    found = {}
+    for name in ("omega", "beta"):
+        low, high = ([one[f"{name}_{end}"] for one in limits if f"{name}_{end}" in one] for end in ("min", "max"))
+        if low and high:
+            found[f"{name}_ref"] = max(low), min(high)
+    return found
+
+
+def limits_by_end(limits: Mapping[str, tuple[float, float]]) -> dict[str, float]:
+    """A controller's limits, (least, greatest) of each command, as hil.json holds them."""
+    return {name.replace("ref", end): x for name, pair in limits.items() for end, x in zip(("min", "max"), pair, strict=True)}
+
+
+def judged_steps(run: Record, limits: Mapping[str, tuple[float, float]]) -> list[Step]:
+    """Every change of the set-point, evaluated on the smoothed thrust; `limits` as of `vpp_fmu.response.steps`."""
+    return steps(smoothed(run, SPAN), BAND, limits)
 
 
 def said(step: Step, name: str) -> str:
     """A step in words."""
-    when = "does not settle" if step.settling is None else f"settles within {number(step.settling, 3)} s"
+    never = f"is out of reach, {step.reached}" if step.stuck else "does not settle"
+    when = never if step.settling is None else f"settles within {number(step.settling, 3)} s"
     return f"{name}: the step from {number(step.before)} to {number(step.after)} N at {number(step.time)} s {when}"
 
 
-def step_lines(loops: dict[str, Record]) -> list[str]:
+def step_lines(loops: dict[str, Record], limits: Mapping[str, tuple[float, float]]) -> list[str]:
     """The steps of the set-point, one a line."""
-    return [
-        f"{said(step, name)}, overshoot {step.overshoot:.1f} %" for name, loop in loops.items() for step in judged_steps(loop)
-    ]
+    judged = [(name, step) for name, loop in loops.items() for step in judged_steps(loop, limits)]
+    return [f"{said(step, name)}, overshoot {step.overshoot:.1f} %" for name, step in judged]
 
 
 def lines_of(found: Outcome) -> list[str]:
     """The figures of a run in words."""
-    content, lines = found.content, step_lines(found.loops)
+    content, lines = found.content, step_lines(found.loops, found.reach)
     if "energy" in content:
         lines.append("energy from the supply: {}, {}".format(*energy_words(content["energy"])))
     if "beside" in content:

@@ -169,7 +169,7 @@ def no_compiler(monkeypatch):
 def pytest_terminal_summary(terminalreporter):
     """One line of what was not run, and why."""
     reasons = {report.longrepr[2].removeprefix("Skipped: ") for report in terminalreporter.stats.get("skipped", ())}
-    drawn = ["two thirds of the effects in tests of each (a file that runs alone tries all)"]
+    drawn = ["two thirds of the effects and of the rigs in tests of each (a file that runs alone tries all)"]
     side_by_side = bool(terminalreporter.config.getoption("numprocesses", None))
     terminalreporter.write_line(f"not run: {'; '.join([*sorted(reasons), *drawn * side_by_side]) or 'nothing'}")
 

@@ -320,6 +320,19 @@ def test_diagnose_fits_what_the_gate_leaves(short, monkeypatch):
     assert seen.value.args[0] > 50
 
 
+def test_a_hold_out_record_that_can_judge_nothing_is_refused(short):
+    """Fewer than 20 rows or 2 s; one at rest is judged, as it is not fitted, and so are 15 s at 10 Hz."""
+    own = short["15 N"]
+    for rows in (2, 5, 199):
+        with pytest.raises(BadInput, match=f"validation.csv: rows: found {rows} rows"):
+            passed(replace(own, validation=own.validation.part(slice(0, rows))))
+    ordered = {name: np.full(len(own.validation), own.validation[name][0]) for name in ("omega_ref", "beta_ref")}
+    slow = replace(own.validation, columns={name: column[::25] for name, column in own.validation.columns.items()})
+    assert 20 < len(slow) < 200
+    for unseen in (own.validation.with_columns(**ordered), slow):
+        assert not {"no_move", "too_short"} & {f.code for f in look(replace(own, validation=unseen)).findings}
+
+
 def test_check_prints_files_rig_and_findings_and_says_how_it_ended(short, tmp_path, capsys):
     folder = tmp_path / "bad"
     spoilt = replace(FAULTS["records' thrust in gf"].change(short["15 N"], None), validation=None)

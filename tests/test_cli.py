@@ -134,6 +134,7 @@ def test_prediction_compares_equal_with_itself(exported, tmp_path, capsys):
         (["hil", "run", "--profil-e", "step.csv"], "Did you mean --profile?"),
         (["hil", "campain"], "Did you mean campaign?"),
         (["diagnose", "mine", "--effects", "pitch_backlsh"], "Did you mean pitch_backlash?"),
+        (["hil", "campaign", "--virtual", "--hide", "rod_stuk"], "Did you mean rod_stuck?"),
     ],
 )
 def test_a_word_that_is_nearly_right_is_told_what_it_may_mean(words, meant, capsys):
@@ -147,6 +148,11 @@ def test_a_column_that_is_nearly_right_is_told_what_it_may_mean(tmp_path, capsys
     (tmp_path / "log.csv").write_text("time_s,Thrust (N)\n0,1\n1,2\n")
     assert main(["import", "csv", str(tmp_path / "log.csv"), "--map", "thrust=Trust", "-o", str(tmp_path)]) == 2
     assert "no such column, expected Thrust (N)" in capsys.readouterr().err
+    assert main(["import", "csv", str(tmp_path / "log.csv"), "--map", "trust=Thrust (N)", "-o", str(tmp_path)]) == 2
+    assert "Did you mean thrust or thrust_std?" in capsys.readouterr().err
+    (tmp_path / "step.csv").write_text("time,thrst_set\n0,1\n1,2\n")
+    assert main(["hil", "run", "--virtual", "--profile", str(tmp_path / "step.csv"), "-o", str(tmp_path)]) == 2
+    assert "separated by commas. Did you mean thrst_set?" in capsys.readouterr().err
 
 
 def test_no_option_is_taken_for_one_that_it_begins(tmp_path, capsys):

@@ -140,7 +140,7 @@ def test_the_verb_shows_and_clears(folder, capsys):
     compiled(SOURCE)
     assert main(["cache"]) == 0
     size = only(folder).stat().st_size / 2**20
-    assert capsys.readouterr().out == f"{folder}: 1 libraries, {size:.1f} MB, 100 MB at most\n"
+    assert capsys.readouterr().out == f"{folder}: 1 library, {size:.1f} MB, 100 MB at most\n"
     assert main(["cache", "--clear"]) == 0
     assert list(folder.glob("*")) == []
 

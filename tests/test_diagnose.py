@@ -325,6 +325,13 @@ def test_a_refuted_effect_is_the_best_guess_with_its_size_and_what_speaks_agains
     assert '<a href="next_experiment.csv">' in page
 
 
+def test_a_speed_that_only_the_repeat_has_is_no_second_reading():
+    own, model = rig(), plant()
+    speed = Simulator(model).simulate(model.values(TRUTH), *own.repeat.run)[:, 1]
+    found = diagnose(replace(own, repeat=own.repeat.with_columns(omega=np.round(speed))), some("pitch_offset"), thorough=False)
+    assert found.noise.floor == pytest.approx(NOISE, rel=0.05)
+
+
 def test_where_no_candidate_comes_near_the_report_says_so():
     """A rotor that speeds up faster than it slows down, and a library that knows of slow drifts only."""
     found = diagnose(rig(**{"speed_asymmetry.asymmetry": 0.3}), some("sensor_drift", "sensor_gain"), thorough=False)

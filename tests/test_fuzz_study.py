@@ -57,5 +57,6 @@ def test_faults_are_seen(tmp_path):
     assert faults == {"exit code", "traceback", "half-written", "NaN in JSON"}
     assert set(fuzz._faults("plan", (), None, "", tmp_path / "none")) == {"over 60 s"}
     assert set(fuzz._faults("plan", (), 2, "one\ntwo\n", tmp_path / "none")) == {"not one line"}
+    assert not set(fuzz._faults("diagnose", (), 2, "vpp: note: x\nvpp diagnose: quality (0 s)\none\n", tmp_path / "none"))
     assert set(fuzz._faults("plan", (), -11, "", tmp_path / "none")) == {"exit code"}
     assert not set(fuzz._faults("plan", (), 2, "vpp plan: x: found y, expected z\n", tmp_path / "none"))

@@ -95,7 +95,10 @@ def stand(rows=6000, step=0.01, hold=1.5, lag=0.12, seed=5):
         ("torque", "ozf.in", 4.4482216152605 / 16 * 0.0254),
         ("power", "kW", 1e3),
         ("signal", "us", 1.0),
+        ("signal", "ms", 1e3),
         ("signal", "%", 0.01),
+        ("signal", "1", 1.0),
+        ("signal", "", 1.0),
         ("samples", "1", 1.0),
         ("run", " - ", 1.0),
         ("ct", "", 1.0),
@@ -824,7 +827,7 @@ def test_the_gain_of_a_speed_is_the_ratio_of_residuals():
     assert gain == pytest.approx(expected, rel=0.15)
     assert likelihood_gain(omega, off, beta, clean + noise) == pytest.approx(-gain)
     assert likelihood_gain(off[:4], omega[:4], beta[:4], clean[:4]) == 0.0
-    assert likelihood_gain(off, omega, beta, 0.0 * clean) == 0.0
+    assert likelihood_gain(off, omega, beta, 0.0 * clean) == 0.0  # a load cell that is not connected
 
 
 def test_a_signal_that_never_holds_is_mapped_behind_a_lag():

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from scipy.signal import lsim
 
 from vpp_fmu.kernel.ops import NUMBERS
-from vpp_fmu.kernel.plant import AVERAGED, BASE, FINE_TUNED, plant
+from vpp_fmu.kernel.plant import AVERAGED, BASE, FINE_TUNED, LIBRARY, POWER_EFFECTS, plant
 from vpp_fmu.kernel.schedule import run_sampled
 from vpp_fmu.kernel.simulation import Simulation
 
@@ -233,3 +233,9 @@ def test_delay_does_not_depend_on_the_communication_step():
         fine = {name: np.repeat(column, split)[: 199 * split + 1] for name, column in coarse.items()}
         shown = reference(TWO_DELAYS, delays, fine, np.full(199 * split, 0.008 / split))
         np.testing.assert_allclose(shown[rows * split], at_8_ms, rtol=1e-12)
+
+
+def test_the_defaults_of_an_effect_switch_it_off():
+    """A file of parameters that names the effect, and not its size, has the model without it."""
+    for effect in (e for e in (*LIBRARY, *POWER_EFFECTS) if e.off):
+        assert {p.name: p.default for p in effect.parameters if p.name in effect.off} == effect.off, effect.name

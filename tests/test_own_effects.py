@@ -25,7 +25,7 @@ BROKEN = {
     "off is the model without it": SOURCE.replace(
         "reading = ops.where(p.tau > 0.0, reading, s.thrust)", "reading = 1.001 * reading"
     ),
-    "C is Python": SOURCE.replace("ops.where(p.tau > 0.0, reading, s.thrust)", "reading if p.tau > 0.0 else s.thrust"),
+    "C is Python": SOURCE.replace("    return", "    reading = reading + 0.1 * isinstance(p.tau, float)\n    return"),
     "the probe shows": SOURCE.replace('probe={"tau": 0.05}', 'probe={"tau": 1e-6}'),
     "finite at every bound": SOURCE.replace(
         "reading = ops.where", "reading = reading / (0.3 - p.tau)\n    reading = ops.where"
@@ -53,7 +53,10 @@ def test_what_breaks_an_invariant_is_caught(name, tmp_path, capsys):
     assert main(["check-effect", str(path)]) == 2
     said = capsys.readouterr()
     assert said.err.count("\n") == 1
-    assert re.search(rf"  {name} +NO ", said.out)
+    if name == "declares itself":  # it is refused as it is read
+        assert said.err.startswith(f"vpp check-effect: {path}: EFFECT: found tau = 0.5, outside 0 to 0.3, expected")
+    else:
+        assert re.search(rf"  {name} +NO ", said.out)
 
 
 @pytest.mark.parametrize(
@@ -63,6 +66,19 @@ def test_what_breaks_an_invariant_is_caught(name, tmp_path, capsys):
         ("states=tuple(", "states=list(", "EFFECT, states: found [State("),
         ('"tau", "s", 0.0, 0.0', '"tau", "s", "0.0", 0.0', "EFFECT, 'tau', default: found '0.0', expected float"),
         ('State(n, "N"', "State(n, print", "EFFECT, 'reading', unit: found <built-in function print>, expected str"),
+        ('"tau", "s", 0.0', '"tau", "0.0", 0.0', "EFFECT, tau, unit: found '0.0' is no unit that pint knows, expected 1"),
+        ('State(n, "N"', 'State(n, "blub"', "EFFECT, reading, unit: found 'blub' is no unit that pint knows, expected 1, s"),
+        (
+            'probe={"tau": 0.05}',
+            'probe={"tau": 0.0}',
+            "EFFECT: found off {'tau': 0.0} and probe {'tau': 0.0}, which are the same",
+        ),
+        ('probe={"tau": 0.05}', 'probe={"lag": 0.05}', "EFFECT: found off ['tau'] and probe ['lag'] of the parameters ['tau']"),
+        (
+            'probe={"tau": 0.05}',
+            'probe={"tau": None}',
+            "EFFECT, probe: found {'tau': None}, expected the numbers of parameters",
+        ),
         ('reading="thrust"', 'says="slow by {lag}"', "EFFECT, says: found 'slow by {lag}' ('lag'), expected a sentence with"),
         ('reading="thrust"', 'says="slow by {"', "EFFECT, says: found 'slow by {' ("),
     ],
@@ -73,6 +89,16 @@ def test_parts_of_an_effect_are_of_their_kind(word, other, says, tmp_path):
     with pytest.raises(BadInput) as refused:
         library_with([path])
     assert str(refused.value).startswith(f"{path}: {says}")
+
+
+@pytest.mark.parametrize("verb", ["check-effect {}", "effects --effects-from {}", "diagnose {} --effects-from {}"])
+def test_what_cannot_be_traced_is_refused_by_every_verb_with_its_line(verb, tmp_path, capsys):
+    path = tmp_path / "branches.py"
+    path.write_text(SOURCE.replace("ops.where(p.tau > 0.0, reading, s.thrust)", "reading if p.tau > 0.0 else s.thrust"))
+    line = SOURCE[: SOURCE.index("reading = ops.where(p.tau")].count("\n") + 1
+    assert main([word.format(path) for word in verb.split()]) == 2
+    said = f"{path}: effect cell_lag, step, branches.py line {line}: found if, which can't be traced, expected ops.where"
+    assert said in capsys.readouterr().err
 
 
 def test_an_effect_says_its_sentence_or_else_its_description(tmp_path):

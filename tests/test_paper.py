@@ -247,6 +247,13 @@ def test_gains_and_fmus_are_those_of_the_rows(quick):
     assert len(list(quick.out.glob("Vpp*.fmu"))) == 2
 
 
+def test_every_stage_is_told_as_it_begins(quick):
+    """Minutes of silence in a pipe pass for a hang."""
+    told = re.findall(r"^vpp paper: (.*) \(\d+ s\)$", quick.said, re.MULTILINE)
+    assert told[-2:] == ["export", "report"]
+    assert {"steps the paper's way", "the paper's descent"} <= set(told)
+
+
 def test_the_time_of_every_stage_and_of_the_whole_is_printed(quick):
     seconds = dict(quick.told["seconds"])
     total = seconds.pop("total")

@@ -1,5 +1,8 @@
 """All errors that a caller may catch. The command line prints each as one line and exits with code 2."""
 
+import difflib
+from collections.abc import Iterable
+
 
 class VppError(Exception):
     """Base of all errors this project raises on purpose. `code`: the command line's exit code."""
@@ -40,3 +43,10 @@ class WorkerLost(VppError):
 
 class ExtraMissing(VppError):
     """A required optional library is not installed; the message names it and the command that installs it."""
+
+
+def near(word: str, known: Iterable[str]) -> str:
+    """The end of a message about an unknown word: the most similar known word; "" without one."""
+    folded = {name.casefold(): name for name in known}
+    found = difflib.get_close_matches(word.casefold(), folded)
+    return f". Did you mean {' or '.join(folded[name] for name in found)}?" if found else ""

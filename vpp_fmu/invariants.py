@@ -110,6 +110,8 @@ def declared(trial: Trial) -> str:
     off = dict(effect.off or {})
     if not off or not effect.probe or not set(off) <= set(effect.probe) <= set(own):
         raise Broken(f"off {sorted(off)} and probe {sorted(effect.probe)} of the parameters {sorted(own)}")
+    if all(effect.probe[name] == value for name, value in off.items()):
+        raise Broken(f"off {off} and probe {dict(effect.probe)}, which are the same")
     if not set(effect.delays.values()) <= set(own):
         raise Broken(f"delays {dict(effect.delays)}")
     for thing in (effect, *effect.parameters, *effect.states, *effect.inputs):

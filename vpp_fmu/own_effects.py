@@ -14,11 +14,13 @@ from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
 
 from vpp_fmu.errors import BadInput
+from vpp_fmu.export.checks import check_traced
 from vpp_fmu.files import read_text
+from vpp_fmu.invariants import Broken, Trial, declared
 from vpp_fmu.kernel.learned import PORTS, placed
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.kernel.types import Effect, Parameter, Signal, State
-from vpp_fmu.units import base_unit
+from vpp_fmu.units import check_unit
 
 GROUP = "vpp.effects"
 
@@ -66,10 +68,11 @@ def _with(path: str | os.PathLike, content: Mapping, library: tuple[Effect, ...]
                 raise BadInput(
                     path, f"EFFECT, {_brief(quantity.name)}, {field.name}", _brief(given), KINDS[field.type][0].__name__
                 )
-        try:
-            base_unit(quantity.unit)
-        except KeyError as error:
-            raise BadInput(path, f"EFFECT, {quantity.name}, unit", repr(quantity.unit), "units of vpp_fmu.units") from error
+        check_unit(path, f"EFFECT, {quantity.name}, unit", quantity.unit)
+    for name in ("off", "probe"):
+        given = getattr(effect, name)
+        if not isinstance(given, Mapping) or not all(isinstance(value, float | int) for value in given.values()):
+            raise BadInput(path, f"EFFECT, {name}", _brief(given), "the numbers of parameters by their names")
     try:
         effect.says.format_map(dict.fromkeys((q.name for q in effect.parameters), ""))
     except (AttributeError, KeyError, ValueError) as error:
@@ -79,11 +82,19 @@ def _with(path: str | os.PathLike, content: Mapping, library: tuple[Effect, ...]
     if port is not None:
         if port not in tuple(PORTS):
             raise BadInput(path, "PORT", repr(port), f"one of {', '.join(PORTS)}")
-        return placed(library, effect, PORTS[port])
-    if before is not None and before not in names:
-        raise BadInput(path, "BEFORE", repr(before), f"one of {', '.join(names)}")
-    at = len(library) if before is None else names.index(before)
-    return (*library[:at], effect, *library[at:])
+        whole = placed(library, effect, PORTS[port])
+    else:
+        if before is not None and before not in names:
+            raise BadInput(path, "BEFORE", repr(before), f"one of {', '.join(names)}")
+        at = len(library) if before is None else names.index(before)
+        whole = (*library[:at], effect, *library[at:])
+    trial = Trial(effect, whole)
+    try:
+        declared(trial)
+    except Broken as why:
+        raise BadInput(path, "EFFECT", str(why), "parameters, off and probe within bounds, each described") from why
+    check_traced(str(path), trial.model)
+    return whole
 
 
 def _brief(found: object) -> str:

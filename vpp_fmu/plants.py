@@ -47,7 +47,10 @@ class Plant(Protocol):
 
 
 class Controller(Protocol):
-    """Takes wanted and measured thrust [N], returns commands [rpm, deg] for the next step."""
+    """Takes wanted and measured thrust [N], returns commands [rpm, deg] for the next step. `limits`: of each command, as from
+    `limits_of`."""
+
+    limits: dict[str, tuple[float, float]]
 
     def start(self, thrust_set: float, thrust: float) -> None:
         """Reset the states."""

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from vpp_fmu import frames
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, near
 from vpp_fmu.files import OutputFolder, Table, as_bytes, read_table
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BETA, BETA_REF, OMEGA, OMEGA_REF, THRUST
@@ -207,6 +207,7 @@ def checked_columns(table: Table, need: Sequence[str], holes: Sequence[str] = ()
     for name in need:
         if name not in table.columns:
             allowed = f"a header with {', '.join(need)}, separated by commas"
+            allowed += near(name, [other for other in table.columns if other not in need])
             hint = "vpp import csv, which makes a record of a log" if name in COMMANDS else ""
             raise BadInput(table.source, f"column {name}", f"only {', '.join(table.columns)}"[:200], allowed, hint)
     measured = {signal.name for signal in MEASURED}

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from vpp_fmu.digits import number
 from vpp_fmu.record import Record
 
 BAND = 0.02
@@ -34,6 +35,12 @@ class Step:
     ringing: float
     last: bool = False
     stuck: tuple[float, float, float] | None = None
+
+    @property
+    def reached(self) -> str:
+        """What is reached where the set-point is out of reach, in words."""
+        thrust, omega, beta = self.stuck or 3 * (float("nan"),)
+        return f"{number(thrust)} N at {number(omega)} rpm, {number(beta)} deg"
 
 
 def steps(run: Record, band: float = BAND, limits: Mapping[str, tuple[float, float]] | None = None) -> list[Step]:

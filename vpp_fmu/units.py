@@ -9,6 +9,8 @@ import re
 from functools import cache
 from tokenize import TokenError
 
+from vpp_fmu.errors import BadInput
+
 BASE = {
     "kilogram": "kg",
     "meter": "m",
@@ -40,6 +42,14 @@ def base_unit(unit: str) -> dict[str, str]:
     attributes = {base: str(power) for base, power in exponents.items()}
     attributes |= {} if factor == 1.0 else {"factor": repr(factor)}
     return attributes | ({} if offset == 0.0 else {"offset": repr(offset)})
+
+
+def check_unit(where: object, field: str, unit: str) -> None:
+    """BadInput for a unit that FMI cannot express: where it is declared, and in which field."""
+    try:
+        base_unit(unit)
+    except UnknownUnit as error:
+        raise BadInput(where, field, str(error), TRIED) from error
 
 
 def display_units(unit: str) -> dict[str, dict[str, str]]:

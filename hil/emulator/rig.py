@@ -24,7 +24,7 @@ from hil.emulator.uno import Uno
 from hil.emulator.world import LoadCell, World
 from hil.physics.pitch_actuator import ACTUATOR
 from hil.physics.rig_model import library, powertrain
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, near
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.rig import PAPERS_SIZE
 from vpp_fmu.rig import Rig as Ranges
@@ -82,7 +82,7 @@ def _hidden(text: str) -> tuple[str, dict[str, float]]:
     left, _, size = text.partition("=")
     name, _, parameter = left.partition(".")
     if name not in known:
-        raise BadInput("command line", "--hide", name, f"one of {', '.join(known)}")
+        raise BadInput("command line", "--hide", name, f"one of {', '.join(known)}{near(name, known)}")
     effect = known[name]
     values = dict(effect.probe)
     if size or parameter:
@@ -108,14 +108,16 @@ def calibrated_for(calibration: Calibration, ranges: Ranges) -> Calibration:
     """The emulated rig's calibration for what a rig may be asked for: its pitch table is stretched to a wider range of pitch.
     BadInput where the emulated rig can't be that rig."""
     (slowest, fastest), (low, high), force = ranges.speed, ranges.pitch, ranges.scales.thrust_scale
-    if not (fastest <= LARGEST_SPEED and FORCES[0] <= force <= FORCES[1] and TRAVEL[0] <= low <= high <= TRAVEL[1]):
+    sized = FORCES[0] <= force <= FORCES[1]
+    if not (sized and fastest <= LARGEST_SPEED and TRAVEL[0] <= low <= high <= TRAVEL[1]):
         found = f"emulated, for a rig of {slowest:.6g} to {fastest:.6g} rpm, {low:.4g} to {high:.4g} deg, {force:.3g} N"
         allowed = (
             f"a rig that the emulated one, the paper's, can be: to {LARGEST_SPEED:g} rpm, {TRAVEL[0]:g} to {TRAVEL[1]:g} deg, "
-            f"{FORCES[0]:g} to {FORCES[1]:g} N; --rig emulated RIG.json declares narrower ranges, --rig real RIG.json is the "
-            "rig itself, and vpp cosim closes the loop with the model of --parameters"
+            f"{FORCES[0]:g} to {FORCES[1]:g} N"
         )
-        raise BadInput("command line", "--rig", found, allowed)
+        narrower = "--rig emulated RIG.json, which declares narrower ranges, or " if sized else ""
+        model = "vpp cosim, which closes the loop with the model of --parameters"
+        raise BadInput("command line", "--rig", found, allowed, f"{narrower}{model}; --rig real RIG.json is the rig itself")
     least, most = min(low, calibration.pitch_min), max(high, calibration.pitch_max)
     if (least, most) == (calibration.pitch_min, calibration.pitch_max):
         return calibration

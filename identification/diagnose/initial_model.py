@@ -187,9 +187,9 @@ def _noise(
     errors = [outputs[:, 0] - one.record["thrust"] for one in group]
     share = np.sqrt(len(group) / (len(group) - 1.0))
     errors = [(e - np.mean(errors, axis=0)) * share for e in errors]
-    (first, one), *others = [_speed_residual(one.record, outputs[:, 1]) for one in group]
-    between = [(one - np.interp(first.times, sensor.times, other)) / np.sqrt(2.0) for sensor, other in others if len(other)]
-    return noise_from(group[0].record, errors, between if len(one) else [], block, SLOW, std, verified=True)
+    speeds = [found for one in group if len((found := _speed_residual(one.record, outputs[:, 1]))[1])]
+    between = [(speeds[0][1] - np.interp(speeds[0][0].times, s.times, other)) / np.sqrt(2.0) for s, other in speeds[1:]]
+    return noise_from(group[0].record, errors, between, block, SLOW, std, verified=True)
 
 
 def _noise_of_residual(

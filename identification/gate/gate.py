@@ -8,7 +8,7 @@ from threadpoolctl import ThreadpoolController
 
 from identification.gate.files import files_of, of_files
 from identification.gate.finding import ERROR, Finding, check_accepted, refuse, settled
-from identification.gate.sensors import screen, unusable
+from identification.gate.sensors import FEWEST_UNSEEN, screen, unusable
 from identification.logger import Logger
 from identification.run_in import without
 from vpp_fmu.campaign import Campaign
@@ -61,10 +61,11 @@ _BLAS = ThreadpoolController()
 
 def _look(campaign: Campaign, further: Mapping[str, Record], accept: frozenset[str]) -> Passed:
     own = {n: r for n in RECORDS if (r := getattr(campaign, n)) is not None}
-    found = [f for r in (own | further).values() for f in unusable(r)]
+    fitted = [r for r in (own | further).values() if r is not campaign.validation]
+    found = [f for r in fitted for f in unusable(r)]
+    if campaign.validation is not None:
+        found += [f for f in unusable(campaign.validation, FEWEST_UNSEEN) if f.code != "no_move"]
     short = {f.where for f in found if f.level == ERROR}
-    unseen = {campaign.validation.source} if campaign.validation is not None else set()
-    found = [f for f in found if f.where not in unseen or f.code == "thrust_dead"]  # it is not fitted
     kept: dict[str, Record] = {}
     for name, record in (own | further).items():
         kept[name], faults = (record, ()) if record.source in short else screen(record, accept)

@@ -16,6 +16,9 @@ FEWEST_ROWS = 200
 SHORTEST = 2.0
 """Minimum number of rows and seconds of a record to fit: fewer show no lag of a rig."""
 
+FEWEST_UNSEEN = 20
+"""Minimum number of rows of a record that is not fitted: SHORTEST in a log of 10 Hz."""
+
 CHANCE = 1e-6
 """False alarm probability per record of a run of equal readings; a campaign has a hundred records."""
 
@@ -79,13 +82,13 @@ def faults(record: Record) -> Iterator[Fault]:
     yield from _gaps(record)
 
 
-def unusable(record: Record) -> Iterator[Finding]:
-    """Reasons why a record cannot be fitted."""
+def unusable(record: Record, fewest: int = FEWEST_ROWS) -> Iterator[Finding]:
+    """Reasons why a record, which needs at least the `fewest` rows, cannot be fitted."""
     where, seconds, thrust = record.source, float(record.time[-1]), record["thrust"]
     readings = thrust[np.isfinite(thrust)]
-    least = FEWEST_ROWS // 2
-    if len(record) < FEWEST_ROWS or seconds < SHORTEST:
-        message = f"{len(record)} rows over {seconds:g} s, at least {FEWEST_ROWS} over {SHORTEST:g} s are needed"
+    least = fewest // 2
+    if len(record) < fewest or seconds < SHORTEST:
+        message = f"{len(record)} rows over {seconds:g} s, at least {fewest} over {SHORTEST:g} s are needed"
         yield Finding("too_short", where, "rows", len(record), "1", message, "a part of a record")
     elif len(readings) < least:
         message = f"{len(readings)} readings, at least {least} are needed"

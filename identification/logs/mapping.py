@@ -11,7 +11,7 @@ import numpy as np
 from identification.logs.clock import CALENDAR, guessed_unit, is_calendar
 from identification.logs.raw_table import RawTable, plain, split_unit
 from identification.logs.units import QUANTITIES, contradicts, factor_of, is_rate, scale_of
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, near
 from vpp_fmu.files import shown
 from vpp_fmu.structured import read_toml
 
@@ -140,7 +140,7 @@ def parse_pairs(pairs: Iterable[str], table: RawTable, force: bool = False) -> d
     for pair in pairs:
         quantity, equals, rest = pair.partition("=")
         if not equals or quantity not in QUANTITIES or not rest.strip():
-            allowed = f"NAME=COLUMN:UNIT with NAME one of {', '.join(QUANTITIES)}"
+            allowed = f"NAME=COLUMN:UNIT with NAME one of {', '.join(QUANTITIES)}{near(quantity, QUANTITIES)}"
             raise BadInput("command line", "--map", shown(pair), allowed)
         if quantity in found:
             raise BadInput("command line", f"--map {quantity}", f"{quantity} twice", "each quantity once")

@@ -68,7 +68,8 @@ def likelihood_gain(command: np.ndarray, omega: np.ndarray, beta: np.ndarray, th
 
         n / 2 log(S_command / S_omega),   S: sum of squared residuals of the fitted map
 
-    Both maps have the same number of parameters, so penalties cancel. 0 for too few points or no thrust.
+    Both maps have the same number of parameters, so penalties cancel. 0 if points are too few for a residual, or their
+    thrust is 0.
     """
     sums = []
     for speed in (command, omega):

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -133,7 +134,9 @@ def test_a_day_leaves_its_rounds_and_goes_on_with_what_flies(told, tmp_path, cap
     folder = tmp_path / "day"
     options = ["--virtual", "--rounds", "1", "--policy", "fixed", "--parameters", str(told / "parameters.json")]
     assert main(["twin", str(folder), *options]) == 0
-    assert "what flew flies next" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert "what flew flies next" in said.out
+    assert re.match(r"vpp twin: round 1: .* \(\d+ s\)\n", said.err)
     (only,) = json.loads((folder / "day.json").read_text())["rounds"]
     assert (only["flies_next"], list(only["costs"])) == ("what flew", ["what flew"])
     flights = sorted(path.parent.name for path in (folder / "round_1").glob("*/run.csv"))

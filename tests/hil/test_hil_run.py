@@ -1,5 +1,6 @@
 import json
 import os
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from hil.calibration import to_json
 from hil.columns import COLUMNS
 from hil.commands import PAPERS
 from hil.emulator.rig import Rig as Emulated
-from hil.outcome import SPAN, judged_steps
+from hil.outcome import SPAN, judged_steps, reach
 from hil.rig import RunEnded
 from hil.run import ON_ALARM, LimitedPlant, loop_part, run_on_rig, write_run
 from hil.runs import sha256_of
@@ -40,13 +41,33 @@ def beside():
 
 
 def test_the_papers_controller_settles_the_papers_step_on_the_rig(done):
-    up, down = judged_steps(done.record)
+    up, down = judged_steps(done.record, {})
     assert (up.before, up.after) == (1.5, 12.0)
     assert up.settling < 1.0  # the paper: set-point reached in about 0.5 s
     assert down.settling < 1.0
     assert max(up.overshoot, down.overshoot) < 5.0  # the paper: without any overshoots
     last = done.record["thrust"][int(3.0 / 0.004) : int(4.0 / 0.004)]
     assert last.mean() == pytest.approx(12.0, abs=0.1)
+
+
+def test_a_command_reaches_as_far_as_every_limit_allows():
+    rig = {"omega_min": 2000.0, "omega_max": 6000.0, "beta_min": -10.0, "beta_max": 10.0, "omega_trip": 6900.0}
+    own = {"omega_min": 0.0, "omega_max": 5519.0, "beta_min": 4.0, "beta_max": 4.0}
+    assert reach(rig, own) == {"omega_ref": (2000.0, 5519.0), "beta_ref": (4.0, 4.0)}
+    assert reach(rig, {}) == {"omega_ref": (2000.0, 6000.0), "beta_ref": (-10.0, 10.0)}
+    assert reach({}, {}) == {}
+
+
+def test_a_set_point_beyond_the_limits_is_said_to_be_out_of_reach(tmp_path, capsys):
+    """By the run, and by the report of its log: the paper's rig has less at the limits of its controller."""
+    (tmp_path / "far.csv").write_text("time,thrust_set\n0,2\n2,22\n5,22\n")
+    assert main(["hil", "run", "--virtual", "--profile", str(tmp_path / "far.csv"), "-o", str(tmp_path)]) == 0
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert main(["hil", "report", str(folder)]) == 0
+    run, report = re.findall(r"^The step .*: the set-point of 22 N is (.*)\.$", capsys.readouterr().out, re.MULTILINE)
+    assert run == report
+    assert re.fullmatch(r"out of reach: [.\d]+ N at 6000 rpm, 10 deg", run)
+    assert "out of reach" in (folder / "report.html").read_text()
 
 
 def test_rig_and_model_answer_the_same_step_alike(done):

@@ -174,3 +174,8 @@ def test_whatever_comes_in_what_goes_out_is_within_range_and_slope():
         reached = reached or omega >= limits.omega_min
         assert (limits.omega_min if reached else 0.0) <= omega <= limits.omega_max
         assert limits.beta_min <= beta <= limits.beta_max
+
+
+def test_each_cut_has_a_bit_of_its_own():
+    """A log has their sum."""
+    assert [int(cut) for cut in (Cut.OMEGA_RANGE, Cut.OMEGA_SLEW, Cut.BETA_RANGE, Cut.BETA_SLEW)] == [1, 2, 4, 8]

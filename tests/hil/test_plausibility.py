@@ -136,6 +136,20 @@ def test_the_effect_of_pitch_is_one_share_of_its_thrust():
         assert effect.moved > 1.0
 
 
+def test_the_first_comparison_is_exact():
+    """Blades that have settled within the span: the thrust's change is the map's, and the effect 1 to rounding."""
+    fast = {"tau_beta_1": 0.02, "tau_beta_2": 0.01}
+    effect, simulation = PitchEffect(DT, fast), Simulation(plant(), fast)
+    shown = simulation.start({"omega_ref": 4000.0, "beta_ref": 2.0})
+    for k in range(1000):
+        if effect.moved:
+            break
+        effect.update(shown["thrust"], shown["omega"], beta := 2.0 if k < 50 else 6.0)
+        shown = simulation.advance({"omega_ref": 4000.0, "beta_ref": beta}, DT)
+    assert effect.moved > 0.0
+    assert effect.effect == pytest.approx(1.0, abs=1e-9)
+
+
 def quiet(k):
     """A good reading at rest, tick k."""
     counts = 10 + (k % 3)
@@ -150,6 +164,13 @@ def first_fault(change, ticks=100, at=20):
         if fault := checks.check(reading):
             return fault, k - at
     return None, None
+
+
+@pytest.mark.parametrize(("throttle", "waits"), [(0.19, 2.0), (0.21, 0.0)])
+def test_a_motor_has_2_s_to_start_but_none_under_a_wide_throttle(throttle, waits):
+    fault, ticks = first_fault(lambda reading, since: reading._replace(throttle=throttle), ticks=1000)
+    assert fault.kind is FaultKind.NO_ROTATION
+    assert ticks * DT == pytest.approx(waits, abs=DT)
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import sysconfig
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import fmu_src
@@ -65,9 +66,11 @@ def in_c(host: Path, fmu: Fmu, lines: str = "") -> subprocess.CompletedProcess:
 
 @dataclass(frozen=True)
 class Checker:
-    """A program that may be installed: `variable` of the environment names it, else it is found on PATH by one of `names`.
+    """A program that may be installed: `variable` of the environment names it, else it is found by one of `names` beside this
+    Python or on PATH.
 
-    `versions`: of FMI that it knows. `options`: before the FMU's name.
+    `versions`: of FMI that it knows. `options`: before the FMU's name. `verdict`: a pattern of the lines that it is shown by
+    (default: the last).
     """
 
     name: str
@@ -75,14 +78,22 @@ class Checker:
     names: tuple[str, ...]
     versions: tuple[str, ...]
     options: tuple[str, ...] = ()
+    verdict: str = ""
 
     def program(self) -> list[str]:
         """The words that start it; none where it is not there. A .jar needs java."""
-        found = os.environ.get(self.variable) or next(filter(None, map(shutil.which, self.names)), None)
+        places = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
+        there = filter(None, map(partial(shutil.which, path=places), self.names))
+        found = os.environ.get(self.variable) or next(there, None)
         if found and found.endswith(".jar"):
             java = shutil.which("java")
             return [java, "-jar", found] if java else []
         return [found] if found else []
+
+    def said(self, done: subprocess.CompletedProcess) -> str:
+        """What it says of an FMU."""
+        lines = (done.stdout.strip() or done.stderr.strip()).splitlines()
+        return " ".join([line for line in lines if re.search(self.verdict, line)] if self.verdict else lines[-1:])
 
 
 STOP = str(STEPS * STEP)
@@ -90,6 +101,7 @@ CHECKERS = (
     Checker("VDMCheck2", "VDMCHECK2", ("VDMCheck2.sh",), ("2.0",)),
     Checker("VDMCheck3", "VDMCHECK3", ("VDMCheck3.sh",), ("3.0",)),
     Checker("fmusim", "FMUSIM", ("fmusim",), ("2.0", "3.0"), ("--interface-type", "cs", "--stop-time", STOP)),
+    Checker("fmutool", "FMUTOOL", ("fmutool",), ("2.0", "3.0"), ("-check", "-input"), r"compliant|semantic error|ERROR"),
     Checker("fmuCheck", "FMUCHECK", ("fmuCheck", "fmuCheck.linux64"), ("2.0",), ("-h", str(STEP), "-s", STOP, "-l", "3")),
 )
 
@@ -109,6 +121,6 @@ def checked(fmus: Mapping[tuple[str, str, str], Path]) -> list[str]:
             with tempfile.TemporaryDirectory() as work:
                 lines = three_lines() if flavour == "Python" else ""
                 done = started([*program, *checker.options, path.resolve()], lines, Path(work))
-            said = (done.stdout.strip() or done.stderr.strip()).splitlines()[-1:]
-            rows.append(f"| {checker.name} | {model}, {flavour}, FMI {version} | {done.returncode}: {''.join(said)} |")
+            said = " ".join(checker.said(done).replace("|", " ").split())
+            rows.append(f"| {checker.name} | {model}, {flavour}, FMI {version} | {done.returncode}: {said} |")
     return rows

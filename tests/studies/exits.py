@@ -6,6 +6,7 @@ latter with the FMU's mend out of action. Run it beside other work: a machine th
 """
 
 import argparse
+import os
 import runpy
 import signal
 import subprocess
@@ -18,9 +19,10 @@ from pathlib import Path
 import fmu_src
 from vpp_fmu.export import python_fmu
 from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.native.compiler import compiler
 
 PATCH = Path(fmu_src.__file__).parent / "upstream" / "pythonfmu-0.7.0-exit.patch"
-PLAIN = "import sys, fmpy\nfmpy.simulate_fmu(sys.argv[2], stop_time=0.1, output_interval=0.01, validate=False)\n"
+PLAIN = "import sys, fmpy\nfmpy.simulate_fmu(sys.argv[1], stop_time=0.1, output_interval=0.01, validate=False)\n"
 IDLE = "import os\ndel os.RTLD_NOLOAD\n"
 """Before a script: the FMU's slave then takes this for a system without the fault."""
 CONTROL = 20
@@ -35,7 +37,7 @@ def main(arguments: list[str]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         counts = ended(Path(folder), options.runs, 60.0 * options.minutes)
     for kind, codes in counts.items():
-        said = ", ".join(f"{n} ended with {words(code)}" for code, n in sorted(codes.items(), reverse=True))
+        said = ", ".join(f"{n} ended with {named(code)}" for code, n in sorted(codes.items(), reverse=True))
         print(f"{kind}: {codes.total()} runs: {said}")
 
 
@@ -45,18 +47,25 @@ def ended(folder: Path, runs: int, seconds: float) -> dict[str, Counter]:
     (folder / "offered.py").write_text("".join(f"{line[1:]}\n" for line in text.splitlines() if line.startswith("+")))
     offered = runpy.run_path(str(folder / "offered.py"))
     (folder / "plant.fmu").write_bytes(python_fmu(BASE))
-    given = [str(offered["reuse"](folder)), str(folder / "plant.fmu")]
-    scripts = {"a plain script": PLAIN, "freed memory used again": offered["HOST"], "control": IDLE + offered["HOST"]}
+    (folder / "reuse.c").write_text(offered["REUSE"])
+    subprocess.run([compiler(), "-shared", "-fPIC", "-o", "reuse.so", "reuse.c", "-ldl"], cwd=folder, check=True)
+    reuse = os.environ | {"LD_PRELOAD": str(folder / "reuse.so")}
+    scripts = {
+        "a plain script": (PLAIN, os.environ),
+        "freed memory used again": (offered["HOST"], reuse),
+        "control": (IDLE + offered["HOST"], reuse),
+    }
     counts: dict[str, Counter] = {kind: Counter() for kind in scripts}
     end = time.monotonic() + seconds
     for k in range(runs):
-        for kind, script in scripts.items():
+        for kind, (script, environment) in scripts.items():
             if time.monotonic() < end and (kind != "control" or k % CONTROL == 0):
-                done = subprocess.run([sys.executable, "-c", script, *given], check=False, capture_output=True)
+                words = [sys.executable, "-c", script, str(folder / "plant.fmu")]
+                done = subprocess.run(words, env=environment, check=False, capture_output=True)
                 counts[kind][done.returncode] += 1
     return counts
 
 
-def words(code: int) -> str:
+def named(code: int) -> str:
     """An exit code as people call it."""
     return signal.Signals(-code).name if code < 0 else str(code)

@@ -55,7 +55,7 @@ COMMANDS: Mapping[str, Sequence[tuple[str, ...]]] = {
     "diagnose": [
         ("{campaign}", "--effects", "pitch_command_deadband", "--workers", "1", "-o", "{out}"),
         ("{plain}", "--parameters", "{parameters}", "--effects", "pitch_offset", "--workers", "1", "-o", "{out}"),
-        ("{plain}", "--effects-from", "{effect}", "--effects", "pitch_offset", "--workers", "1", "-o", "{out}"),
+        ("{plain}", "--effects-from", "{effect}", "--effects", "pitch_offset,cell_lag", "--workers", "1", "-o", "{out}"),
     ],
     "allocate": [("--parameters", "{powered}", "-o", "{out}")],
     "tune": [
@@ -676,7 +676,7 @@ def _faults(verb: str, words: Sequence[str], code: int | None, said: str, out: P
         yield "exit code"
     if "Traceback" in said:
         yield "traceback"
-    lines = [line for line in said.splitlines() if not line.startswith("vpp: note: ")]
+    lines = [line for line in said.splitlines() if not re.match(r"vpp: note: |vpp \w+: .* \(\d+ s\)$", line)]  # notes, stages
     if code == 2 and len(lines) != 1 and verb not in ("hil", "twin"):  # these say more, as they run
         yield "not one line"
     files = [path for path in out.rglob("*") if path.is_file()]

@@ -52,7 +52,7 @@ PARTS = {
     ),
     "kernel": Part(
         ("vpp_fmu/kernel/*.py", "vpp_fmu/kernel/effects/*.py"),
-        ("test_controller", "test_duals", "test_converter", "test_effect_physics", "test_kernel"),
+        ("test_controller", "test_duals", "test_converter", "test_tune_loop", "test_effect_physics", "test_kernel"),
     ),
     "export": Part(("vpp_fmu/export/*.py",), ("test_fmu", "test_own_models", "test_fmi3")),
 }

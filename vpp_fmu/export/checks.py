@@ -17,7 +17,7 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.ops import NUMBERS, Unseen
 from vpp_fmu.kernel.types import BOOLEAN, INSTANT, INTEGER, REAL, Effect, Model, Parameter, Signal, State, no_step
 from vpp_fmu.tracer.graph import Graph
-from vpp_fmu.units import TRIED, UnknownUnit, base_unit
+from vpp_fmu.units import check_unit
 
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
@@ -32,6 +32,11 @@ def check_model(where: str, model: Model) -> None:
     The functions are run on numbers and on symbols, as in the trace; nothing is compiled.
     """
     _Check(where, model).all()
+
+
+def check_traced(where: str, model: Model) -> None:
+    """BadInput for the first function that cannot be run on symbols, as the trace does."""
+    _Check(where, model).chain(graph=True)
 
 
 def at_line(field: str, error: Exception) -> str:
@@ -123,7 +128,6 @@ class _Check:
         for effect in model.effects:
             if isinstance(effect, Effect):
                 self.tuples(f"effect {effect.name}, ", effect, ("parameters", "states", "inputs"))
-        self.unused = itertools.count(len(model.inputs) + len(model.parameters)).__next__
         self.names()
         for signal in (*model.inputs, *model.outputs):
             self.number(f"signal {signal.name}", signal, "start", signal.start)
@@ -172,7 +176,7 @@ class _Check:
 
     def number(self, field: str, q: Signal | Parameter, what: str, value: float) -> None:
         """A quantity's unit, range and start value."""
-        self.unit(field, q.unit)
+        check_unit(self.where, f"{field}, unit", q.unit)
         if q.kind not in (REAL, INTEGER, BOOLEAN):
             self.refuse(f"{field}, kind", repr(q.kind), f"{REAL}, {INTEGER} or {BOOLEAN}")
         if not q.description:
@@ -188,17 +192,11 @@ class _Check:
         if q.kind != REAL and value != round(value):
             self.refuse(f"{field}, {what}", str(value), "0 or 1" if q.kind == BOOLEAN else "a whole number")
 
-    def unit(self, field: str, unit: str) -> None:
-        try:
-            base_unit(unit)
-        except UnknownUnit as error:
-            raise BadInput(self.where, f"{field}, unit", str(error), TRIED) from error
-
     def effect(self, effect: Effect) -> None:
         for p in effect.parameters:
             self.number(f"parameter {effect.full(p.name)}", p, "default", p.default)
         for x in effect.states:
-            self.unit(f"state {effect.full(x.name)}", x.unit)
+            check_unit(self.where, f"state {effect.full(x.name)}, unit", x.unit)
             if not callable(x.start):
                 self.refuse(f"state {effect.full(x.name)}, start", repr(x.start), "a function of (ops, s, p)")
         known = [p.name for p in effect.parameters]
@@ -231,7 +229,7 @@ class _Check:
     def chain(self, graph: bool) -> None:
         """Start and step of each effect in turn, on numbers or on symbols."""
         model = self.model
-        ops = Graph() if graph else NUMBERS
+        ops, unused = Graph() if graph else NUMBERS, itertools.count(len(model.inputs) + len(model.parameters))
 
         def value(i: int, number: float):
             return ops.node("v", i) if graph else number
@@ -245,7 +243,7 @@ class _Check:
                 count += len(e.parameters)
                 states = {q.name: self.call(f"state {e.full(q.name)}, start", q.start, ops, s, p) for q in e.states}
                 if graph and not starting:
-                    states = {name: ops.node("v", self.unused()) for name in states}
+                    states = {name: ops.node("v", next(unused)) for name in states}
                 x = _Given("state", **states)
                 arguments = (ops, s, x, p, INSTANT if starting else dt)
                 returned = self.call(f"effect {e.name}, step", e.step, *arguments)

@@ -13,8 +13,7 @@ from typing import TextIO
 from vpp_fmu import __version__
 from vpp_fmu.app.cli.answer import LEVELS, SCHEMAS, add_levels, level
 from vpp_fmu.app.cli.next_step import next_step
-from vpp_fmu.app.cli.options import near
-from vpp_fmu.errors import BadInput, VppError
+from vpp_fmu.errors import BadInput, VppError, near
 from vpp_fmu.files import reason
 from vpp_fmu.record import RecordWarning
 from vpp_fmu.stopping import Stopped, said, stoppable

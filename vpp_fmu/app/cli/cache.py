@@ -15,6 +15,7 @@ def run(options):
     if options.clear:
         clear()
     deleted = ", deleted" if options.clear else ""
-    text = f"{cache_folder()}: {len(sizes)} libraries, {sum(sizes) / 2**20:.1f} MB{deleted}, {LARGEST / 2**20:.0f} MB at most"
+    held = "1 library" if len(sizes) == 1 else f"{len(sizes)} libraries"
+    text = f"{cache_folder()}: {held}, {sum(sizes) / 2**20:.1f} MB{deleted}, {LARGEST / 2**20:.0f} MB at most"
     content = {"format": "vpp-cache/1", "folder": str(cache_folder()), "libraries": len(sizes), "bytes": sum(sizes)}
     return Answer(text, content | {"most_bytes": LARGEST, "deleted": options.clear})

@@ -24,7 +24,7 @@ def run(options):
             found = str(invariant(trial))
         except Broken as why:
             found = broken[name] = str(why)
-        except Exception as error:  # foreign code may raise any exception; a traced `if` is a TypeError
+        except Exception as error:  # foreign code may raise any exception
             found = broken[name] = " ".join(f"{type(error).__name__}: {error}".split())
         checks[name] = {"holds": name not in broken, "found": found}
         lines.append(f"  {name:32} {'NO ' if name in broken else 'yes'}  {found}")

@@ -2,8 +2,6 @@
 
 import time
 
-from tqdm import tqdm
-
 from identification.demo import Demo, demo, example_folder
 from identification.thrust_steps import step_profile
 from vpp_fmu.app.cli.answer import Answer
@@ -11,7 +9,7 @@ from vpp_fmu.app.cli.cosim import summary
 from vpp_fmu.app.cli.diagnose import write_diagnosis
 from vpp_fmu.app.cli.export import exported
 from vpp_fmu.app.cli.options import WORKERS
-from vpp_fmu.app.cli.output import add_output, dated, written
+from vpp_fmu.app.cli.output import add_output, dated, stages, written
 from vpp_fmu.app.report.pages.demo import demo_page, headline, key_figures
 from vpp_fmu.app.report.pages.loop import sentence
 from vpp_fmu.app.report.summary import summary as diagnosed
@@ -37,15 +35,15 @@ def configure(parser):
 def run(options):
     began = time.perf_counter()
     folder = OutputSet(options.output, "demo")
-    with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
+    with stages("vpp demo", options.quiet) as stage:
         done = demo(
             read_campaign(example_folder()),
             folder,
             lambda parts, flavour: exported(parts, [flavour]),
             options.workers,
-            bar.set_description,
+            stage,
         )
-        bar.set_description("report")
+        stage("report")
         _write(folder, done)
     loops = {name: steps(loop) for name, loop in done.loops.items()}
     lines = [f"{name}: {sentence(step)}" for name, found in loops.items() for step in found]

@@ -16,14 +16,14 @@ from identification.diagnose.learned.description import FILE, source
 from identification.workers import spread
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.identify import named_records
-from vpp_fmu.app.cli.options import SEED, WORKERS, Number, near
+from vpp_fmu.app.cli.options import SEED, WORKERS, Number
 from vpp_fmu.app.cli.output import add_accept, add_effects_from, add_output, dated, stages, written
 from vpp_fmu.app.report.pages.diagnosis import diagnosis_page, headline, key_figures, not_tried
 from vpp_fmu.app.report.pages.fleet import Entry, as_csv, as_parquet, compared, entry, fleet_page, refusal
 from vpp_fmu.app.report.pages.power import power_line
 from vpp_fmu.app.report.summary import identification_of, summary
 from vpp_fmu.campaign import read_campaign
-from vpp_fmu.errors import BadInput, VppError
+from vpp_fmu.errors import BadInput, VppError, near
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.types import Effect

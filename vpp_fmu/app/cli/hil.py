@@ -11,7 +11,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -32,8 +32,10 @@ from hil.outcome import (
     fmu_loop,
     judged_steps,
     kept_of,
+    limits_by_end,
     lines_of,
     of_log,
+    reach,
     step_lines,
 )
 from hil.page.operator_page import OperatorPage, served
@@ -210,22 +212,23 @@ def _run(options) -> Answer:
         if options.watch is not None:
             raise BadInput("command line", "--watch", "--rig fmu", "an emulated or real rig: a loop of FMUs ends in seconds")
         folder = OutputFolder(options.output)
-        record = _fmu_loop(rig.plant, options, profile)
+        record, limits = _fmu_loop(rig.plant, options, profile)
         content = finish_fmu(folder, rig.plant, record, parquet)
-        folder.write("report.html", fmu_page(rig.plant, record, options.profile).html())
-        loops = {"plant FMU": record}
-        return Answer(headline(judged_steps(record)), content, lines + step_lines(loops), written=written(folder))
+        folder.write("report.html", fmu_page(rig.plant, record, options.profile, limits).html())
+        lines += step_lines({"plant FMU": record}, limits)
+        return Answer(headline(judged_steps(record, limits)), content, lines, written=written(folder))
     setup, controller = setup_of(options), controller_of(options)
     check_profile(profile, setup.limits)
     start = start_of(options.start, setup.limits, setup.allowed)
     if options.parameters:
         setup = replace(setup, plant=plant_of(options).values)
     twin = _twin(options, setup.allowed)
-    other = (Path(options.beside).name, _fmu_loop(options.beside, options, profile)) if options.beside else None
+    other = (Path(options.beside).name, _fmu_loop(options.beside, options, profile)[0]) if options.beside else None
     task = Task(setup, controller, profile, start, twin, other, ON_ALARM[options.on_alarm], parquet)
     parent = OutputFolder(options.output)
     lines.append(allowed_words(setup.allowed))
     content = _begun(options, setup) | task.summary()
+    content["controller"]["limits"] = limits_by_end(controller.limits)
     if twin:
         lines.append(f"adaptive twin: {twin[2].microseconds:.0f} us of a tick")
     with watched(options, content) as page, Lines(options) as shown:
@@ -237,7 +240,8 @@ def _run(options) -> Answer:
 def _answer(found: Outcome, lines: list[str], place: list[str], judge: Callable[[], None] = lambda: None) -> Answer:
     """The answer of a run. `judge` raises what the run itself found."""
     content = found.content
-    text = headline(judged_steps(next(iter(found.loops.values())))) if found.loops else "No row of the loop was measured."
+    judged = [judged_steps(loop, found.reach) for loop in found.loops.values()]
+    text = headline(judged[0]) if judged else "No row of the loop was measured."
     early = f"The run ended early: {content['ended']}. " if content["ended"] else ""
     return Answer(f"{early}{text}", content, [*lines, *lines_of(found)], written=place, failure=_failure(judge))
 
@@ -472,11 +476,12 @@ def controller_of(options) -> Controller:
     return KernelController(gains_of(options).values, PERIOD)
 
 
-def _fmu_loop(path: str, options, profile: Record) -> Record:
+def _fmu_loop(path: str, options, profile: Record) -> tuple[Record, dict[str, tuple[float, float]]]:
+    """(the loop with a plant FMU, the ranges of its commands)."""
     limits, allowed = _limits(options, allowed_of(options))
     check_profile(profile, limits)
-    start = start_of(options.start, limits, allowed)
-    return fmu_loop(path, controller_of(options), profile, start, limits)
+    start, controller = start_of(options.start, limits, allowed), controller_of(options)
+    return fmu_loop(path, controller, profile, start, limits), reach(asdict(limits), limits_by_end(controller.limits))
 
 
 def _twin(options, allowed: Rig) -> tuple[Twin, Band, Adaptive] | None:

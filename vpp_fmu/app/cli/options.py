@@ -1,9 +1,7 @@
 """Numbers on the command line: each option declares its range; any other input gives one line and exit code 2."""
 
 import argparse
-import difflib
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 
@@ -55,13 +53,6 @@ def shortened(text: str) -> str:
     """User input for a message: on one line, shortened."""
     short = text if len(text) <= 40 else f"{text[:37]}..."
     return short if short.strip() and short.isprintable() else repr(short)
-
-
-def near(word: str, known: Iterable[str]) -> str:
-    """The end of a message about an unknown word: the most similar known word; "" without one."""
-    folded = {name.casefold(): name for name in known}
-    found = difflib.get_close_matches(word.casefold(), folded)
-    return f". Did you mean {' or '.join(folded[name] for name in found)}?" if found else ""
 
 
 SEED = whole(0, 2**32 - 1)

@@ -4,13 +4,11 @@ In virtual time; on a real rig the campaign would take an hour."""
 import sys
 import time
 
-from tqdm import tqdm
-
 from identification.demo import local_flavour
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.export import exported
 from vpp_fmu.app.cli.options import whole
-from vpp_fmu.app.cli.output import add_output, dated, written
+from vpp_fmu.app.cli.output import add_output, dated, stages, written
 from vpp_fmu.app.paper.control import RIG
 from vpp_fmu.app.paper.study import FEWER, FULL, QUICK, REPEATS, Stages, Study, study
 from vpp_fmu.app.report.pages.paper import paper_page, summary, tiles, verdict
@@ -36,14 +34,14 @@ def configure(parser):
 def run(options):
     folder, began = OutputSet(options.output, "paper"), time.perf_counter()
     plan, repeats = (QUICK, FEWER) if options.quick else (FULL, REPEATS)
-    with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
-        stages = Stages(bar.set_description)
-        done = study(OutputFolder(folder.path / "campaign"), plan, repeats, options.seed, stages)
-        bar.set_description("export")
+    with stages("vpp paper", options.quiet) as stage:
+        timed = Stages(stage)
+        done = study(OutputFolder(folder.path / "campaign"), plan, repeats, options.seed, timed)
+        stage("export")
         _write(folder, done)
-        stages.done("FMUs")
+        timed.done("FMUs")
         total = time.perf_counter() - began
-        bar.set_description("report")
+        stage("report")
         folder.write("paper.json", as_json(summary(done, total)))
         folder.write("report.html", paper_page(done, total).html())
     more = [f"{name}: {seconds:.1f} s" for name, seconds in done.seconds.items()]

@@ -195,9 +195,10 @@ def _narrowed(rig: Rig, options) -> Rig:
         if not known:
             low, high = RANGES[name].minimum, RANGES[name].maximum
         if not low <= asked[0] <= asked[1] <= high:
-            where = f" ({origin[name]}); --rig FILE declares a wider one" if known else ""
+            where, wider = (f" ({origin[name]})", "--rig FILE, which declares a wider range") if known else ("", "")
             found = f"{asked[0]:g} to {asked[1]:g} {unit}"
-            raise BadInput("command line", option, found, f"within {low:.6g} to {high:.6g} {unit}, the lower first{where}")
+            within = f"within {low:.6g} to {high:.6g} {unit}, the lower first{where}"
+            raise BadInput("command line", option, found, within, wider)
         changes[name] = tuple(asked)
         origin[name] = f"{ASKED}, within {low:.6g} to {high:.6g} of {origin[name]}" if known else ASKED
     for name, asked in (("speed", options.omega_slew), ("pitch", options.pitch_slew)):

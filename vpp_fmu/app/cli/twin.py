@@ -12,8 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import mean
 
-from tqdm import tqdm
-
 from hil.session import Setup
 from hil.twin.band import Band, read_band
 from identification.tune.controllers import controllers
@@ -21,7 +19,7 @@ from vpp_fmu.app.cli import hil
 from vpp_fmu.app.cli.answer import Answer, Lines
 from vpp_fmu.app.cli.hil import allowed_words
 from vpp_fmu.app.cli.options import WORKERS, whole
-from vpp_fmu.app.cli.output import dated
+from vpp_fmu.app.cli.output import dated, stages
 from vpp_fmu.app.day.day import BOTH, POLICIES, Day, Rig, Round, diagnosed, new_day, next_round
 from vpp_fmu.app.report.pages.day import day_page
 from vpp_fmu.app.report.sentences import change
@@ -74,13 +72,13 @@ def run(options):
 
 def _round(options, day: Day, rig: Rig, band: Band, number: int, folder: OutputFolder, shown: Lines) -> dict:
     """Fly a round and write its files; returns the content of day.json so far."""
-    with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
-        own = OutputFolder(folder.path / f"round_{number}")
+    own = OutputFolder(folder.path / f"round_{number}")
+    with stages("vpp twin", options.quiet) as stage:
 
-        def stage(text: str) -> None:
-            bar.set_description(f"round {number}: {text}")
+        def of_round(text: str) -> None:
+            stage(f"round {number}: {text}")
 
-        done = next_round(day, rig, band, options.policy, own.path, options.seed, options.workers, stage)
+        done = next_round(day, rig, band, options.policy, own.path, options.seed, options.workers, of_round)
     day.rounds.append(done)
     for line in said(done):
         shown(line)

@@ -46,9 +46,7 @@ def sentence(step: Step) -> str:
     """A step in words."""
     change = f"The step from {number(step.before)} to {number(step.after)} N at {number(step.time, 4)} s"
     if step.stuck:
-        thrust, omega, beta = step.stuck
-        at = f"{number(thrust)} N at {number(omega)} rpm, {number(beta)} deg"
-        return f"{change}: the set-point of {number(step.after)} N is out of reach: {at}"
+        return f"{change}: the set-point of {number(step.after)} N is out of reach: {step.reached}"
     never = "has not settled " + ("by the end of the run" if step.last else "before the next")
     when = never if step.settling is None else f"has settled after {number(step.settling)} s"
     return f"{change} {when}, overshoot {step.overshoot:.1f} %"

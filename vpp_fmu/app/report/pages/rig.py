@@ -27,13 +27,13 @@ STEP_COLUMNS = ("loop", "at [s]", "from [N]", "to [N]", "within 5 % after [s]", 
 def run_page(found: Outcome) -> Page:
     """The page of a run."""
     content, loops, log = found.content, found.loops, found.log
-    result = headline(judged_steps(next(iter(loops.values())))) if loops else "There is no closed loop to judge."
+    result = headline(judged_steps(next(iter(loops.values())), found.reach)) if loops else "There is no closed loop to judge."
     page = Page("Hardware in the loop", result, _summary(content))
-    _tiles(page, content, found.timing, loops)
+    _tiles(page, found)
     if content["ended"]:
         page.note(f"The run ended early. {content['ended']}.")
     if loops:
-        _add_loops(page, loops, "Pitch is not measured on the rig.", content.get("limits", {}))
+        _add_loops(page, loops, "Pitch is not measured on the rig.", found.reach)
     if len(loops) > 1:
         _add_difference(page, *reversed(loops.items()))
     if log is not None and content.get("twin"):
@@ -46,10 +46,10 @@ def run_page(found: Outcome) -> Page:
     return page
 
 
-def fmu_page(plant: str, record: Record, profile: str) -> Page:
-    """The page of a run with a plant FMU in the rig's place; `plant`, `profile`: their files."""
+def fmu_page(plant: str, record: Record, profile: str, limits: Mapping[str, tuple[float, float]]) -> Page:
+    """The page of a run with a plant FMU in the rig's place; `plant`, `profile`: their files; `limits` of the commands."""
     page = Page("Hardware in the loop, with a plant FMU", f"{plant} over {profile}.")
-    _add_loops(page, {"plant FMU": record}, "", {})
+    _add_loops(page, {"plant FMU": record}, "", limits)
     return page
 
 
@@ -78,15 +78,14 @@ def replay_page(found: Replay, text: str) -> Page:
     return page
 
 
-def _add_loops(page: Page, loops: Mapping[str, Record], notes: str, limits: Mapping[str, float]) -> None:
+def _add_loops(page: Page, loops: Mapping[str, Record], notes: str, limits: Mapping[str, tuple[float, float]]) -> None:
     """The closed loops over one profile, by name, and their steps; `limits` of the commands by name, drawn if known."""
-    ends = {f"{n}_ref": (limits[f"{n}_min"], limits[f"{n}_max"]) for n in ("omega", "beta") if f"{n}_max" in limits}
-    judged = {name: judged_steps(loop) for name, loop in loops.items()}
+    judged = {name: judged_steps(loop, limits) for name, loop in loops.items()}
     first, found = next(iter(judged.items()))
     title = said(found[0], first) if found else "Thrust under a constant set-point"
     rows = max(len(loop) for loop in loops.values())
     caption = f"Thrust with its set-point, speed and pitch with their commands. {notes} {thinning(rows)}"
-    page.figure(closed_loop(loops, title, ends), caption)
+    page.figure(closed_loop(loops, title, limits), caption)
     table = [(name, *row(step)) for name, found in judged.items() for step in found]
     page.table(STEP_COLUMNS, table, f"Every change of the set-point, judged on the thrust's mean over {SPAN:g} s.")
 
@@ -172,10 +171,11 @@ def _summary(content: dict) -> str:
     )
 
 
-def _tiles(page: Page, content: dict, found: Timing | None, loops: Mapping[str, Record]) -> None:
+def _tiles(page: Page, run: Outcome) -> None:
     """What the loop did, then how it ran."""
-    for name, loop in loops.items():
-        if judged := judged_steps(loop):
+    content, found = run.content, run.timing
+    for name, loop in run.loops.items():
+        if judged := judged_steps(loop, run.reach):
             settled = [step.settling for step in judged if step.settling is not None]
             slowest = f"{number(max(settled))} s" if settled else "none"
             of = f"{len(settled)} of {len(judged)} steps settle; overshoot up to {max(s.overshoot for s in judged):.0f} %"
