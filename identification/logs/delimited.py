@@ -56,8 +56,8 @@ def read_delimited(path: str | os.PathLike, given: Mapping[str, str]) -> RawTabl
     if not body:
         raise BadInput(path, "file", f"{len(notes)} lines of comments and no other", "a table of numbers")
     read = {"encoding": encoding}
-    if (told := named_values(body, _LOOK)) and len(told[1]) > 1 and "delimiter" not in given:
-        names, data = told
+    if (pairs := named_values(body, _LOOK)) and len(pairs[1]) > 1 and "delimiter" not in given:
+        names, data = pairs
         units, delimiter, separated = [""] * len(names), "", "a name before each value"
         left_out = {"comments": len(notes), "lines without these values": len(body) - len(data)}
         named = ""
@@ -231,8 +231,9 @@ def _first_row(rows: Sequence[tuple[int, list[str]]], width: int) -> int:
     first = next(k for k, (_, cells) in enumerate(rows) if len(cells) == width and _is_data(cells))
     before = [cells for _, cells in rows[:first]]
     for k, (_, cells) in enumerate(rows[first + 1 : first + 1 + _HEAD], first + 1):
-        told = [cell for cell in cells if cell.lower() not in EMPTY]
-        if _of_width(told, width) and cells not in before and not any(map(_is_value, told)) and len(set(told)) == len(told):
+        filled = [cell for cell in cells if cell.lower() not in EMPTY]
+        names = _of_width(filled, width) and not any(map(_is_value, filled)) and len(set(filled)) == len(filled)
+        if names and cells not in before:
             more = [n for n, (_, row) in enumerate(rows[k:], k) if len(row) == width and _is_data(row)]
             first = more[0] if more else first
     return first

@@ -74,7 +74,7 @@ _WORDS = {
     "ct": "ct",
     "advance_ratio": "j advance",
 }
-"""Words of a header by quantity, the most specific first. Power is told by _ELECTRIC: a log may have that of the shaft, too."""
+"""Words of a header by quantity, the most specific first. _ELECTRIC recognises power: a log may have that of the shaft, too."""
 
 
 _MEANT_BY = {
@@ -326,14 +326,14 @@ def _meant(table: RawTable, name: str) -> tuple[str, float, list[str], str]:
         return "", 0.0, tokens, tail
     command = any(_commands(t) for t in tokens) or ("servo" in tokens and not set(tokens) & _MEASURED)
     scores = {q: _score([t for t in tokens if t not in _COMMAND], words.split()) for q, words in _WORDS.items()}
-    told_by_esc = not any(_is(t, word) for t in tokens if t != "esc" for word in _WORDS["signal"].split())
-    if scores["beta"] > 0.0 or (told_by_esc and max(scores["omega"], scores["voltage"], scores["current"]) > 0.0):
+    of_esc = not any(_is(t, word) for t in tokens if t != "esc" for word in _WORDS["signal"].split())
+    if scores["beta"] > 0.0 or (of_esc and max(scores["omega"], scores["voltage"], scores["current"]) > 0.0):
         scores["signal"] = 0.0  # "servo pwm" is no motor's, and "esc rpm" is a speed
     quantity = max(scores, key=scores.get)
     unit = table.unit(name) or ""
     if scores[quantity] <= 0.0 or (unit and quantity not in ("omega", "beta") and not _fits(quantity, unit)):
-        told = next((q for q, units in _TELLING.items() if unit in units and (q != "beta" or command)), "")
-        quantity, scores = (told, {told: 0.5}) if told else (quantity, scores)  # "target (rpm)", "T [N]"
+        stated = next((q for q, units in _TELLING.items() if unit in units and (q != "beta" or command)), "")
+        quantity, scores = (stated, {stated: 0.5}) if stated else (quantity, scores)  # "target (rpm)", "T [N]"
     score = scores[quantity]
     if score <= 0.0:
         return "", 0.0, tokens, tail

@@ -92,12 +92,6 @@ def _flag(*others: str) -> Callable:
     return lambda original, lack: (lambda: False, lambda value: value and not any(getattr(lack, name) for name in others))
 
 
-def _preferred(original, searcher, found, judge):
-    """The preference of a special case: it decides where the set of effects is another one afterwards."""
-    final = found.final
-    return lambda: None, lambda value: found.final is not final
-
-
 HERE = "identification.diagnose"
 RULES: Mapping[str, Rule] = {
     "gain above chance and form": Rule(f"{HERE}.acceptance:refusals", _reason("chance and errors of form")),
@@ -116,7 +110,7 @@ RULES: Mapping[str, Rule] = {
             lambda value: bool(value) and value[0].evidence < max(t.evidence for t in value),
         ),
     ),
-    "special case replaces": Rule(f"{HERE}.selection:_prefer_special_cases", _preferred),
+    "exchange": Rule(f"{HERE}.selection:_exchanged", _constant(False)),
     "rival with all sizes": Rule(f"{HERE}.selection:_all_on", _unchanged(2)),
     "step responses confirm a phase": Rule(f"{HERE}.validation:without", _unchanged(2)),
     "prior weighed again": Rule(f"{HERE}.search.fits:Fit.agreed", _unchanged(0)),
