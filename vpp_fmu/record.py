@@ -202,6 +202,12 @@ def held(profile: Record, dt: float) -> tuple[np.ndarray, np.ndarray]:
     return time, np.ascontiguousarray(profile["thrust_set"][rows], float)
 
 
+def digit_of(values: np.ndarray) -> float:
+    """The digit of a display: the smallest difference of two of its values (n,); 0 if there are no two."""
+    different = np.unique(values)
+    return float(np.diff(different).min()) if len(different) > 1 else 0.0
+
+
 def checked_columns(table: Table, need: Sequence[str], holes: Sequence[str] = ()) -> dict[str, np.ndarray]:
     """The table's columns. Known and needed ones are numbers within their range. BadInput, RecordWarning."""
     for name in need:

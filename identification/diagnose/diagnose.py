@@ -220,15 +220,14 @@ def diagnose(
         gate = passed(campaign, records, accept)
         library = tuple(library)
         present = (given.without_power.model.optional, library, given.without_power.values) if given else ()
-        sizes = Smallest(smallest, smallest_speed)
-        search = partial(_searched, campaign, library, pool, seed, effort, given, sizes)
+        task = _Task(campaign, library, pool, seed, effort, given, Smallest(smallest, smallest_speed))
         stage("logger")
         likely = likely_loggers(gate, *present)
-        found = search(next(likely))
+        found = _searched(task, next(likely))
         for other in islice(likely, OTHERS) if _may_be_loggers(found) else ():
             if found.verdict == "none" or not effort.allows("another logger"):
                 break
-            if _missing(again := search(other)) < _missing(found):
+            if _missing(again := _searched(task, other)) < _missing(found):
                 found = _simpler(found, again)
         known, kept = [e.name for e in library], given.without_power.model.optional if given else ()
         before: list[str] | None = None
@@ -240,8 +239,8 @@ def diagnose(
             stage("logger")
             before, again = beside, as_logged(gate, [*kept, *beside], library, found.selection.final.values)
             if not again.logger.agrees_with(found.logger, 1.0 if set(named) & set(LATE) else SIGNIFICANT):
-                found = _simpler(found, search(again))
-        done = _concluded(campaign, pool, seed, effort, given, sizes, found)
+                found = _simpler(found, _searched(task, again))
+        done = _concluded(task, found)
         return replace(done, not_tried=tuple(effort.not_tried), power=_power(done))
 
 
@@ -249,6 +248,19 @@ def _power(found: Diagnosis) -> PowerDiagnosis | None:
     """The diagnosis of power, beside the final model."""
     records, unseen = {one.name: one.record for one in found.fitted}, found.unseen and found.unseen.record
     return diagnose_power(records, unseen, found.parameters(found.final), found.noise.block)
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What is the same for every logger of a campaign."""
+
+    campaign: Campaign
+    library: tuple[Effect, ...]
+    pool: ThreadPoolExecutor
+    seed: int
+    effort: Effort
+    given: ParameterSet | None
+    smallest: Smallest
 
 
 @dataclass(frozen=True)
@@ -301,39 +313,30 @@ def _simpler(one: _Searched, other: _Searched) -> _Searched:
     return few if powers[0] <= (1.0 + FORM) * powers[1] else many
 
 
-def _searched(
-    campaign: Campaign,
-    library: tuple[Effect, ...],
-    pool: ThreadPoolExecutor,
-    seed: int,
-    effort: Effort,
-    given: ParameterSet | None,
-    smallest: Smallest,
-    gate: Passed,
-) -> _Searched:
+def _searched(task: _Task, gate: Passed) -> _Searched:
     """Search a campaign whose records passed the `gate`, corrected for its logger."""
-    effort.stage("identify")
+    task.effort.stage("identify")
     groups, unseen = roles(gate.campaign, gate.further)
     fitted = tuple(one for group in groups for one in group)
-    if given:
-        at = from_given(gate.campaign, given.without_power, library, [one.record for one in fitted])
+    if task.given:
+        at = from_given(gate.campaign, task.given.without_power, task.library, [one.record for one in fitted])
     else:
-        at = from_identification(campaign, gate, library, seed)
+        at = from_identification(task.campaign, gate, task.library, task.seed)
     options = candidates(at.library, [one.record for one in fitted])
-    effort.stage("noise")
+    task.effort.stage("noise")
     give_back()
-    searcher, base = prepared(groups, at, options, pool)
-    judge = Judge(searcher, base, smallest, gate.campaign.steps)
+    searcher, base = prepared(groups, at, options, task.pool)
+    judge = Judge(searcher, base, task.smallest, gate.campaign.steps)
     searcher.base_score_gain = judge.lack(base).score.gain
-    effort.stage("distinguishable effects")
-    distinguishable = distinguishability(base, options, at.library, pool.map)
+    task.effort.stage("distinguishable effects")
+    distinguishable = distinguishability(base, options, at.library, task.pool.map)
     give_back()
 
     def clearer(judge: Judge, fit: Fit) -> Judge | None:
         there = with_lower_noise(groups, at, judge.searcher, judge.base, fit)
-        return there and Judge(*there, smallest, gate.campaign.steps)
+        return there and Judge(*there, task.smallest, gate.campaign.steps)
 
-    judge, selection = select(judge, options, clearer, effort, pool)
+    judge, selection = select(judge, options, clearer, task.effort, task.pool)
     searcher, base = judge.searcher, judge.base
     give_back()
     before, after = (with_rotor_order(judge.lack(fit), fit) for fit in (base, selection.final))
@@ -345,7 +348,7 @@ def _searched(
         final, refuted = shipped(identified, base, selection.final, word == "partly")
     if (
         refuted
-        and effort.allows("other effects in place of the refuted")
+        and task.effort.allows("other effects in place of the refuted")
         and (others := next_valid_alternative(selection, refuted, judge, base, before, partial(shipped, identified, base)))
     ):
         (selection, after, final), refuted = others, ""
@@ -369,41 +372,33 @@ def _searched(
     )
 
 
-def _concluded(
-    campaign: Campaign,
-    pool: ThreadPoolExecutor,
-    seed: int,
-    effort: Effort,
-    given: ParameterSet | None,
-    smallest: Smallest,
-    found: _Searched,
-) -> Diagnosis:
+def _concluded(task: _Task, found: _Searched) -> Diagnosis:
     """The diagnosis from a search: a term of unknown form is learned if lack of fit remains, and the next experiment chosen."""
     at, judge, selection, after, attempt = found.at, found.judge, found.selection, found.after, Attempt()
     searcher, base, final, refuted, word = judge.searcher, judge.base, found.final, found.refuted, found.verdict
     lack = found.before if refuted else after
-    if effort.thorough and word in UNEXPLAINED and lack.significant and effort.allows("a term of unknown form"):
+    if task.effort.thorough and word in UNEXPLAINED and lack.significant and task.effort.allows("a term of unknown form"):
         besides = [base, selection.final] if word == "partly" else [base]
 
         def learned_beside(beside: Fit) -> Attempt:
-            return learn(searcher, beside, smallest, at.rig.scales, found.gate.campaign.steps, pool, effort)
+            return learn(searcher, beside, task.smallest, at.rig.scales, found.gate.campaign.steps, task.pool, task.effort)
 
         attempt, final = _learned(learned_beside, besides, judge, final, found.shipped)
     if attempt.learned:
         word, refuted, selection = "learned", "", _with(selection, attempt.learned)
         after = with_rotor_order(judge.lack(selection.final), selection.final)
     fitted = tuple(one for group in found.groups for one in group)
-    experiment, guess = discriminating_experiment(_timed(at, final), seed, fitted[0].record.period), None
+    experiment, guess = discriminating_experiment(_timed(at, final), task.seed, fitted[0].record.period), None
     if word in UNEXPLAINED:
-        tried = partial(nearest, judge, selection, found.options, effort, pool)
+        tried = partial(nearest, judge, selection, found.options, task.effort, task.pool)
         guess = best_guess(judge, selection, (found.before, after), refuted, word == "partly", tried, experiment)
     shown = predict(final.problem.model, final.values, fitted[0].record)
     return Diagnosis(
-        campaign=campaign,
+        campaign=task.campaign,
         quality=at.identification.quality if at.identification else found.gate.findings,
         logger=found.logger,
         identification=at.identification,
-        given=given,
+        given=task.given,
         rig=at.rig,
         fitted=fitted,
         base=found.base,
@@ -423,7 +418,7 @@ def _concluded(
         refuted=refuted,
         attempt=attempt,
         best_guess=guess,
-        not_tried=tuple(effort.not_tried),
+        not_tried=tuple(task.effort.not_tried),
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import solve_banded
 from scipy.sparse import csr_array, diags_array
 
-from vpp_fmu.record import Record
+from vpp_fmu.record import Record, digit_of
 from vpp_fmu.sensors import ENCODER, MARK, TELEMETRY, SpeedSensor
 
 TIMER = 4e-6
@@ -62,7 +62,7 @@ class Tachometer:
                 width = step
                 new &= (middle - 0.5 * width >= time[0]) & (middle + 0.5 * width <= time[-1])
         self.rows = np.flatnonzero(new)
-        self._shown, self.measured, since = shown[self.rows], near[self.rows], since[self.rows]
+        self._digit, self.measured, since = digit_of(shown[self.rows]), near[self.rows], since[self.rows]
         self.unknown = 0.5 * float(np.median(since)) if len(since) else 0.0
         middle, width = middle[self.rows] - self.sensor.delay, width[self.rows]
         self.std = self._uncertainty(since)
@@ -135,12 +135,11 @@ class Tachometer:
     @cached_property
     def _noise(self) -> np.ndarray:
         """(m,) rpm: from the display's digit, the timer's tick and the marks' jitter."""
-        digit = _digit(self._shown)
         tick = self.measured**2 * TIMER / 60.0 * (self.sensor.marks_per_revolution if self.sensor.kind == MARK else 1)
         # A late pulse makes one revolution longer and the next shorter: neighbours differ by sqrt 3 times the jitter.
         change = np.diff(self.measured)
         jitter = 1.4826 * np.median(np.abs(change - np.median(change))) / np.sqrt(3.0)
-        return np.sqrt((digit**2 + 2.0 * tick**2) / 12.0 + jitter**2)
+        return np.sqrt((self._digit**2 + 2.0 * tick**2) / 12.0 + jitter**2)
 
     def _uncertainty(self, step: np.ndarray) -> np.ndarray:
         """(m,) rpm: from noise, and acceleration over the unknown time `step`."""
@@ -161,19 +160,13 @@ def _renewed(time: np.ndarray, shown: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return step, (shown != shown[before]) & seen & seen[before] & (shown > 0)
 
 
-def _digit(shown: np.ndarray) -> float:
-    """rpm: the smallest difference of two values."""
-    values = np.unique(shown)
-    return float(np.min(np.diff(values))) if len(values) > 1 else 1.0
-
-
 def _near_limits(time: np.ndarray, shown: np.ndarray, new: np.ndarray, interval: np.ndarray) -> np.ndarray:
     """Speed (rows,) in the rows of new values, whose rounding is no noise: a value that changes by one digit after several
     readings, one each `interval` [s], has just crossed the limit between two roundings, by half its motion in one interval."""
     rows = np.flatnonzero(new)
     found, change = shown.copy(), np.diff(shown[rows], prepend=shown[rows[:1]])
-    digit, held = _digit(shown[rows]), np.diff(time[rows], prepend=time[0]) / interval[rows]
-    once = np.abs(change) < 1.5 * digit
+    held = np.diff(time[rows], prepend=time[0]) / interval[rows]
+    once = np.abs(change) < 1.5 * digit_of(shown[rows])
     found[rows[once]] -= (0.5 * change * np.maximum(1.0 - 1.0 / np.maximum(held, 1.0), 0.0))[once]
     return found
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from identification.gate.finding import Finding
-from vpp_fmu.record import Record
+from vpp_fmu.record import Record, digit_of
 
 FEWEST_ROWS = 200
 SHORTEST = 2.0
@@ -119,7 +119,7 @@ def _equal(record: Record) -> Iterator[Fault]:
         return
     first, length = runs_of_equals(thrust)
     usual = length[length <= max(np.quantile(length, 0.99), 1.0)]  # without the longest runs, which may be faults
-    common, digit, moved = 1.0 - len(usual) / usual.sum(), np.min(np.diff(np.unique(thrust))), _rows_since_move(record)[seen]
+    common, digit, moved = 1.0 - len(usual) / usual.sum(), digit_of(thrust), _rows_since_move(record)[seen]
     rows = {"clipped": np.zeros(len(record), bool), "frozen": np.zeros(len(record), bool)}
     for k in np.flatnonzero(length > _longest(common, len(thrust))):
         begin, end = first[k], first[k] + length[k]
@@ -181,9 +181,7 @@ def _spikes(record: Record, column: str, unit: str, at: np.ndarray) -> Iterator[
     course = median_filter(y, NEIGHBOURS, mode="nearest")
     off = y - course
     noise = np.repeat([1.4826 * np.median(np.abs(off[k : k + LOCAL])) for k in range(0, len(y), LOCAL)], LOCAL)[: len(y)]
-    values = np.unique(y)
-    digit = float(np.min(np.diff(values))) if len(values) > 1 else 0.0
-    limit = np.maximum(SPIKE * np.maximum(noise, digit), JUMP * np.quantile(np.abs(np.diff(course)), 0.98))
+    limit = np.maximum(SPIKE * np.maximum(noise, digit_of(y)), JUMP * np.quantile(np.abs(np.diff(course)), 0.98))
     far = np.abs(off) > limit
     if column == "omega":  # a lost pulse changes one value; an oscillating rotor has intermediate neighbours
         jump = np.abs(np.diff(y, prepend=y[0], append=y[-1]))
@@ -217,7 +215,7 @@ def _speed(record: Record) -> Iterator[Fault]:
         return
     first, length = runs_of_equals(shown)
     alone = record.with_columns(beta_ref=np.zeros(len(record)))
-    moved, touched = (_rows_since_move(alone, least)[seen] for least in (None, float(np.min(np.diff(np.unique(shown))))))
+    moved, touched = (_rows_since_move(alone, least)[seen] for least in (None, digit_of(shown)))
     stuck, usual = np.zeros(len(record), bool), float(np.median(length))
     least = usual * _longest(0.0, len(length))
     for begin, many in zip(first, length, strict=True):

@@ -13,7 +13,7 @@ from identification.gate.sensors import runs_of_equals
 from identification.logs.clock import GAP, gaps
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.digits import number
-from vpp_fmu.record import Record
+from vpp_fmu.record import Record, digit_of
 from vpp_fmu.rig import infer_rig
 
 HELD = 3
@@ -64,8 +64,7 @@ def read_once(record: Record) -> tuple[Record, list[str]]:
     equal = float(np.median([np.mean(part) for part in np.array_split(np.diff(thrust) == 0.0, PARTS)]))
     if len(change) < 2 or equal < REPEATED:
         return record, []
-    digit = float(np.min(np.diff(np.unique(thrust))))
-    by_chance = digit / (np.sqrt(2.0 * np.pi) * 1.4826 * float(np.median(change)))
+    by_chance = digit_of(thrust) / (np.sqrt(2.0 * np.pi) * 1.4826 * float(np.median(change)))
     if equal < BY_CHANCE * by_chance:
         return record, []
     usual = float(np.median(length))

@@ -30,13 +30,13 @@ def said_of_speed(record: Record) -> list[str]:
     if "omega" not in record:
         return []
     settle = min(SETTLE, 0.5 * typical_hold(record))
-    follows = np.where(np.isfinite(record["thrust"]), _followed(record), np.nan)
-    pairs = zip(resting(record, settle), resting(record.with_columns(thrust=follows), settle), strict=True)
+    followed = record.with_columns(omega=np.where(np.isfinite(record["omega"]), _followed(record), np.nan))
+    pairs = zip(resting(record, settle), resting(followed, settle), strict=True)
     held = [(s, f) for s, f in pairs if len(s.omega) > 1 and s.omega_ref > 0.0 and s.omega.std() < UNSTEADY * s.omega.mean()]
     if not held:
         return []
     found = [s for s, _ in held]
-    command, beta = np.array([f.thrust.mean() for _, f in held]), np.array([s.beta_ref for s in found])
+    command, beta = np.array([f.omega.mean() for _, f in held]), np.array([s.beta_ref for s in found])
     omega, thrust = (np.array([getattr(s, name).mean() for s in found]) for name in ("omega", "thrust"))
     misfit = float(np.sqrt(np.mean((command - omega) ** 2)))
     scatter = float(np.sqrt(np.mean([s.omega.var() for s in found])))
