@@ -9,7 +9,7 @@ Each end of a linear interval is checked. If the root of the cost's increase is 
 the end is kept; else it is searched. A check takes one evaluation: a Gauss-Newton step replaces the refit of the others.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,9 +38,16 @@ NOTHING = 1e-20
 _BLAS = ThreadpoolController()
 
 
-def profiled(problem: Problem, found: Solution, uncertainty: Uncertainty, others: Sequence[Solution] = ()) -> Uncertainty:
+def profiled(
+    problem: Problem,
+    found: Solution,
+    uncertainty: Uncertainty,
+    others: Sequence[Solution] = (),
+    only: Container[str] | None = None,
+) -> Uncertainty:
     """`uncertainty` of a solution, with ends of its 95 % intervals from the profile if the linear ones are wrong.
 
+    `only`: the parameters to check; None: all.
     An interval ends at a parameter's bound if the cost does not reach the target before. It includes `others`, solutions of
     other searches, whose cost is below the target: a profile starts from one optimum, and few data may have several. For data
     without noise the result is `uncertainty`.
@@ -51,6 +58,8 @@ def profiled(problem: Problem, found: Solution, uncertainty: Uncertainty, others
         optimum = _optimum(problem, found, uncertainty)
         reach, names = np.abs(uncertainty.intervals - uncertainty.values[:, None]), []
         for k, name in enumerate(uncertainty.names):
+            if only is not None and name not in only:
+                continue
             profile = Profile(optimum, k)
             ends = [profile.end(side, linear) for side, linear in zip((-1.0, 1.0), reach[k], strict=True)]
             for other in others:

@@ -23,7 +23,6 @@ from identification.diagnose.search.refits import (
     evidence_over,
 )
 from identification.fit.bands import starts
-from identification.fit.uncertainty import NORMAL_95
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.record import Record
 
@@ -137,13 +136,12 @@ def _may_be_off(fit: Fit, effect: Effect) -> str:
     empty."""
     sizes = {effect.full(name): off for name, off in (effect.off or {}).items()}
     sizes = {name: off for name, off in sizes.items() if name in fit.free}
-    std, intervals = fit.std(), []
-    if not sizes or any(std[name] is None for name in sizes):  # only a combination of sizes is known, and it is not "off"
+    known, intervals = fit.intervals(), []
+    if not sizes or not sizes.keys() <= known.keys():  # only a combination of sizes is known, and it is not "off"
         return ""
     for name, off in sizes.items():
-        half = NORMAL_95 * std[name]
-        low, high = fit.thresholds.get(name, (fit.values[name] - half, fit.values[name] + half))
-        if not low <= off <= high or half == 0.0:
+        low, high = known[name]
+        if not low <= off <= high or low == high:
             return ""
         intervals.append(f"{name} {fit.values[name]:.3g} (95 %: {low:.3g} to {high:.3g})")
     return f"its size may be zero: {', '.join(intervals)}"

@@ -11,6 +11,7 @@ from itertools import product
 
 import numpy as np
 
+from identification.assessment.profile import profiled
 from identification.diagnose.search.rounding import settle
 from identification.diagnose.search.threshold import NEAR, WHOLE, piecewise_constant, scan
 from identification.fit.coordinates import regular_start
@@ -131,8 +132,19 @@ class Fit:
 
     @cached_property
     def uncertainty(self) -> Uncertainty:
-        """Uncertainty of the smooth parameters, and those that are not identifiable."""
-        return self.estimate or uncertainty(self.problem, self.problem.with_rows(self.solution))
+        """Uncertainty of the smooth parameters, and those that are not identifiable.
+
+        If a linear 95 % interval includes the value that switches an effect off, it is checked by the profile likelihood."""
+        solution = self.problem.with_rows(self.solution)
+        found = self.estimate or uncertainty(self.problem, solution)
+        if found.names != self.problem.coordinates.names:  # some values are of another fit
+            return found
+        off = {e.full(name): value for e in self.problem.model.effects for name, value in (e.off or {}).items()}
+        ends = zip(found.names, found.intervals.tolist(), strict=True)
+        unsure = [
+            name for name, (low, high) in ends if name in off and low <= off[name] <= high and name not in found.left_open
+        ]
+        return profiled(self.problem, solution, found, only=unsure) if unsure else found
 
     def std(self) -> dict[str, float | None]:
         """Standard errors of all fitted parameters; None if not identifiable. A threshold's follows from its interval."""
@@ -140,6 +152,11 @@ class Fit:
             self.uncertainty.left_open
         )
         return found | {n: (high - low) / (2.0 * NORMAL_95) for n, (low, high) in self.thresholds.items()}
+
+    def intervals(self) -> dict[str, tuple[float, float]]:
+        """95 % intervals of the identifiable parameters."""
+        found = zip(self.uncertainty.names, map(tuple, self.uncertainty.intervals.tolist()), strict=True)
+        return {n: ends for n, ends in found if n not in self.uncertainty.left_open} | dict(self.thresholds)
 
     def leaves_open(self, effect: Effect) -> bool:
         """Whether any of an effect's parameters is not identifiable."""

@@ -159,7 +159,8 @@ def _effect(found: Diagnosis, name: str) -> dict:
     units = {p.name: p.unit for p in fit.problem.model.parameters}
     own = [n for n in (*fit.free, *fit.forms) if n.startswith(f"{name}.")]
     values = {n.partition(".")[2]: {"value": fit.values[n], "std": std.get(n), "unit": units[n]} for n in own}
-    intervals = {n.partition(".")[2]: list(i) for n, i in fit.thresholds.items() if n.startswith(f"{name}.")}
+    searched = {*fit.thresholds, *fit.uncertainty.profiled}  # the others are from the standard error
+    intervals = {n.partition(".")[2]: list(i) for n, i in fit.intervals().items() if n in searched and n in own}
     for parameter, (seconds, times) in reached(fit, name).items():
         values[parameter] |= {"acts_seconds": seconds, "acts_times": times}
     found_in = {"artefact": text} if (text := artefact(found, name)) else {}
