@@ -23,7 +23,6 @@ from identification.diagnose.search.refits import (
     evidence_over,
 )
 from identification.fit.bands import starts
-from vpp_fmu.kernel.types import Effect
 from vpp_fmu.record import Record
 
 
@@ -62,8 +61,6 @@ class Judge:
         size, least, material = self._size(with_it, without, declared.common)
         carries_over = bool(declared.common) or self._carries_over(with_it, without)
         refused = refusals(likelihood_gain, needed, evidence, gain, more, material, carries_over)
-        if not refused and (unsure := _may_be_off(with_it, declared)):
-            refused.append(unsure)
         return Judgement(effect, float(likelihood_gain), needed, float(evidence), gain, size, least, tuple(refused))
 
     def likelihood_gain(self, with_it: Fit, without: Fit) -> tuple[dict[str, float], float]:
@@ -111,8 +108,7 @@ class Judge:
     def matters(self, effect: str, fit: Fit) -> bool:
         """Whether an effect reaches the minimum size, all other parameters held."""
         declared = next(e for e in fit.problem.model.effects if e.name == effect)
-        off = {declared.full(name): value for name, value in (declared.off or {}).items()}
-        return self._size(fit, replace(fit, values={**fit.values, **off}), declared.common)[-1]
+        return self._size(fit, replace(fit, values={**fit.values, **declared.switched_off}), declared.common)[-1]
 
     def _size(self, with_it: Fit, without: Fit, common: float) -> tuple[float, float, bool]:
         """(rms change of the thrust [N]; the minimum size; whether the change of thrust or of speed reaches its minimum)."""
@@ -129,22 +125,6 @@ class Judge:
             floor = max(e.noise.floor for e in self.searcher.experiments)
             return _rms(rows), float(np.sqrt(common)) * floor, _rms(rows) ** 2 >= common * floor**2
         return size, least, size >= least or (bool(speed) and _rms(speed) >= self.least_speed())
-
-
-def _may_be_off(fit: Fit, effect: Effect) -> str:
-    """The reason to reject an effect if the 95 % interval of each of its sizes includes the value that switches it off; else
-    empty."""
-    sizes = {effect.full(name): off for name, off in (effect.off or {}).items()}
-    sizes = {name: off for name, off in sizes.items() if name in fit.free}
-    known, intervals = fit.intervals(), []
-    if not sizes or not sizes.keys() <= known.keys():  # only a combination of sizes is known, and it is not "off"
-        return ""
-    for name, off in sizes.items():
-        low, high = known[name]
-        if not low <= off <= high or low == high:
-            return ""
-        intervals.append(f"{name} {fit.values[name]:.3g} (95 %: {low:.3g} to {high:.3g})")
-    return f"its size may be zero: {', '.join(intervals)}"
 
 
 def predicted_rows(fit: Fit, experiment) -> np.ndarray:

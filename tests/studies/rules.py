@@ -99,7 +99,6 @@ RULES: Mapping[str, Rule] = {
     "cross-validation gains": Rule(f"{HERE}.acceptance:refusals", _reason("cross-validation gains nothing")),
     "thrust not worse": Rule(f"{HERE}.acceptance:refusals", _reason("thrust is predicted worse")),
     "size": Rule(f"{HERE}.acceptance:refusals", _reason("below the least size of interest")),
-    "size excludes off": Rule(f"{HERE}.acceptance:_may_be_off", _constant("")),
     "noise again from a fit": Rule(f"{HERE}.diagnose:with_lower_noise", _constant(None)),
     "noise again at the start": Rule(f"{HERE}.initial_model:with_lower_noise", _constant(None)),
     "second start": Rule(f"{HERE}.selection:_next_best", _constant(None)),

@@ -170,6 +170,11 @@ class Effect:
         """The name outside the effect: bare for what is always present, else `<effect>.<name>`."""
         return name if self.off is None else f"{self.name}.{name}"
 
+    @property
+    def switched_off(self) -> dict[str, float]:
+        """`off` by full names; empty for what is always present."""
+        return {self.full(name): value for name, value in (self.off or {}).items()}
+
 
 @dataclass(frozen=True)
 class Model:

@@ -109,7 +109,7 @@ class Fit:
         model, off = self.problem.model, {}
         for e in model.effects:
             if e.name in self.effects:
-                off |= {e.full(name): value for name, value in (e.off or {}).items()}
+                off |= e.switched_off
         return any(
             abs(_settled(model, self.values, at) - _settled(model, self.values | off, at))
             > NOTHING * self.values["thrust_scale"]
@@ -134,16 +134,15 @@ class Fit:
     def uncertainty(self) -> Uncertainty:
         """Uncertainty of the smooth parameters, and those that are not identifiable.
 
-        If a linear 95 % interval includes the value that switches an effect off, it is checked by the profile likelihood."""
+        If the linear 95 % interval of an effect's only size includes "off", the profile likelihood gives it."""
         solution = self.problem.with_rows(self.solution)
         found = self.estimate or uncertainty(self.problem, solution)
         if found.names != self.problem.coordinates.names:  # some values are of another fit
             return found
-        off = {e.full(name): value for e in self.problem.model.effects for name, value in (e.off or {}).items()}
+        sizes = [e.switched_off for e in self.problem.model.effects if len(e.switched_off) == 1]
+        off = {name: value for size in sizes for name, value in size.items()}
         ends = zip(found.names, found.intervals.tolist(), strict=True)
-        unsure = [
-            name for name, (low, high) in ends if name in off and low <= off[name] <= high and name not in found.left_open
-        ]
+        unsure = {name for name, (low, high) in ends if name in off and low <= off[name] <= high} - {*found.left_open}
         return profiled(self.problem, solution, found, only=unsure) if unsure else found
 
     def std(self) -> dict[str, float | None]:
@@ -212,7 +211,7 @@ class Searcher:
         self._fits: dict[tuple, Fit] = {}
         self.base_score_gain = 0.0  # log-likelihood gain of generic regressors beside the base
         self.points = 0  # the largest number of points screened in one round
-        self._off = {effect.full(name): value for effect in self.library for name, value in (effect.off or {}).items()}
+        self._off = {name: value for effect in self.library for name, value in effect.switched_off.items()}
 
     def fit(
         self,
