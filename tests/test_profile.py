@@ -5,15 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from scipy.stats import chi2
 from studies.synthetic import commands, measured
 
 from identification.assessment.profile import profiled
+from identification.diagnose.search.fits import Searcher
 from identification.fit.coordinates import Coordinates
+from identification.fit.experiment import Experiment
 from identification.fit.least_squares import solve
+from identification.fit.noise import independent
 from identification.fit.refine import BASE_PARAMETERS, refine
 from identification.fit.uncertainty import NORMAL_95, Uncertainty
-from vpp_fmu.kernel.plant import AVERAGED, BASE
+from identification.roles import Fitted
+from vpp_fmu.kernel.plant import AVERAGED, BASE, LIBRARY, plant
 from vpp_fmu.kernel.types import Effect, Model, Parameter
+from vpp_fmu.native import Simulator
+from vpp_fmu.record import Record
 
 
 class Level:
@@ -190,3 +197,23 @@ def test_a_profile_is_cheap(near_double_pole):
     profiled(found.problem, found.solution, found.uncertainty)
     del found.problem.rows
     assert count < 100
+
+
+@pytest.mark.parametrize("seed", [0, 3, 5])
+@pytest.mark.parametrize("noise", [0.08, 0.15, 0.3])
+def test_the_interval_of_a_size_includes_off_where_the_likelihood_ratio_does(seed, noise):
+    """Beside two pitch lags, a weak inflow lag is far from linear: the linear interval includes 0 at a ratio of 7 nats."""
+    rng, time = np.random.default_rng(seed), 0.04 * np.arange(1500)
+    columns = {"time": time, "omega_ref": np.full(1500, 5000.0), "beta_ref": np.repeat(rng.uniform(0.0, 9.0, 60), 25)}
+    true = {"inflow_lag.gain": 0.4, "inflow_lag.time_constant": 0.15, "inflow_lag.form": 1.0}
+    model = plant(["inflow_lag"])
+    shown = Simulator(model).simulate(model.values(true), columns, np.diff(time))[:, 0]
+    record = Record(columns | {"thrust": shown + noise * rng.standard_normal(1500)}, "record")
+    names, values = ["tau_beta_1", "tau_beta_2", "c20", "c11"], plant().values()
+    searcher = Searcher([Experiment([Fitted("record", record)], independent(15.0))], names, None, values, LIBRARY)
+    free = ["inflow_lag.gain", "inflow_lag.time_constant"]
+    found = searcher.fit(["inflow_lag"], {"inflow_lag.form": 1.0}, free, {**values, **true})
+    ratio = searcher.fit([], {}, [], values).deviance - found.deviance
+    low, _ = found.intervals()["inflow_lag.gain"]
+    # The interval's residual variance is estimated: near the limit, either is right.
+    assert (low > 0.0) == (ratio > chi2.ppf(0.95, 1)) or abs(ratio / chi2.ppf(0.95, 1) - 1.0) < 0.1
