@@ -1,14 +1,13 @@
 """python -m tests.studies rules: what each rule of a diagnosis is worth.
 
-Each case of the study `diagnosis` runs with all rules, and then without one of them in turn, unless the rule decided nothing in
-the case. The table counts the cases in which a rule decided, and those in which the verdict or the names differ without it:
-right to wrong, wrong to right, or neither. A rule that changes no verdict can be deleted.
+Each case of the study `diagnosis` runs with all rules, and then without each rule that decided something in the case. The table
+counts the cases in which a rule decided, those that ran without it, and those in which the verdict or the names then differ:
+right to wrong, wrong to right, or neither. A rule that decides in no case, or that changes no verdict, can be deleted.
 """
 
 import argparse
 import importlib
 import json
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -138,6 +137,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
     diagnosis.configure(parser)
     parser.set_defaults(output="out/rules.jsonl", limit=3600.0)
     parser.add_argument("--rules", default=",".join(RULES), metavar="A,B", help="to remove (default: all)")
+    parser.add_argument(
+        "--removals", type=int, metavar="N", help="cases to run without each rule, of those in which it decides (default: all)"
+    )
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A case, and the rule to remove; None: all rules apply."""
+
+    case: Case
+    rule: str | None = None
+
+    def summary(self) -> dict:
+        """That of the case, and the rule."""
+        return self.case.summary() | {"without": self.rule}
 
 
 def main(arguments: list[str]) -> None:
@@ -146,73 +160,63 @@ def main(arguments: list[str]) -> None:
     configure(parser)
     options = parser.parse_args(arguments)
     path = Path(options.output)
-    rows = diagnosis.read(path)
+    found = {_key(row): row for row in diagnosis.read(path)}
     if not options.only_table:
         path.parent.mkdir(parents=True, exist_ok=True)
-        done, asked = {row["name"] for row in rows}, options.rules.split(",")
-        todo = [Asked(case, asked) for case in diagnosis.chosen(options) if case.name not in done]
+        cases = diagnosis.chosen(options)
         with path.open("a") as file:
-            for row in diagnosis.rows(todo, options.workers, options.threads, options.limit, work=ablated):
-                rows.append(row)
-                file.write(json.dumps(row) + "\n")
-                file.flush()
-    print(table(rows))
+
+            def run(asked: Sequence[Asked]) -> None:
+                missing = [one for one in asked if _key(one.summary()) not in found]
+                for row in diagnosis.rows(missing, options.workers, options.threads, options.limit, work=outcome):
+                    file.write(json.dumps(row) + "\n")
+                    file.flush()
+                    found[_key(row)] = row
+
+            run([Asked(case) for case in cases])
+            for rule in options.rules.split(","):
+                decided = [case for case in cases if rule in found[_key(Asked(case).summary())].get("decided", ())]
+                run([Asked(case, rule) for case in decided[: options.removals]])
+    print(scores.tables([row for row in found.values() if row["without"] is None]), table(list(found.values())), sep="\n\n")
 
 
-@dataclass(frozen=True)
-class Asked:
-    """A case, and the rules to remove."""
-
-    case: Case
-    rules: Sequence[str]
-
-    def summary(self) -> dict:
-        """That of the case."""
-        return self.case.summary()
+def _key(row: dict) -> tuple:
+    return row["name"], row["without"]
 
 
-def ablated(asked: Asked, threads: int) -> dict:
-    """The outcome of a case, and `without`: by rule that decided something, the outcome without it."""
+def outcome(asked: Asked, threads: int) -> dict:
+    """The outcome of a case. With all rules, `decided` lists those that decided something."""
     decided: set[str] = set()
     with ExitStack() as stack:
-        for name in asked.rules:
-            stack.enter_context(RULES[name].observed(lambda name=name: decided.add(name)))
-        row = diagnosis.outcome(asked.case, threads, LIBRARY)
-    row["without"] = {}
-    for name in (name for name in asked.rules if name in decided):
-        began = time.perf_counter()
-        with RULES[name].removed():
-            try:
-                other = diagnosis.outcome(asked.case, threads, LIBRARY)
-            except Exception as error:  # without a rule anything may happen: the table says so
-                other = row | {"verdict": f"{type(error).__name__}: {error}"}
-        kept = ("verdict", "effects", "family", "true_error")
-        row["without"][name] = {key: other[key] for key in kept} | {"seconds": time.perf_counter() - began}
-    return row
+        if asked.rule is None:
+            for name, rule in RULES.items():
+                stack.enter_context(rule.observed(lambda name=name: decided.add(name)))
+            return diagnosis.outcome(asked.case, threads, LIBRARY) | {"without": None, "decided": sorted(decided)}
+        stack.enter_context(RULES[asked.rule].removed())
+        try:
+            return diagnosis.outcome(asked.case, threads, LIBRARY) | {"without": asked.rule}
+        except Exception as error:  # without a rule anything may happen: the table says so
+            nothing = {"failed": None, "verdict": type(error).__name__, "effects": [], "family": {}, "seconds": 0.0}
+            return asked.summary() | nothing
 
 
 def table(rows: Sequence[dict]) -> str:
     """One line a rule."""
-    good = [row for row in rows if not row["failed"]]
-    lines = [f"{len(good)} cases, {len(rows) - len(good)} not done", ""]
-    lines += [
-        "| rule | decided | verdict or names differ | worse without | better without | seconds, ratio |",
-        "| --- |" + " --- |" * 5,
-    ]
+    found = {_key(row): row for row in rows if not row["failed"]}
+    all_rules = [row for row in found.values() if row["without"] is None]
+    lines = [f"{len(all_rules)} cases with all rules, {len(rows) - len(found)} runs failed", ""]
+    heads = "rule", "decided", "removed", "verdict or names differ", "worse without", "better without", "seconds, ratio"
+    lines += [f"| {' | '.join(heads)} |", "| --- |" + " --- |" * (len(heads) - 1)]
     for name in RULES:
-        pairs = [(row, row | row["without"][name]) for row in good if name in row["without"]]
+        decided = [row for row in all_rules if name in row["decided"]]
+        pairs = [(row, found[row["name"], name]) for row in decided if (row["name"], name) in found]
         changed = [(old, new) for old, new in pairs if _said(old) != _said(new)]
         worse = [old["name"] for old, new in changed if _fine(old) and not _fine(new)]
         better = [old["name"] for old, new in changed if _fine(new) and not _fine(old)]
         ratio = sum(new["seconds"] for _, new in pairs) / sum(old["seconds"] for old, _ in pairs) if pairs else 1.0
-        cells = (
-            name,
-            len(pairs),
-            len(changed),
-            f"{len(worse)} {', '.join(worse[:4])}",
-            f"{len(better)} {', '.join(better[:4])}",
-        )
-        lines.append("| " + " | ".join(map(str, cells)) + f" | {ratio:.2f} |")
+        named = (f"{len(names)} {', '.join(names[:4])}".rstrip() for names in (worse, better))
+        cells = (name, len(decided), len(pairs), len(changed), *named, f"{ratio:.2f}")
+        lines.append(f"| {' | '.join(map(str, cells))} |")
     return "\n".join(lines)
 
 
