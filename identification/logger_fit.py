@@ -8,7 +8,7 @@ Effects of a rig delay its response. There are three delays: from each command t
 measured speed. The smallest is the logger's; the excess of the others belongs to the sensor or the rig.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -107,19 +107,21 @@ ALL_DELAYS = tuple(f"{name}.delay" for name in DELAYS.values())
 
 
 @threadpool_limits.wrap(limits=1)  # threads do not help with ten columns
-def as_logged(gate: Passed, effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, values=None) -> Passed:
+def as_logged(
+    gate: Passed, effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, values=None, each: Callable = map
+) -> Passed:
     """The first of `likely_loggers`."""
-    return next(likely_loggers(gate, effects, library, values))
+    return next(likely_loggers(gate, effects, library, values, each))
 
 
 def likely_loggers(
-    gate: Passed, effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, values=None
+    gate: Passed, effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, values=None, each: Callable = map
 ) -> Iterator[Passed]:
     """The records that passed the gate, corrected for their logger and without run-ins: for the most likely logger first, then
     for others that are not distinguished from it.
 
     The logger is estimated from the fitted records, beside `effects` of a `library` at `values`. Without records it is the
-    contract's, and run-ins are not searched."""
+    contract's, and run-ins are not searched. `each`: as `map`, for fits that may run in parallel."""
     campaign, declared = gate.campaign, gate.campaign.rig.sensor
     if not any((campaign.open_loop, campaign.repeat, campaign.validation, *gate.further.values())):
         found = Logger(sensor=SpeedSensor(**declared) if "kind" in declared else SpeedSensor())
@@ -135,7 +137,7 @@ def likely_loggers(
         before, settled = settled, gate.without_run_ins(of.run_in)
         if {(f.code, f.where) for f in settled.findings} == {(f.code, f.where) for f in before.findings}:
             break
-    for found in of.loggers():
+    for found in of.loggers(each):
         yield replace(settled.changed(found.applied), logger=found)
 
 
@@ -187,7 +189,7 @@ class _Estimate:
         outputs = Simulator(self._model).simulate(self.values, *shown.run)
         return run_in(shown, outputs, slowest(self.values, self._names))
 
-    def loggers(self) -> Iterator[Logger]:
+    def loggers(self, each: Callable = map) -> Iterator[Logger]:
         """The most likely logger, then others that are not distinguished from it.
 
         Each sensor is fitted roughly with one offset of all readings, the best ones in full. A sensor is rejected if another
@@ -197,9 +199,10 @@ class _Estimate:
         if not self._measured:
             yield from self._loggers_of(start)
             return
-        fits = [_SensorFit(self, *one, start, tied=True).solved(ROUGH) for one in self._hypotheses()]
+        fits = list(each(lambda one: _SensorFit(self, *one, start, tied=True).solved(ROUGH), self._hypotheses()))
         scores = _scores(fits)
-        near = [fit.solved(FULL) for fit, score in zip(fits, scores, strict=True) if score > max(scores) - NEAR]
+        near = [fit for fit, score in zip(fits, scores, strict=True) if score > max(scores) - NEAR]
+        near = list(each(lambda fit: fit.solved(FULL), near))
         near = [fit for fit in near if not any(other.fits_thrust_better_than(fit) for other in near)]
         scores = _scores(near)
         likely = [(s, fit) for s, fit in zip(scores, near, strict=True) if s >= max(scores) - NOT_DISTINGUISHED]

@@ -222,7 +222,7 @@ def diagnose(
         present = (given.without_power.model.optional, library, given.without_power.values) if given else ()
         task = _Task(campaign, library, pool, seed, effort, given, Smallest(smallest, smallest_speed))
         stage("logger")
-        likely = likely_loggers(gate, *present)
+        likely = likely_loggers(gate, *present, each=pool.map)
         found = _searched(task, next(likely))
         for other in islice(likely, OTHERS) if _may_be_loggers(found) else ():
             if found.verdict == "none" or not effort.allows("another logger"):
@@ -237,7 +237,7 @@ def diagnose(
             if not named or beside == before or not effort.allows(f"another logger beside {' + '.join(named)}"):
                 continue
             stage("logger")
-            before, again = beside, as_logged(gate, [*kept, *beside], library, found.selection.final.values)
+            before, again = beside, as_logged(gate, [*kept, *beside], library, found.selection.final.values, pool.map)
             if not again.logger.agrees_with(found.logger, 1.0 if set(named) & set(LATE) else SIGNIFICANT):
                 found = _simpler(found, _searched(task, again))
         done = _concluded(task, found)

@@ -20,7 +20,10 @@ from vpp_fmu.record import Record
 from vpp_fmu.tracer import LANES
 
 LEVELS = 128
-"""Levels that are used, those held longest. On a ramp each is held for one row, without information."""
+"""Maximum number of levels that are used, those held longest."""
+
+BRIEF = 0.125 / LEVELS
+"""Share of the rows up to which a level is left out, as those of a ramp: they hold little information."""
 
 NUDGE = 0.01
 """Share of the command's range by which a level is perturbed."""
@@ -61,7 +64,9 @@ class Rounding:
         self._largest = next(p.maximum for p in effect.parameters if p.name == parameter)
         seen = np.concatenate([r[command] for r in records])
         levels, rows = np.unique(seen[np.isfinite(seen)], return_counts=True)
-        kept = np.sort(np.argsort(-rows, kind="stable")[:LEVELS])
+        longest = np.argsort(-rows, kind="stable")[:LEVELS]
+        held = longest[rows[longest] > BRIEF * rows.sum()]
+        kept = np.sort(held if len(held) else longest)
         self._levels, self._from = levels[kept], rounded(levels[kept], step)
         nudge, held = NUDGE * max(float(np.ptp(levels)), self._largest), {self.name: 0.0}
         executed = [r.columns | {command: rounded(r[command], step)} for r in records]

@@ -74,8 +74,10 @@ class Screening:
                 )
 
     def at(self, candidate: Candidate) -> ScreeningResult:
-        """The best result for a candidate, over the points of linearisation."""
-        found = [ScreeningResult(*model.at(candidate), order) for model, order in self._models]
+        """The best result for a candidate, over the points of linearisation. The order of the pitch lags has no influence on an
+        effect of another channel."""
+        models = self._models if "beta" in candidate.effect.channels else self._models[:2]
+        found = [ScreeningResult(*model.at(candidate), order) for model, order in models]
         return replace(max(found, key=lambda each: each.likelihood_gain), points=sum(each.points for each in found))
 
 
