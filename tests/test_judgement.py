@@ -163,10 +163,42 @@ def test_the_order_of_effects_is_tried_again_beside_the_whole_set(monkeypatch, b
     monkeypatch.setattr(selection, "_near", lambda found, effect: near if effect in worth else [])
     monkeypatch.setattr(selection, "_in_place", lambda searcher, rest, tried: fits[tried.candidate.name])
     monkeypatch.setattr(selection, "evidence_over", lambda fit, other: fit.worth - other.worth)
+    monkeypatch.setattr(selection, "_pruned", lambda searcher, base, one, judge: (one, {}))
     found, judge = selection.Selection(fits["limits"], fits["limits"]), lambda *_: SimpleNamespace(refused=())
     while selection._exchanged(None, found, judge, SimpleNamespace(map=map)):
         pass
     assert found.final.effects == (name, "wake")
+
+
+def weighed(effect, evidence, size):
+    return Judgement(effect, evidence + 5.0, 5.0, evidence, {}, size, 0.1, material=size >= 0.1)
+
+
+@pytest.mark.parametrize(("size", "kept"), [(0.2, ("band", "clock")), (0.01, ("band",))])
+def test_an_effect_that_became_too_small_beside_another_is_dropped(monkeypatch, size, kept):
+    """The clock has evidence either way: below the minimum size it leaves the set, and takes nothing with it."""
+    monkeypatch.setattr(selection, "without", lambda searcher, base, fit, name: SimpleNamespace(effects=fit.effects[:1]))
+    whole, evidence, sizes = (
+        SimpleNamespace(effects=("band", "clock")),
+        {"band": 1500.0, "clock": 14.0},
+        {"band": 0.3, "clock": size},
+    )
+    judge = lambda name, fit, rest: weighed(name, evidence[name], sizes[name])  # noqa: E731
+    found, _ = selection._pruned(None, None, whole, judge)
+    assert found.effects == kept
+
+
+def test_the_rest_of_a_refuted_set_is_judged_by_itself(monkeypatch):
+    monkeypatch.setattr(selection, "without", lambda searcher, base, fit, name: SimpleNamespace(effects=("band",)))
+    monkeypatch.setattr(selection, "_rivals", lambda *_: {})
+    judge = lambda name, fit, rest: weighed(name, 1490.0, 0.3)  # noqa: E731
+    judge.searcher = None
+    judged = {"band": weighed("band", 1500.0, 0.3), "clock": weighed("clock", 14.0, 0.2)}
+    whole = selection.Selection(None, SimpleNamespace(effects=("band", "clock")), judgements=judged)
+    fewer = selection.without_weakest(judge, whole, "it is predicted worse", None)
+    assert fewer.final.effects == ("band",)
+    assert fewer.refused["clock"].refused == ("it is predicted worse",)
+    assert fewer.judgements["band"].evidence == 1490.0
 
 
 def test_two_effects_are_found_where_a_third_alone_looks_better_than_either(monkeypatch):

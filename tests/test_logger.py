@@ -369,12 +369,12 @@ def test_the_logger_is_estimated_beside_effects_that_resemble_an_offset_too(monk
     beside, offsets = [], {("drift",): 0.0, ("drift", "inflow_lag"): -1.0}
     diagnoses = {0.0: Found(("drift", "inflow_lag", "row_clock"), 0.0), -1.0: Found(("drift", "inflow_lag"), -1.0)}
 
-    def estimated(gate, effects, library, values):
+    def estimated(gate, effects, library, values, each):
         beside.append(tuple(effects))
         return SimpleNamespace(logger=Logger(offsets[tuple(effects)], 0.1, period=0.01))
 
     monkeypatch.setattr(diagnosing, "passed", lambda *_: None)
-    monkeypatch.setattr(diagnosing, "likely_loggers", lambda *_: iter([SimpleNamespace(logger=Logger(0.0))]))
+    monkeypatch.setattr(diagnosing, "likely_loggers", lambda *_, **each: iter([SimpleNamespace(logger=Logger(0.0))]))
     monkeypatch.setattr(diagnosing, "as_logged", estimated)
     monkeypatch.setattr(diagnosing, "_may_be_loggers", lambda found: False)
     monkeypatch.setattr(diagnosing, "_searched", lambda *given: diagnoses[given[-1].logger.rows])

@@ -32,7 +32,7 @@ from identification.diagnose.locate import locate
 from identification.diagnose.search.candidates import Candidate, candidates
 from identification.diagnose.search.fits import Fit
 from identification.diagnose.search.refits import evidence_over
-from identification.diagnose.selection import Selection, nearest, select
+from identification.diagnose.selection import Selection, nearest, select, without_weakest
 from identification.diagnose.validation import CHANGED, next_valid_alternative, unnamed, validated, verdict
 from identification.fit.coordinates import CHANNELS, slowest
 from identification.fit.noise import Noise
@@ -339,20 +339,28 @@ def _searched(task: _Task, gate: Passed) -> _Searched:
     judge, selection = select(judge, options, clearer, task.effort, task.pool)
     searcher, base = judge.searcher, judge.base
     give_back()
-    before, after = (with_rotor_order(judge.lack(fit), fit) for fit in (base, selection.final))
-    word = verdict(base, selection.final, before, after, selection.family)
+    before = with_rotor_order(judge.lack(base), base)
     identified = base.estimated(at.refinement, at.uncertainty)
     shipped = partial(validated, judge, at.knowledge, unseen)
-    final, refuted = identified, ""
-    if word in CHANGED:
-        final, refuted = shipped(identified, base, selection.final, word == "partly")
-    if (
-        refuted
-        and task.effort.allows("other effects in place of the refuted")
-        and (others := next_valid_alternative(selection, refuted, judge, base, before, partial(shipped, identified, base)))
-    ):
-        (selection, after, final), refuted = others, ""
+
+    def checked(selection: Selection) -> tuple[LackOfFit, str, Fit, str]:
+        """(lack of fit, verdict, final model, why it is refuted) of a set."""
+        after = with_rotor_order(judge.lack(selection.final), selection.final)
         word = verdict(base, selection.final, before, after, selection.family)
+        if word not in CHANGED:
+            return after, word, identified, ""
+        return after, word, *shipped(identified, base, selection.final, word == "partly")
+
+    after, word, final, refuted = checked(selection)
+    while refuted and task.effort.allows("other effects in place of the refuted"):
+        if others := next_valid_alternative(selection, refuted, judge, base, before, partial(shipped, identified, base)):
+            (selection, after, final), refuted = others, ""
+            word = verdict(base, selection.final, before, after, selection.family)
+        elif len(selection.final.effects) > len(base.effects) + 1:
+            selection = without_weakest(judge, selection, refuted, task.pool)
+            after, word, final, refuted = checked(selection)
+        else:
+            break
     return _Searched(
         gate=gate,
         at=at,

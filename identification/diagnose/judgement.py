@@ -62,7 +62,8 @@ class Judgement:
 
     `likelihood_gain`: gain of log-likelihood on the fitted records. `needed`: its threshold, from chance at the level ALPHA and
     from the forms of the other effects. `evidence`: the gain less the BIC penalty. `gain`: cross-validated log-likelihood ratio
-    by channel. `size` [N]: rms change of the thrust below SLOW; `least`: its minimum. `refused`: reasons; empty: accepted."""
+    by channel. `size` [N]: rms change of the thrust below SLOW; `least`: its minimum; `material`: the effect's thrust or speed
+    reaches its minimum. `refused`: reasons; empty: accepted."""
 
     effect: str
     likelihood_gain: float
@@ -71,6 +72,7 @@ class Judgement:
     gain: Mapping[str, float]
     size: float
     least: float
+    material: bool = True
     refused: tuple[str, ...] = ()
 
 

@@ -137,6 +137,16 @@ def _next_best(judge: Judge, found: Selection) -> tuple[Fit, dict[str, Judgement
     return None
 
 
+def without_weakest(judge: Judge, found: Selection, refuted: str, pool) -> Selection:
+    """The selection without its effect of least evidence, which was `refuted` for this reason."""
+    searcher, judged = judge.searcher, found.judgements
+    weakest = min(judged, key=lambda effect: judged[effect].evidence)
+    final, judgements = _pruned(searcher, found.base, without(searcher, found.base, found.final, weakest), judge)
+    refused = {**found.refused, weakest: replace(judged[weakest], refused=(refuted,))}
+    fewer = replace(found, final=final, judgements=judgements, refused=refused)
+    return replace(fewer, rivals={effect: _rivals(searcher, fewer, effect, judge, pool) for effect in final.effects})
+
+
 def alternatives(searcher: Searcher, found: Selection, judge: Judge) -> Iterator[tuple[str, str, Selection]]:
     """(effect, its rival, the selection with the rival in its place), by decreasing evidence."""
     pairs = [(effect, name) for effect, fits in found.rivals.items() for name in fits]
@@ -225,7 +235,7 @@ def _pruned(searcher: Searcher, base: Fit, fit: Fit, judge: Judge) -> tuple[Fit,
     while True:
         rests = {effect: without(searcher, base, fit, effect) for effect in fit.effects}
         judged = {effect: judge(effect, fit, rest) for effect, rest in rests.items()}
-        weak = [effect for effect, j in judged.items() if j.evidence <= MIN_EVIDENCE or j.likelihood_gain < j.needed]
+        weak = [n for n, j in judged.items() if j.evidence <= MIN_EVIDENCE or j.likelihood_gain < j.needed or not j.material]
         if not weak:
             return fit, judged
         fit = rests[min(weak, key=lambda effect: judged[effect].evidence)]
@@ -242,8 +252,7 @@ def _exchanged(searcher: Searcher, found: Selection, judge: Judge, pool) -> bool
         for tried, other in sorted(zip(near, fits, strict=True), key=lambda pair: pair[1].bic()):
             least = -SAME if tried.candidate.name in contained else SAME
             if evidence_over(other, found.final) > least and not judge(tried.candidate.name, other, rest).refused:
-                judgements = {n: judge(n, other, without(searcher, found.base, other, n)) for n in other.effects}
-                found.final, found.judgements = other, judgements
+                found.final, found.judgements = _pruned(searcher, found.base, other, judge)
                 return True
     return False
 
