@@ -4,7 +4,7 @@ The noise-free signals of the rig with the effect are fitted by the same rig wit
 what is left, over the noise, is the log-likelihood that the truth has over the best base model.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +24,9 @@ DELAY = 0.1
 
 BLOCK = 0.016
 """s on the paper's rig that speed is averaged over, a revolution at least: its sensor's errors are then nearly white."""
+
+SLOPE = 1e-3
+"""Share of a setting by which it is changed for a derivative."""
 
 LIMIT = 20.0
 """Log-likelihood from which on an effect counts as detectable: a BIC difference of 10 asks for about 10 on the fitted records,
@@ -64,6 +67,31 @@ def evidence(
 
     best = least_squares(error, np.zeros(len(names) + logger), diff_step=1e-4, bounds=(-4.0, 4.0), max_nfev=8)
     return records * float(best.cost)
+
+
+def efficient_errors(
+    rig: Rig, fitted: Iterable[tuple[np.ndarray, np.ndarray]], unseen: tuple[np.ndarray, np.ndarray], draws: np.ndarray
+) -> np.ndarray:
+    """Rms thrust errors (k,) N on the unseen commands (rpm, deg) of an efficient estimator of the nine base settings, from
+    records of the `fitted` commands: the covariance is that of the Cramer-Rao bound. `draws` (k, 9): standard normal numbers."""
+    information = np.zeros((len(BASE), len(BASE)))
+    for commands in fitted:
+        uncertain = _speed_noise(rig, rig.run(*commands, STEP))
+        slopes = _slopes(rig, commands, lambda one, found, c=commands, u=uncertain: _white(one, found, *c, u))
+        information += slopes.T @ slopes
+    errors = np.linalg.solve(np.linalg.cholesky(information).T, draws.T)
+    thrust = _slopes(rig, unseen, lambda one, found: one.force(found, *unseen))
+    return np.sqrt(np.mean((thrust @ errors) ** 2, axis=0))
+
+
+def _slopes(rig: Rig, commands: tuple[np.ndarray, np.ndarray], shown: Callable[[Rig, Run], np.ndarray]) -> np.ndarray:
+    """Derivatives (rows, 9) of what is shown of a run in the base settings, each as a share of itself."""
+    columns = []
+    for name in BASE:
+        ends = (replace(rig, settings={**rig.settings, name: rig.settings[name] * (1.0 + h)}) for h in (-SLOPE, SLOPE))
+        before, behind = (shown(one, one.run(*commands, STEP)) for one in ends)
+        columns.append((behind - before) / (2.0 * SLOPE))
+    return np.column_stack(columns)
 
 
 def behind(rig: Rig, record: Record, thrust: np.ndarray, omega: np.ndarray, records: int) -> float:

@@ -26,7 +26,7 @@ from vpp_fmu.campaign import Campaign
 from vpp_fmu.record import Record
 
 from . import command_sequences
-from .detectable import LIMIT, evidence
+from .detectable import LIMIT, efficient_errors, evidence
 from .diagnosis import read, rows
 from .hidden_effects import HIDDEN, Draw
 from .physics import BASE, in_time
@@ -73,6 +73,9 @@ UNSEEN = 40.0
 
 SETTLED = 1.0
 """s on the paper's rig for which the first command of that record has been held."""
+
+DRAWS = 1000
+"""Of an efficient estimator's errors."""
 
 CLOSE = 1.02
 """Thrust error on unseen data over the noise, up to which it counts as the noise's."""
@@ -177,6 +180,17 @@ class Case:
         commands = record["omega_ref"], record["beta_ref"]
         return evidence(self.rig, base, *commands, known, 1 + f["repeat"], sensor_filter=time_constant)
 
+    def reachable(self, measured: Campaign, record: Record, noise: float) -> float:
+        """The probability that an efficient estimator, which knows the logger and the sensor, comes CLOSE to the noise [N]."""
+        fitted = [measured.open_loop] * (1 + self.factors["repeat"]) + list(measured.steps)
+        commands = [(r["omega_ref"], r["beta_ref"]) for r in fitted]
+        if (static := measured.static) is not None:
+            points = zip(static.omega_ref, static.beta_ref, static.samples, strict=True)
+            commands += [(np.full(int(n), speed), np.full(int(n), pitch)) for speed, pitch, n in points]
+        draws = self.random(5).standard_normal((DRAWS, len(BASE)))
+        errors = efficient_errors(self.rig, commands, (record["omega_ref"], record["beta_ref"]), draws)
+        return float(np.mean(np.hypot(errors, noise) <= CLOSE * noise))
+
     def summary(self) -> dict:
         """For a line of the file."""
         head = {"part": self.part, "first": self.first, "number": self.number}
@@ -208,6 +222,7 @@ def outcome(case: Case, threads: int = 1) -> dict:
     row = case.summary() | {"failed": None, "verdict": found.verdict, "effects": list(found.final.effects)}
     row |= {"family": {k: v for k, v in found.selection.family.items() if v}, "seconds": seconds}
     row |= {"over_noise": float(np.hypot(error, noise) / noise), "evidence": case.evidence(measured.open_loop)}
+    row |= {} if case.sizes else {"reachable": case.reachable(measured, record, noise)}
     said = logger_of(found, float(record["omega"].mean()))
     true = {"lag": case.factors["lag"] / case.factors["rate"], "delay": delay}
     off = {f"{n}_off": 1e3 * (said[n] - true[n]) for n in true}
@@ -306,6 +321,8 @@ def table(part: str, found: Sequence[dict]) -> str:
                 lines.append(f"{f'{factor}: {value}'.removesuffix(': '):52}{_cells(part, own)}")
     lines += [share(f"{part}: {head}", COLUMNS[part][head], judged) for head in AIMS[part]]
     lines.append(share(f"{part}: unseen error at most {CLOSE} of the noise", close, judged))
+    if reachable := [r["reachable"] for r in judged if "reachable" in r]:
+        lines.append(f"  of an efficient estimator (Cramer-Rao bound): {np.mean(reachable):.1%} of {len(reachable)}")
     if part != "nothing":
         below = [r for r in done if r["evidence"] < LIMIT]
         lines.append(share("not detectable", lambda r: r in below, done))
