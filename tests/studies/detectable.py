@@ -73,7 +73,7 @@ def efficient_errors(
     rig: Rig, fitted: Iterable[tuple[np.ndarray, np.ndarray]], unseen: tuple[np.ndarray, np.ndarray], draws: np.ndarray
 ) -> np.ndarray:
     """Rms thrust errors (k,) N on the unseen commands (rpm, deg) of an efficient estimator of the nine base settings, from
-    records of the `fitted` commands: the covariance is that of the Cramer-Rao bound. `draws` (k, 9): standard normal numbers."""
+    records of the `fitted` commands: the covariance is the Cramer-Rao bound. `draws` (k, 9): standard normal numbers."""
     information = np.zeros((len(BASE), len(BASE)))
     for commands in fitted:
         uncertain = _speed_noise(rig, rig.run(*commands, STEP))
