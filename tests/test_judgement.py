@@ -188,7 +188,7 @@ def test_an_effect_that_became_too_small_beside_another_is_dropped(monkeypatch, 
     assert found.effects == kept
 
 
-def test_the_rest_of_a_refuted_set_is_judged_by_itself(monkeypatch):
+def test_the_rest_of_a_refuted_set_is_judged_separately(monkeypatch):
     monkeypatch.setattr(selection, "without", lambda searcher, base, fit, name: SimpleNamespace(effects=("band",)))
     monkeypatch.setattr(selection, "_rivals", lambda *_: {})
     judge = lambda name, fit, rest: weighed(name, 1490.0, 0.3)  # noqa: E731
