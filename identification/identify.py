@@ -25,7 +25,7 @@ from identification.logger import Logger
 from identification.logger_fit import as_logged
 from identification.power.fit import PowerFit, figure_of_merit, fit_power, moving_readings, steady_readings
 from identification.static.static_map import StaticFit, static_fit
-from identification.static.steady import steady_points
+from identification.static.steady import with_steady_points
 from identification.steps.response import StepSummary, fit_steps
 from identification.unrefined import unrefined, with_steps
 from vpp_fmu.campaign import Campaign
@@ -166,14 +166,17 @@ def identify(
         gate = as_logged(gate)
     fitted = _fitted_records(gate.campaign, gate.further)
     campaign = replace(campaign, steps=gate.campaign.steps)
-    if campaign.static is None and campaign.static_raw is not None:
-        campaign = replace(campaign, static=steady_points(campaign.static_raw))
+    campaign = with_steady_points(campaign)
     model = model.sized(campaign.rig.scales)
     values = model.values()
     stage("static map and steps")
     static = static_fit(campaign, values)
+    steps = fit_steps(campaign.steps, values, static and dict(static.coefficients)) if campaign.steps else None
+    points = campaign.static
+    if fitted and static is None and steps and steps.start:
+        campaign = with_steady_points(campaign, slowest(values | steps.start, steps.start))
+        static = static_fit(campaign, values)
     coefficients = dict(static.coefficients) if static else {}
-    steps = fit_steps(campaign.steps, values, coefficients or None) if campaign.steps else None
     measured = coefficients | (steps.start if steps else {})
     if not fitted:
         return with_power(_without_record(campaign, model, measured, static, steps, gate))
@@ -188,7 +191,7 @@ def identify(
     predictions = {name: predict(model, found.values, record) for name, record in shown.items()}
     rms = float(np.sqrt(2.0 * found.cost_final)) * found.values["thrust_scale"]
     first = predictions[next(iter(fitted))]
-    noise = reading_noise([predictions[name] for name in fitted], campaign.static, found.values)
+    noise = reading_noise([predictions[name] for name in fitted], points, found.values)
     source = {**_source(campaign), "record_seconds": float(first.record.time[-1]), "logger": gate.logger.summary()}
     drawn = bootstrap(found, resamples, seed, workers, scheduler) if resamples else None
     quality = (*gate.findings, *of_fit(found, predictions, tuple(fitted), noise, campaign.rig))

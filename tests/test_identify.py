@@ -9,14 +9,16 @@ import pytest
 from studies.synthetic import NOISE, TRUTH, commands, measured
 
 from identification.assessment.reading_noise import HOLDS, REPEATS
+from identification.diagnose.initial_model import from_identification
 from identification.fit.tachometer import Tachometer
+from identification.gate.gate import passed
 from identification.identify import identify, off_bounds, slowest
 from identification.steps.response import StepSummary
 from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
-from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record, write_record
 
@@ -52,6 +54,15 @@ def folder(tmp_path_factory):
 def found(folder):
     """The campaign as it stands, identified."""
     return identify(read_campaign(folder), starts=2)
+
+
+def test_raw_samples_are_the_prior_of_effects_that_change_the_map(folder):
+    """Such an effect is fitted to the points together with the map: they must be there, as means are."""
+    campaign = read_campaign(folder)
+    at = from_identification(campaign, passed(campaign), LIBRARY, seed=0)
+    model = plant(["map_terms"])
+    free = [*at.names, "map_terms.c22"]
+    assert "map_terms.c22" in at.knowledge(model, model.values(at.values), free).names
 
 
 def near_truth(found):

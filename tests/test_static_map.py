@@ -9,7 +9,7 @@ import pytest
 
 from identification.static.at_rest import AtRest
 from identification.static.static_map import TERMS, coefficient_grid, design, fit_static_map, static_fit, thrust_coefficient
-from identification.static.steady import samples_needed, steady_points
+from identification.static.steady import samples_needed, steady_points, with_steady_points
 from vpp_fmu.app.report.figures.map import map_uncertainty, mean_convergence, thrust_coefficients
 from vpp_fmu.campaign import Campaign, StaticMap
 from vpp_fmu.errors import BadInput
@@ -275,6 +275,25 @@ def test_steady_points_of_raw_samples():
     assert len(steady_points(Record(columns, "raw"), settle=1.0).thrust) == 3
     with pytest.raises(BadInput, match="raw: steady stretches: found none"):
         steady_points(Record(columns, "raw"), settle=9.0)
+
+
+def test_the_settled_ends_of_step_responses_are_the_steady_points_where_there_are_no_others():
+    time = np.arange(0.0, 3.0, 0.01)
+
+    def run(omega, beta):
+        columns = {"time": time, "omega_ref": np.where(time < 0.5, 3000.0, omega), "beta_ref": np.where(time < 0.5, 5.0, beta)}
+        thrust = 1e-3 * columns["omega_ref"] - 0.8 * np.where(time < 0.5, 0.0, np.exp(-(time - 0.5) / 0.2))
+        return Record(columns | {"thrust": thrust}, f"{omega:g} rpm")
+
+    runs = [run(5000.0, 5.0), run(3000.0, 8.0), run(6000.0, 5.0)]
+    found = with_steady_points(Campaign(Path("."), None, runs, None, None, None), lag=0.2).static
+    np.testing.assert_array_equal(found.omega_ref, [5000.0, 3000.0, 6000.0])
+    np.testing.assert_array_equal(found.beta_ref, [5.0, 8.0, 5.0])
+    np.testing.assert_allclose(found.thrust, [5.0, 3.0, 6.0], atol=0.8 * np.exp(-5.0))  # five lags after the step
+    for lag in (None, 0.6):  # unknown, or too slow for runs of 2.5 s
+        assert with_steady_points(Campaign(Path("."), None, runs, None, None, None), lag).static is None
+    means = grid()
+    assert with_steady_points(Campaign(Path("."), means, runs, None, None, None), 0.2).static is means
 
 
 def test_means_and_raw_samples_give_the_same_map():

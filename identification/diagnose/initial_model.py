@@ -16,6 +16,7 @@ from identification.diagnose.judgement import MIN_EVIDENCE, SLOW
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import evidence_over, refitted, screened
+from identification.fit.coordinates import slowest
 from identification.fit.experiment import Experiment
 from identification.fit.noise import BLOCKS_A_TIME, Noise, blocks, independent, noise_from
 from identification.fit.refine import BASE_PARAMETERS, Refinement, refine
@@ -26,6 +27,7 @@ from identification.identify import Identification, identify
 from identification.roles import Fitted
 from identification.static.at_rest import AtRest, Knowledge
 from identification.static.static_map import StaticFit, static_fit
+from identification.static.steady import with_steady_points
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import plant, sized
@@ -84,7 +86,7 @@ def from_identification(campaign: Campaign, gate: Passed, library: Iterable[Effe
     """Identify the campaign, with further records, to start from; `gate`: the records that passed."""
     found = identify(campaign, seed=seed, gate=gate)
     names = tuple(found.refinement.names)
-    rig, knowledge = found.parameters.rig, _knowledge(gate.campaign, found.static, found.parameters.values)
+    rig, knowledge = found.parameters.rig, _knowledge(found.campaign, found.static, found.parameters.values)
     return InitialModel(
         sized(library, rig.scales), names, found.refinement, found.uncertainty, found.start, knowledge, rig, found.noise, found
     )
@@ -109,7 +111,8 @@ def from_given(campaign: Campaign, given: ParameterSet, library: Iterable[Effect
         if not p.choices and p.name not in e.rounds.values()
     ]
     free = [*BASE_PARAMETERS, *own]
-    knowledge = _knowledge(campaign, static_fit(campaign, given.values), given.values)
+    settled = with_steady_points(campaign, slowest(given.values, given.values))
+    knowledge = _knowledge(settled, static_fit(settled, given.values), given.values)
     found = refine(model, fitted, given.values, free, knowledge and knowledge(model, model.values(given.values), free))
     rig = replace(campaign.rig, scales=given.rig.scales)
     noise = reading_noise([predict(model, found.values, record) for record in fitted], campaign.static, found.values)

@@ -21,7 +21,7 @@ ROLES = {
 """Role of each file."""
 
 MISSING = {
-    "static": "the map is estimated from the moving records alone; units and tare cannot be compared",
+    "static": "the map is estimated from the records and the settled ends of step responses; units and tare cannot be compared",
     "steps": "the search for the lags starts at the model's defaults",
     "open_loop": "only a repeat, or a record given by --record, can be fitted",
     "repeat": "noise and model error are distinguished less reliably",

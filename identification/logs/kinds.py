@@ -83,7 +83,7 @@ def static_of(taken: Taken) -> tuple[StaticMap, list[str]]:
     if not taken.points:
         record = taken.record()
         settle = min(SETTLE, 0.5 * typical_hold(record))
-        points = steady_points(record, settle)
+        points = steady_points(record, settle=settle)
         return points, [f"static: {len(points.thrust)} steady holds, the first {settle:.2g} s of each left out"]
     columns = taken.columns
     rows = np.isfinite(columns["thrust"])

@@ -1,16 +1,19 @@
 """Steady points from raw samples, and how many samples a mean needs (paper, section 3.1)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vpp_fmu.campaign import StaticMap
+from vpp_fmu.campaign import Campaign, StaticMap
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import Record
 
 SETTLE = 3.0
 """s: the paper's time for transients to decay."""
+
+SETTLED_LAGS = 5.0
+"""Sums of a channel's lags after which a step response counts as settled: one lag then has 0.7 % of the step to go."""
 
 BATCHES = 50
 """Number of blocks of the longest mean: the standard error of its variance is then 16 %, sqrt(4 / (3 BATCHES))."""
@@ -55,17 +58,28 @@ def noise(found: Sequence[Stretch]) -> np.ndarray:
     return np.concatenate([stretch.thrust - stretch.thrust.mean() for stretch in found])
 
 
-def steady_points(record: Record, settle: float = SETTLE) -> StaticMap:
-    """The static map of a record with thrust: a point for each hold of `resting`. BadInput without any.
+def with_steady_points(campaign: Campaign, lag: float | None = None) -> Campaign:
+    """The campaign with a static map: its means of steady points, else those of its raw samples, else those at the end of its
+    step responses, whose slower channel has the sum of lags `lag` [s]. Without any it is unchanged."""
+    if campaign.static is not None:
+        return campaign
+    if campaign.static_raw is not None:
+        return replace(campaign, static=steady_points(campaign.static_raw))
+    settle = np.inf if lag is None else SETTLED_LAGS * lag
+    settled = [run for run in campaign.steps if resting(run, settle)]
+    return replace(campaign, static=steady_points(*settled, settle=settle)) if settled else campaign
+
+
+def steady_points(*records: Record, settle: float = SETTLE) -> StaticMap:
+    """The static map of records with thrust: a point for each hold of `resting`. BadInput without any.
 
     Means and standard deviations of readings are over the settled readings. `samples` is the equivalent number of independent
     readings: neighbours share noise, with an inflation of the variance estimated from all holds together (1 with too few
     readings). `omega` is the command if no speed was measured. A point measured twice gives two points.
     """
-    found = resting(record, settle)
+    found, source = [stretch for record in records for stretch in resting(record, settle)], records[0].source
     if not found:
-        allowed = f"a hold of both commands longer than {settle:g} s"
-        raise BadInput(record.source, "steady stretches", "none", allowed)
+        raise BadInput(source, "steady stretches", "none", f"a hold of both commands longer than {settle:g} s")
     shared = np.concatenate([(s.thrust - s.thrust.mean()) / (s.thrust.std() or 1.0) for s in found])
     enough = len(shared) >= FEWEST and np.ptp(shared) > 0.0
     inflation = max(1.0, samples_needed(shared, 1.0).inflation) if enough else 1.0
@@ -80,7 +94,7 @@ def steady_points(record: Record, settle: float = SETTLE) -> StaticMap:
         )
         for stretch in found
     ]
-    return StaticMap(*np.array(points, float).T, source=record.source)
+    return StaticMap(*np.array(points, float).T, source=source)
 
 
 @dataclass(frozen=True, eq=False)
