@@ -26,12 +26,12 @@ from vpp_fmu.rig import Rig
 STEP = 0.004
 
 Export = Callable[[Sequence[ParameterSet], str], Mapping[str, bytes | str]]
-"""(plant's parameters, and controller's where there is one; flavour) -> contents of files by name."""
+"""(plant's parameters, and controller's if there is one; flavour) -> contents of files by name."""
 
 
 @dataclass(frozen=True)
 class Demo:
-    """What the job gave. `thrust`: predictions of validation.csv through the FMUs (rows,) N, by "before" and "after"; `loops`:
+    """Result of the job. `thrust`: predictions of validation.csv through the FMUs (rows,) N, by "before" and "after"; `loops`:
     runs of the augmented plant's FMU by controller."""
 
     diagnosis: Diagnosis
@@ -41,7 +41,7 @@ class Demo:
 
     @property
     def validation(self) -> Record:
-        """The record that no fit has seen."""
+        """The validation record, which no fit uses."""
         return self.diagnosis.campaign.validation
 
     @property
@@ -56,7 +56,7 @@ def example_folder() -> Path:
 
 
 def local_flavour() -> str:
-    """ "python" where pythonfmu brings a library for this machine, else "native"."""
+    """ "python" if pythonfmu has a library for this machine, else "native"."""
     libraries = Path(str(distribution("pythonfmu").locate_file("pythonfmu/resources/binaries")))
     return "python" if (libraries / host()).is_dir() else "native"
 

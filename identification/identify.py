@@ -153,10 +153,10 @@ def identify(
 
     The open-loop record, its repeat and further `records`, by name, are fitted together; without any, the validation record.
     Files may be missing: without any record, the result is that of map and steps alone. Without means of steady points, these
-    are computed from the raw samples. `accept`: codes of findings of the quality gate that are not errors. `resamples`: of the
-    block bootstrap, on `workers` processes or a Dask `scheduler`. `stage` is called with the name of each stage. `gate`: the
-    result of the quality gate, if it has run already. Other options as in `refine`. BadInput if no parameter is identifiable,
-    and for findings of the gate.
+    are computed from the raw samples. `accept`: codes of findings of the quality gate that do not count as errors. `resamples`:
+    of the block bootstrap, on `workers` processes or a Dask `scheduler`. `stage` is called with the name of each stage. `gate`:
+    the result of the quality gate, if it has run already. Other options as in `refine`. BadInput if no parameter is
+    identifiable, and for findings of the gate.
     """
     if gate is None:
         stage("quality")
@@ -223,9 +223,9 @@ def identify(
 
 
 def with_power(found: Identification) -> Identification:
-    """The identification with torque and power of its plant, if the campaign has them: of the steady points, else of the first
-    fitted record. What contradicts itself is a finding, and the plant stays without. Torque beside power in a record alone
-    gives no motor: then the power has its map, and torque none."""
+    """Add torque and power to the plant if the campaign has them: from the steady points, else from the first fitted record.
+    Contradictory readings become a finding, and nothing is added. Torque and power in a record alone do not identify a motor:
+    then only the map of power is added."""
     scales, static = found.parameters.values, found.campaign.static
     try:
         readings = steady_readings(static, scales) if static else None

@@ -1,8 +1,8 @@
 """Estimate the logger of a campaign: the offset of readings to commands, and the kind of speed sensor.
 
-In each row, the contract's logger reads first and commands then. Others command first, write readings of the previous loop, or
-log a command one row late. The offset, in rows, is the delay of a command to the readings of its row. It is estimated together
-with the base model and a speed sensor, by maximum likelihood over the kinds of sensor.
+In each row, a logger without an offset reads first and commands then. Others command first, write readings of the previous
+loop, or log a command one row late. The offset, in rows, is the delay of a command to the readings of its row. It is estimated
+together with the base model and a speed sensor, by maximum likelihood over the kinds of sensor.
 
 Effects of a rig delay its response. There are three delays: from each command to the thrust, and from the speed command to the
 measured speed. The smallest is the logger's; the excess of the others belongs to the sensor or the rig.
@@ -68,7 +68,7 @@ LEAST_CHANGE, MOVING = 0.05, 0.75
 """Quantiles of the changes between values: one digit; the change from which the speed moves."""
 
 GROUPS = 10
-"""Groups of speed readings, by their uncertainty, that have a noise variance each where sensors are compared."""
+"""Number of groups of speed readings, by their uncertainty. Each has its own noise variance in a comparison of sensors."""
 
 ROUGH, FULL = (3, 3), (6, 6, 6, 12)
 """Evaluations in each round of a fit that ranks sensors, and of one that estimates."""
@@ -120,8 +120,8 @@ def likely_loggers(
     """The records that passed the gate, corrected for their logger and without run-ins: for the most likely logger first, then
     for others that are not distinguished from it.
 
-    The logger is estimated from the fitted records, beside `effects` of a `library` at `values`. Without records it is the
-    contract's, and run-ins are not searched. `each`: as `map`, for fits that may run in parallel."""
+    The logger is estimated from the fitted records, beside `effects` of a `library` at `values`. Without records it has no
+    offset, and run-ins are not searched. `each`: as `map`, for fits that may run in parallel."""
     campaign, declared = gate.campaign, gate.campaign.rig.sensor
     if not any((campaign.open_loop, campaign.repeat, campaign.validation, *gate.further.values())):
         found = Logger(sensor=SpeedSensor(**declared) if "kind" in declared else SpeedSensor())
@@ -215,8 +215,8 @@ class _Estimate:
 
     def _loggers_of(self, fit: "_SensorFit") -> Iterator[Logger]:
         """The logger of a fit with one offset, unless further parameters have very strong evidence. An offset of zero or of
-        whole rows comes before the estimate if it explains the records as well. An offset at its limit is none: the rig
-        responds faster at first than two lags do."""
+        whole rows comes before the estimate if it explains the records as well. An offset at its lower limit counts as zero:
+        the rig's response begins faster than that of two lags."""
         if not self._delays:
             yield Logger(sensor=fit.sensor, period=self._period)
             return
@@ -251,9 +251,9 @@ class _Estimate:
         yield logger_at(rows, _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=rows).solved(FULL))
 
     def _one_delay(self, fit: "_SensorFit") -> Logger | None:
-        """The logger without an offset, if a delay of one command explains the record better than the offset of `fit`, or if it
-        explains it as well and the offset is later than a logger's. Shorter lags of the other command hide the difference. No
-        rotor turns before its command: a speed that leads is the logger's."""
+        """The logger without an offset, if a delay of one command explains the record better than the offset of `fit`, or as
+        well if the offset is later than a logger's. Shorter lags of the other command hide the difference. No rotor turns
+        before its command: a leading speed is due to the logger."""
         for name in self._delays:
             one = _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=0.0, alone=name).solved(FULL)
             if name == SPEED_DELAY and one.late(name).leads:
@@ -263,8 +263,8 @@ class _Estimate:
         return None
 
     def _hypotheses(self) -> list[tuple[SpeedSensor, tuple[str, ...], float]]:
-        """(sensor, its free parameters, log-likelihood of its renewal intervals) of those that explain them; all, if none does.
-        Marks and encoders have no delay without very strong evidence."""
+        """(sensor, its free parameters, log-likelihood of its renewal intervals) of the sensors that explain these intervals;
+        of all, if none does. Marks and encoders have no delay without very strong evidence."""
         declared = self._declared
         rows, turn, mixed = renewals(self._first)
         kinds = [declared["kind"]] if "kind" in declared else [MARK, ENCODER, TELEMETRY]
@@ -274,7 +274,7 @@ class _Estimate:
             (SpeedSensor(ENCODER, averaged=averaged), [1.0]) for averaged in ways if ENCODER in kinds
         ]
         for n, averaged in product(marks if MARK in kinds else [], ways):
-            held = turn / n  # where means show no mixed rows, a value is held for less than three rows
+            held = turn / n  # if means have no mixed rows, a value is held for less than three rows
             expected = [np.where(held < 3.0, held - 1.0, np.inf), 1.0] if averaged and not mixed else [held]
             every.append((SpeedSensor(MARK, n, averaged=averaged), expected))
         # Telemetry that is faster than the rows is renewed in each row: with it, or some time before.
@@ -327,7 +327,7 @@ class _SensorFit:
         self.tied = tied and len(of._delays) == 2
         self._kept = [k for k, n in enumerate(c.names) if not (self.tied and n == of._delays[1])]
         self._tied = (c.names.index(of._delays[1]), self._kept.index(c.names.index(of._delays[0]))) if self.tied else None
-        # Telemetry is taken for half an interval old on average; it cannot be newer than its row.
+        # Telemetry is assumed half an interval old on average; it cannot be newer than its row.
         earliest = -0.5 * min(of._period, self.sensor.refresh) if self.sensor.kind == TELEMETRY else -LATEST
         limits = {"delay": (earliest, LATEST), "filter": (0.1 * of._period, LATEST)}
         self._lower, self._upper = (
@@ -347,13 +347,13 @@ class _SensorFit:
     @property
     def has_delay(self) -> bool:
         """Whether the delay of the sensor exceeds its uncertainty: SIGNIFICANT standard errors, and the unknown instant of a
-        value. A negative delay is a late thrust reading, which is an effect of the library."""
+        value. A negative delay means a late thrust reading, which is an effect of the library."""
         return self.sensor.delay > self._delay_tolerance
 
     @property
     def reads_ahead(self) -> bool:
-        """Whether the sensor's delay is below zero by more than its uncertainty: no sensor shows what is yet to come, so that
-        the offset is wrong."""
+        """Whether the sensor's delay is below zero by more than its uncertainty: no sensor reads a future speed, so the offset
+        is wrong."""
         return -self.sensor.delay > self._delay_tolerance
 
     @property
@@ -423,7 +423,7 @@ class _SensorFit:
         return residual, np.column_stack([jacobian, further])
 
     def score(self, rows: Sequence[tuple[int, int]], groups: np.ndarray) -> float:
-        """Penalised log-likelihood with unknown noise variances; that of the speed is on `rows` (record, row), which have a
+        """Penalised log-likelihood with unknown noise variances. That of the speed is on `rows` (record, row), with one
         variance in each of their `groups`: uncertainties of a sensor are right up to a factor that depends on acceleration."""
         count = len(self._x) * 0.5 * float(np.log(max(len(rows), len(self._problem.blocks[0].time))))
         total = self._thrust + self.renewed - count
@@ -455,7 +455,7 @@ class _SensorFit:
         return len(self.free) <= len(other.free) and self._thrust > other._thrust + NOT_DISTINGUISHED
 
     def estimate(self, *names: str) -> tuple[float, float]:
-        """(sum of parameters, its standard error) under white noise; tied delays go by the name of the first."""
+        """(sum of parameters, its standard error) under white noise; tied delays have the name of the first."""
         every = [*(self._problem.coordinates.names[k] for k in self._kept), *self.free]
         values = self.values | {n: getattr(self.sensor, n) for n in ("delay", "filter")}
         free = [k for k, active in enumerate(self._solution.active) if not active]
@@ -554,8 +554,8 @@ def _as_modelled(record: Record) -> Record:
 
 
 def _split(record: Record) -> Record:
-    """The record with each row split into rows of at most SPLIT s; the new ones have no readings. Between rows a speed is taken
-    for a parabola, and a sensor reads more precisely than that is right in a slow log."""
+    """The record with each row split into rows of at most SPLIT s; the new ones have no readings. Speed is interpolated by
+    parabolas between rows; in a slow log this error exceeds the sensor's."""
     parts = int(np.ceil(record.period / SPLIT - 1e-9))
     if parts == 1:
         return record

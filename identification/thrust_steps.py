@@ -1,4 +1,4 @@
-"""The step of thrust that controllers are shown and tuned on."""
+"""The thrust step with which controllers are tuned and shown."""
 
 import numpy as np
 
@@ -6,16 +6,16 @@ from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig
 
 LEVELS = (0.1, 0.8)
-"""Of the step profile, in shares of the thrust scale: the paper's 1.5 and 12 N."""
+"""Levels of the step profile, as shares of the thrust scale: the paper's 1.5 and 12 N."""
 
 RESERVE = 0.03
-"""Share of the rig's thrust, at either end, that the profile leaves to the controller: one that is asked for the last newton
-can only saturate."""
+"""Share of the rig's thrust range, at either end, that the profile does not use: at the limit a controller can only
+saturate."""
 
 
 def step_profile(rig: Rig | None = None) -> Record:
-    """Thrust up and down between LEVELS, as the paper's tests, as far as the rig gives it (default: the paper's); `time` [s],
-    `thrust_set` [N]."""
+    """Thrust steps up and down between LEVELS, as in the paper's tests, within the range of the rig (default: the paper's);
+    `time` [s], `thrust_set` [N]."""
     rig = rig or Rig()
     reserve = RESERVE * (rig.thrust[1] - rig.thrust[0])
     low, high = np.clip(np.array(LEVELS) * rig.scales.thrust_scale, rig.thrust[0] + reserve, rig.thrust[1] - reserve)

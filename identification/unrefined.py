@@ -48,7 +48,7 @@ def unrefined(
 
 
 def with_steps(fitted: Uncertainty, values: Mapping[str, float], steps: StepSummary | None) -> Uncertainty:
-    """A fit's uncertainty, with that of the lags of step responses whose command no record moves."""
+    """A fit's uncertainty, extended by the lags of step responses whose command no record moves."""
     unidentified = _unidentified_lags(steps)
     added = {pair(u): a for u, a in (steps.lags if steps else {}).items() if not {*fitted.names, *unidentified} & {*pair(u)}}
     for own, average in added.items():

@@ -68,9 +68,9 @@ class Forecast:
 class Information:
     """Fisher information of commands for a model at `values` (all of its parameters), in the parameters `names`.
 
-    `noise_std` N: white noise of a thrust reading, one every `sampling` seconds. `omega_std` rpm: of a tachometer's reading,
-    at most one a revolution, whose averaging is neglected; None: speed is not measured. Inputs of the model other than the
-    commands have their nominal value.
+    `noise_std` N: white noise of a thrust reading, one every `sampling` seconds. `omega_std` rpm: of a tachometer's reading, at
+    most one a revolution; its averaging over the revolution is neglected. None: speed is not measured. Inputs of the model
+    other than the commands have their nominal value.
     """
 
     def __init__(
@@ -165,8 +165,8 @@ def read_knowledge(path: str | os.PathLike) -> tuple[Prior, float]:
 
 
 def read_noise(path: str | os.PathLike) -> tuple[float, str] | None:
-    """(standard deviation of a thrust reading [N], where it comes from) as an `identification.json` says; None where it says
-    nothing. BadInput."""
+    """(standard deviation of a thrust reading [N], its source) from an `identification.json`; None if the file has none.
+    BadInput for another file or value."""
     content = read_object(path, allowed="an identification.json, as vpp identify writes it")
     noise = content.get("noise_floor_thrust")
     if noise is None:

@@ -48,7 +48,7 @@ class Prediction:
         return float(np.mean(np.abs(error[seen]) <= NORMAL_95 * std[seen])) if seen.any() else None
 
     def summary(self) -> dict:
-        """Entry of `identification.json` (CONTRACT.md) for this record: whole, and by section with a reading."""
+        """Errors for `identification.json` (docs/reference/files.md): over the record, and by section with a reading."""
         measured = self.record["thrust"]
         by_section = {
             name: {
@@ -67,7 +67,7 @@ class Prediction:
 
 
 def summaries(predictions: Mapping[str, Prediction]) -> dict:
-    """For identification.json: the errors of each record, whole and by section."""
+    """For identification.json: the errors over each record, and by section."""
     names = "rmse_thrust", "rmse_omega", "fit_thrust"
     records = {name: p.summary() for name, p in predictions.items()}
     return {"records": records} | {each: {name: record[each] for name, record in records.items()} for each in names}

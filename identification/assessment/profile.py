@@ -21,7 +21,7 @@ from identification.fit.problem import Problem
 from identification.fit.uncertainty import NORMAL_95, Uncertainty
 
 DEPARTURE = 0.05
-"""Maximum relative difference of the root of the cost's increase at the end of a linear interval from the quadratic one."""
+"""Maximum relative difference of the actual from the quadratic root of the cost's increase, at a linear interval's end."""
 
 CLOSE = 0.01
 """Relative tolerance of that root at a searched end."""
@@ -74,8 +74,8 @@ def profiled(
 
 @dataclass(frozen=True)
 class _Optimum:
-    """A solution in the parameters themselves, all (n,) or by name: its cost, its normal matrix (n, n), and the
-    root of twice the cost's increase at the end of each interval, `target`."""
+    """A solution in parameters instead of coordinates, with its cost and normal matrix (n, n). `target` (n,): root of twice the
+    cost's increase at the end of each interval."""
 
     problem: Problem
     names: tuple[str, ...]

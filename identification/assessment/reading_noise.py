@@ -111,8 +111,8 @@ class _Hold:
     count: int
 
     def over(self, longest: float) -> float:
-        """N^2 over `longest` [s], if the variance has the same growth in each octave of time. This is true of 1/f noise; noise
-        with a correlation time has less growth."""
+        """Variance [N^2] over `longest` [s], if it grows equally in each octave of time. 1/f noise does; noise with a
+        correlation time grows less."""
         return self.variance + self.growth * float(np.log2(max(longest / self.lag, 1.0)))
 
 
@@ -124,8 +124,8 @@ def last_thirds(record: Record, shortest: float) -> list[tuple[float, float]]:
 
 
 def _holds(record: Record, error: np.ndarray, shortest: float) -> Iterator[_Hold]:
-    """Variances of the last third of each hold, split into three parts: the first and last part have twice the distance in time
-    of neighbouring parts."""
+    """Noise of the last third of each hold, split into three parts. The first and last part are twice as far apart in time as
+    neighbours."""
     for start, end in last_thirds(record, shortest):
         inside = (record.time >= start) & (record.time < end) & np.isfinite(error)
         third = int(inside.sum()) // 3

@@ -29,8 +29,8 @@ from vpp_fmu.record import Record
 class Judge:
     """Compares a set of effects with the set without one of them, which may be the `base`.
 
-    `smallest`: minimum sizes of interest. By default, of the thrust SMALLEST of the slow noise power, at least ACCURACY of the
-    largest thrust; of the speed, the uncertainty of the sensor. `runs`: step responses, which no fit of a diagnosis uses.
+    `smallest`: minimum sizes of interest. Defaults: for the thrust, SMALLEST of the slow noise power, at least ACCURACY of the
+    largest thrust; for the speed, the sensor's uncertainty. `runs`: step responses, which no fit of a diagnosis uses.
     """
 
     def __init__(self, searcher: Searcher, base: Fit, smallest: Smallest, runs: Sequence[Record]):
@@ -39,9 +39,9 @@ class Judge:
         self._held_out: dict[int, tuple[Fit, HeldOut]] = {}
 
     def held_out(self, fit: Fit) -> HeldOut:
-        """Cross-validation of a fit, once for each."""
+        """Cross-validation of a fit, cached."""
         if id(fit) not in self._held_out:
-            self._held_out[id(fit)] = fit, cross_validated(fit)  # the fit is kept: its id must not be another's
+            self._held_out[id(fit)] = fit, cross_validated(fit)  # keeps the fit, so that no other object gets its id
         return self._held_out[id(fit)][1]
 
     def on_runs(self, fit: Fit) -> np.ndarray:
@@ -64,8 +64,8 @@ class Judge:
         return Judgement(effect, float(likelihood_gain), needed, float(evidence), gain, size, least, material, tuple(refused))
 
     def likelihood_gain(self, with_it: Fit, without: Fit) -> tuple[dict[str, float], float]:
-        """(log-likelihood gain of an effect by channel; how much of it errors in the forms of the others may cause). A band
-        counts by the noise power that it holds."""
+        """(log-likelihood gain of an effect by channel; the part of it that errors in the forms of the others may cause). The
+        gain in a band is divided by the noise power there."""
         gains, explained, by_forms = (
             with_it.score.gain_over(without.score),
             without.score.gain_over(self.base.score),
@@ -140,8 +140,8 @@ def gains_in_bands(fits: Sequence[Fit], channel: str) -> tuple[np.ndarray, np.nd
     a third of an octave of each record; and the power of the whitened noise in a band, nominally 1.
 
     With a repeat record the noise is known, and the level is 1. Else the noise colour is estimated from one record. Noise
-    slower than the filter's memory exceeds it, and would pass for a drift: the level is then the power of the last residual, at
-    least 1.
+    slower than the filter's memory then exceeds the estimate, and would look like a drift. So the level is the power of the
+    last residual, at least 1.
     """
     last = fits[-1].problem
     residuals = [f.problem.residual_at(f.values) * (f.problem.scale[channel] / last.scale[channel]) for f in fits]

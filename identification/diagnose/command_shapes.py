@@ -1,9 +1,9 @@
 """Regressors made of the commands and of time, which span the residual of a missing effect of any form.
 
 Any rate-independent hysteresis is a sum of play operators (Prandtl and Ishlinskii; Brokate and Sprekels, Hysteresis and Phase
-Transitions, 1996, chapter 2). Rate limits and dead bands are functions of the tracking error. The regressors are a few of each,
-unfiltered and lagged; the damped oscillations of resonant loops (Kautz, IRE Trans. Circuit Theory, 1954); higher powers of the
-static map; and trends in time.
+Transitions, 1996, chapter 2). Rate limits and dead bands are functions of the tracking error. The regressors are a few plays
+and bounded tracking errors, unfiltered and lagged; the damped oscillations of resonant loops (Kautz, IRE Trans. Circuit Theory,
+1954); higher powers of the static map; and trends in time.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -90,10 +90,10 @@ def regress_out(
     residual: np.ndarray,
     others: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Regress a residual (rows,) on shapes (rows,): (what remains, NaN where nothing was measured; orthonormal directions (n,
-    k) that the shapes and `others` (n, m), parameters fitted before, have removed).
+    """Regress a residual (rows,) on shapes (rows,): (the new residual, NaN where nothing was measured; orthonormal directions
+    (n, k) removed by the shapes and by `others` (n, m), the sensitivities of parameters fitted before).
 
-    The regression is on block means (n,), which `mean` makes of rows: it needs little memory for a long record.
+    The regression uses block means (n,), computed by `mean` from rows, to save memory for a long record.
     """
     target = mean(residual)
     seen = np.isfinite(target)
@@ -121,7 +121,7 @@ def _shapes(command: np.ndarray, output: np.ndarray, step: float) -> list[np.nda
 
 
 def _waves(command: np.ndarray, output: np.ndarray, step: float, takes: float) -> Iterator[np.ndarray]:
-    """Responses (rows,) of damped oscillators to a command less the output, and their rates: zero at rest."""
+    """Responses (rows,) of damped oscillators to a command, minus the output; and their rates. Both are zero at rest."""
     for swings in WAVES:
         turn = 2.0 * np.pi * swings * step / takes
         kept = np.exp(-DECAY * turn)
@@ -141,7 +141,7 @@ def _play(signal: np.ndarray, width: float) -> np.ndarray:
     """Output (rows,) of a play operator of half width `width`."""
     lowest, highest = (signal - width).tolist(), (signal + width).tolist()
     at, followed = float(signal[0]), []
-    for low, high in zip(lowest, highest, strict=True):  # conditions, not min and max: calls are most of the time
+    for low, high in zip(lowest, highest, strict=True):  # conditions are faster than calls of min and max
         at = low if at < low else high if at > high else at
         followed.append(at)
     return np.array(followed)

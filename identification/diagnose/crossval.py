@@ -1,8 +1,8 @@
 """Cross-validation with interleaved blocks, each predicted from the others.
 
-For each fold the parameters make one Gauss-Newton step from the full fit: exact for a linear model, and a fold in five moves
-them little. Thresholds are not differentiable: predictions are averaged over their values, weighted by the likelihood on the
-other folds.
+For each fold the parameters make one Gauss-Newton step from the full fit. This is exact for a linear model, and one fold of
+five changes them little. Thresholds are not differentiable: predictions are averaged over their values, weighted by the
+likelihood on the other folds.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -22,7 +22,7 @@ FEWEST_BLOCKS = 2
 """Minimum number of blocks of each fold; the blocks of a short record are shorter."""
 
 THRESHOLDS = 25
-"""Values of a threshold that are averaged over."""
+"""Number of values of a threshold in the average."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,12 +38,12 @@ class HeldOut:
     omega: tuple[np.ndarray, ...]
 
     def gain(self, other: "HeldOut") -> dict[str, float]:
-        """Log-likelihood that this has over `other` in each channel, noise variances unknown."""
+        """Log-likelihood ratio of this to `other` by channel, with unknown noise variances."""
         return {c: 0.5 * n * float(np.log(other.squares[c] / self.squares[c])) for c, n in self.counts.items()}
 
     @property
     def rmse_thrust(self) -> float:
-        """N, over the rows as they are."""
+        """N, over the rows, not averaged or whitened."""
         return _rms(self.thrust)
 
     @property
@@ -63,7 +63,7 @@ def _block(time: np.ndarray, seconds: float) -> np.ndarray:
 
 
 def contiguous_folds(time: np.ndarray, seconds: float) -> np.ndarray:
-    """Fold (n,) of each time [s] where whole thirds of a record are left out: tests whether a model carries over to other
+    """Fold (n,) of each time [s] if whole thirds of a record are left out: tests whether a model carries over to other
     commands."""
     return np.minimum((3.0 * time / seconds).astype(int), 2)
 
@@ -76,8 +76,8 @@ def cross_validated(
 ) -> HeldOut:
     """The fit's residuals in each fold, predicted from the other folds.
 
-    `split(time, seconds)`: the fold of each time. `moving(name)`: whether a parameter is refitted; None: all are. `least`:
-    directions of which the other folds hold no more than this share of the information are held.
+    `split(time, seconds)`: the fold of each time. `moving(name)`: whether a parameter is refitted; None: all are. `least`: a
+    direction is not refitted if the other folds have at most this share of its information.
     """
     problem, (residual, jacobian) = fit.problem, fit.tangent()
     if moving is not None:
@@ -153,8 +153,8 @@ def _whitened(noise: Noise, shown: Prediction) -> dict[str, np.ndarray]:
 
 
 def informed_inverse(part: np.ndarray, whole: np.ndarray, least: float) -> np.ndarray:
-    """Pseudo-inverse of the information matrix (k, k) of part of the data, in directions of which it holds more than the share
-    `least` of the `whole`."""
+    """Pseudo-inverse of the information matrix (k, k) of part of the data, in the directions in which the part has more than
+    the share `least` of the information of the `whole`."""
     if least <= 0.0:
         return np.linalg.pinv(part, rcond=1e-12, hermitian=True)
     size = np.sqrt(np.diag(whole))
@@ -168,7 +168,7 @@ def informed_inverse(part: np.ndarray, whole: np.ndarray, least: float) -> np.nd
 
 
 def _alternatives(fit: Fit) -> list[dict[str, float]]:
-    """Values of the fit with each threshold elsewhere about its interval."""
+    """Values of the fit with each threshold varied in and around its interval."""
     bounds = {p.name: (p.minimum, p.maximum) for p in fit.problem.model.parameters}
     found = []
     for name, (low, high) in fit.thresholds.items():

@@ -55,13 +55,13 @@ SHIFTS = ("row_clock", "reading_delay", "sensor_lag", "speed_delay", "pitch_dela
 """Effects that shift a response in time, as an offset of the logger does."""
 
 LATE = (*SHIFTS, "inflow_lag", "pitch_rate_feedthrough")
-"""Effects that a wrong offset resembles. The last two do more: an offset is estimated both without and beside them."""
+"""Effects that resemble a wrong offset. The last two do more: an offset is estimated both without and beside them."""
 
 OTHERS = 2
 """Maximum number of other loggers with which a campaign is diagnosed."""
 
 MOST_OF_LOGGER = 100.0
-"""Evidence of effects (nats) from which another logger is not tried: ten times the difference of those not distinguished."""
+"""Evidence of effects (nats) from which no other logger is tried: ten times the difference of loggers not distinguished."""
 
 UNEXPLAINED = ("partly", "unexplained")
 """Verdicts with an unexplained lack of fit; a best guess is added."""
@@ -75,10 +75,10 @@ class Diagnosis:
     records are corrected. `base`: the identified model, without further effects. `final`: the exported model. `given`: the
     given model before any fit; None if the campaign was identified first. `before`, `after`: lack of fit of the base and of the
     selected set. `held_out_before`, `held_out_after`: cross-validation of base and final model. `unseen`: the validation
-    record, used only after the model is final. `refuted`: why validation refutes the selected set, else "". `attempt`: to learn
-    a term, if no effect explains the lack of fit. `best_guess`: the best candidate if the lack of fit is not explained; None
-    otherwise, or without candidates. `not_tried`: steps for which the time budget did not suffice. `power`: diagnosis of the
-    electrical power, None without.
+    record, used only after the model is final. `refuted`: why validation refutes the selected set, else "". `attempt`: the
+    search for a learned term, if no effect explains the lack of fit. `best_guess`: the best candidate if the lack of fit is not
+    explained; None otherwise, or without candidates. `not_tried`: steps for which the time budget did not suffice. `power`:
+    diagnosis of the electrical power, None without.
     """
 
     campaign: Campaign
@@ -199,8 +199,8 @@ def diagnose(
     thorough: bool = True,
     budget: float | None = None,
 ) -> Diagnosis:
-    """Find the effects that the model of a campaign needs. `stage` is called with the name of each stage, `progress` within a
-    search with the number of candidates that are done, that of all, and the name of the best so far.
+    """Find the effects that the model of a campaign needs. `stage` is called with the name of each stage. `progress` is called
+    within a search with the numbers of finished and of all candidates, and the name of the best so far.
 
     The model is identified from the campaign first, or it is `given`, its effects part of the base. The open-loop record, its
     repeat and further `records` are fitted; the validation record is used only after the model is final. `smallest` [N],
@@ -208,7 +208,7 @@ def diagnose(
     term of unknown form is learned. `budget` [s]: no further step of the search begins after this time; the result then depends
     on the machine's speed. BadInput if the campaign has no record to fit.
 
-    The logger is estimated first, beside the base model. If something is missing with it, other loggers that are not
+    The logger is estimated first, beside the base model. Unless the verdict is then none, other loggers that are not
     distinguished from it are tried, too. A missing effect may bias this estimate. So the logger is estimated again beside the
     effects that are found. If it differs significantly, the campaign is diagnosed with it, too; if a found effect resembles an
     offset, a difference of one standard error suffices.
@@ -252,7 +252,7 @@ def _power(found: Diagnosis) -> PowerDiagnosis | None:
 
 @dataclass(frozen=True)
 class _Task:
-    """What is the same for every logger of a campaign."""
+    """Inputs of a diagnosis that do not depend on the logger."""
 
     campaign: Campaign
     library: tuple[Effect, ...]
@@ -265,8 +265,8 @@ class _Task:
 
 @dataclass(frozen=True)
 class _Searched:
-    """A campaign, corrected for one logger and searched for effects of the library: what a `Diagnosis` tells before a term is
-    learned. `at`: the start of the search. `options`: the candidates. `shipped(present, base, found, partly)`: validation."""
+    """A campaign, corrected for one logger and searched for effects of the library: a `Diagnosis` before a term is learned.
+    `at`: the start of the search. `options`: the candidates. `shipped(present, base, found, partly)`: validation."""
 
     gate: Passed
     at: InitialModel
@@ -294,20 +294,19 @@ class _Searched:
 
 
 def _may_be_loggers(found: _Searched) -> bool:
-    """Whether another logger may explain what is missing: loggers that are not distinguished differ by few nats, also in
-    records that are longer than those that the logger was estimated from."""
+    """Whether another logger may explain the effects or the lack of fit. Loggers that are not distinguished differ by few nats,
+    also in records longer than those of the logger's estimate."""
     selection = found.selection
     return found.verdict != "none" and evidence_over(selection.final, selection.base) < MOST_OF_LOGGER
 
 
 def _missing(found: _Searched) -> tuple[int, bool]:
-    """(number of effects, whether anything is missing), in the order in which diagnoses are preferred."""
+    """(number of effects, whether the verdict is not none). The diagnosis with the smaller value is preferred."""
     return len(found.final.effects), found.verdict != "none"
 
 
 def _simpler(one: _Searched, other: _Searched) -> _Searched:
-    """The one that finds less missing, if its held-out error has at most the share FORM more power than that of the
-    other."""
+    """The one with fewer effects, if its held-out mean square error exceeds that of the other by at most the share FORM."""
     few, many = sorted((one, other), key=lambda found: (*_missing(found), found.held_out_after.rmse_thrust))
     powers = [found.held_out_after.rmse_thrust**2 for found in (few, many)]
     return few if powers[0] <= (1.0 + FORM) * powers[1] else many

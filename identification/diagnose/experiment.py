@@ -1,8 +1,8 @@
 """A discriminating experiment, as a record of commands: 90 s for a rig of the paper's time scale.
 
-Each section excites other effects: small stairs and reversals excite dead bands and play; one spectrum at two amplitudes,
-nonlinearities; full steps, limits; slow sections, drift; holds, offsets. If the pitch is fixed, the speed gets the sections of
-the pitch.
+Each section excites other effects. Small stairs and reversals excite dead bands and play; one spectrum at two amplitudes
+excites nonlinearities; full steps reach limits; slow sections contain drift; holds contain offsets. If the pitch is fixed, the
+speed gets the sections of the pitch.
 """
 
 from collections.abc import Sequence

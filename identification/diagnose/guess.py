@@ -1,6 +1,6 @@
 """The best guess if the lack of fit is not explained: the best candidate, its size, and why it is not accepted.
 
-It does not change the exported model. It also says how far the next experiment separates it from its best rival.
+It does not change the exported model. It also gives its difference in thrust from the best rival in the next experiment.
 """
 
 from collections.abc import Callable

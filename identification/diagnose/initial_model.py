@@ -131,8 +131,8 @@ CLEARING = 3
 def prepared(groups: Sequence[Sequence[Fitted]], at: InitialModel, options: Sequence[Candidate], pool) -> tuple[Searcher, Fit]:
     """(searcher with the experiments, base fitted to them).
 
-    Without a repeat record the noise colour is estimated again from the residual of the most promising candidate: in the
-    residual of the base, a missing effect is counted as noise.
+    Without a repeat record the noise colour is estimated again from the residual of the most promising candidate. The residual
+    of the base would count a missing effect as noise.
     """
     noise = _noise(groups, plant((), at.library), at.values, at.names, at)
     searcher, base = _fitted_base(groups, at, noise, at.values)
@@ -149,7 +149,7 @@ def with_lower_noise(
     groups: Sequence[Sequence[Fitted]], at: InitialModel, searcher: Searcher, base: Fit, fit: Fit
 ) -> tuple[Searcher, Fit] | None:
     """(searcher, base) with the noise estimated from the residual of a fit, if that is lower than the present estimate; None if
-    not, and with a repeat record, whose noise estimate needs no model."""
+    not, or with a repeat record, whose noise estimate needs no model."""
     noise = searcher.experiments[0].noise
     if noise.verified:
         return None
@@ -180,8 +180,8 @@ def _fitted_base(
 def _noise(
     groups: Sequence[Sequence[Fitted]], model: Model, values: Mapping[str, float], names: Sequence[str], at: InitialModel
 ) -> Noise:
-    """Noise from the differences of repeated records; without any, from the residual of a model with fitted `names`, after a
-    regression on shapes of the commands and trends: counted as noise, they would hide a missing effect."""
+    """Noise from the differences of repeated records. Without any: from the residual of a model with fitted `names`, after a
+    regression on shapes of the commands and trends. Counted as noise, these would hide a missing effect."""
     block, std = at.rig.scales.time_scale / BLOCKS_A_TIME, at.noise.std
     group = max(groups, key=len)
     if len(group) < 2:

@@ -1,6 +1,6 @@
 """The constants that decide a diagnosis, each with its statistic, and the rules that use them.
 
-README.md has a table of what each constant trades.
+README.md lists what a larger value of each constant costs.
 """
 
 from collections.abc import Mapping
@@ -19,26 +19,26 @@ MIN_EVIDENCE = 5.0
 strong evidence (Kass and Raftery, 1995)."""
 
 FORM = 0.0025
-"""Share of the log-likelihood that accepted effects explain in a frequency band, which one more effect must exceed there: a
-model form is right to some 5 % of amplitude, 0.25 % of power. A slow effect allows nothing in fast bands."""
+"""In each frequency band, one more effect must exceed this share of the log-likelihood that accepted effects explain: a model
+form is right to some 5 % of amplitude, 0.25 % of power. A slow effect adds no threshold in fast bands."""
 
 ALPHA_BASE = 0.001
-"""Level of each test of lack of fit on a model without effects. Stricter than ALPHA: most rigs miss nothing, and a search for a
-missing effect costs its user days."""
+"""Level of each test of lack of fit on a model without effects. Stricter than ALPHA: most rigs need no effect, and a false
+alarm costs the user days."""
 
 SMALLEST = 0.002
 """Default minimum size of interest: power that an effect adds below SLOW over the noise power there. An effect may declare a
 `common` share instead, if every rig has a little of it."""
 
 ACCURACY = 2e-4
-"""Share of the largest measured thrust below which no effect of the thrust is of interest where the user names no size: a load
-cell's own error (class C3 of OIML R 60, 0.02 % of full scale). The noise of a long record may be averaged below it."""
+"""Lower bound of the default minimum size of interest, as a share of the largest measured thrust: a load cell's own error
+(class C3 of OIML R 60, 0.02 % of full scale). The averaged noise of a long record may be smaller."""
 
 SLOW = 10.0
-"""Hz: below, a repeatable residual is an error of the model; above, bearings and blades hum."""
+"""Hz: below, a repeatable residual is an error of the model; above, it may be vibration of bearings and blades."""
 
 MOST = 3
-"""Effects that one diagnosis may name."""
+"""Maximum number of effects of one diagnosis."""
 
 FOLDS, FOLD_BLOCK = 5, 5.0
 """Interleaved folds of the cross-validation, and seconds of their blocks: longer than any lag of a rig."""
@@ -48,8 +48,8 @@ ALTERNATIVE_WINDOW = 10.0
 both fits are approximate."""
 
 ALPHA_HELD_OUT = 0.05
-"""Level of the tests that an error on held-out data decreases or increases. Multiple comparisons are accounted for before;
-these tests have some twenty blocks."""
+"""Level of the tests that an error on held-out data decreases or increases. Earlier tests account for multiple comparisons;
+these have only some twenty blocks."""
 
 MAJORITY = 0.5
 """Share of the lack of fit that a set must explain to be `partly`; share of a residual's power that must be structured, or at
@@ -61,9 +61,9 @@ class Judgement:
     """Statistics of one effect of a set, against the set without it.
 
     `likelihood_gain`: gain of log-likelihood on the fitted records. `needed`: its threshold, from chance at the level ALPHA and
-    from the forms of the other effects. `evidence`: the gain less the BIC penalty. `gain`: cross-validated log-likelihood ratio
-    by channel. `size` [N]: rms change of the thrust below SLOW; `least`: its minimum; `material`: the effect's thrust or speed
-    reaches its minimum. `refused`: reasons; empty: accepted."""
+    from the forms of the other effects. `evidence`: the gain minus the BIC penalty. `gain`: cross-validated log-likelihood
+    ratio by channel. `size` [N]: rms change of the thrust below SLOW; `least`: its minimum; `material`: the effect's thrust or
+    speed reaches its minimum. `refused`: reasons; empty: accepted."""
 
     effect: str
     likelihood_gain: float
@@ -109,7 +109,7 @@ def refusals(
     that it removes from held-out data.
 
     Cross-validation can only reject. The thrust alone may lose half a nat a parameter, the expected cost of an unidentifiable
-    one; a clean speed signal must not pay for more.
+    one; a gain of the speed must not compensate for more.
     """
     found = []
     if likelihood_gain < needed:

@@ -1,12 +1,12 @@
-"""Lack of fit: does the residual hold more than noise? Four checks, none of which needs a hypothesis about the missing effect.
+"""Lack of fit: is the residual more than noise? Four checks, none of which needs a hypothesis about the missing effect.
 
-1. Pure error: an analysis of variance of repeated records, in bands below 10 Hz. What repeats is an error of the model.
+1. Pure error: an analysis of variance of repeated records, in bands below 10 Hz. The repeatable part is an error of the model.
 2. Score test (score_test.py) of the residual on regressors made of the commands and of time.
    Tests 1 and 2 report lack of fit if they reject at their level and the residual exceeds the minimum size of interest.
-3. Structured residuals: the measured speed, if more than MAJORITY of its residual power follows the commands or is absent at
-   rest; and, of a model with effects and without a repeat, the thrust, if MAJORITY of its power is absent at rest.
-4. Rotor order: a line at the rotor frequency has a random phase, which no repeat shares. It counts if it holds more than
-   MAJORITY of the noise power: every rig has some imbalance.
+3. Structured residuals: more than MAJORITY of the speed residual's power follows the commands or is absent at rest; or, for a
+   model with effects and without a repeat, MAJORITY of the thrust residual's power is absent at rest.
+4. Rotor order: a line at the rotor frequency has a random phase, so it does not repeat. It counts if it has more than MAJORITY
+   of the noise power, because every rig has some imbalance.
 """
 
 from collections.abc import Iterator, Sequence
@@ -62,7 +62,7 @@ class RotorOrderTest:
 
 
 NO_ROTOR_ORDER = RotorOrderTest(0.0, 1.0)
-"""Where the test was not run, or is not possible."""
+"""Result if the test was not run or is not possible."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,8 @@ class LackOfFit:
 
     `bands`: pure error, empty without a repeat. `score`: the score test. `p`: p-value of both together. `size` [N]: rms of the
     significant residual below 10 Hz. `least` [N]: minimum size of interest. `has_effects`: whether the fit has effects, which
-    must pass at a stricter level. `speed`: structured share of the speed residual; `speed_size` [N]: its equivalent in thrust,
-    0 below MAJORITY; `speed_rpm`: its rms, compared with `least_speed` [rpm]. `moving`, `transient_size` [N]: share and rms of
+    determines the level. `speed`: structured share of the speed residual; `thrust_equivalent` [N]: its equivalent in thrust, 0
+    below MAJORITY; `speed_rpm`: its rms, compared with `least_speed` [rpm]. `moving`, `transient_size` [N]: share and rms of
     the thrust residual that is absent at rest. `turning`: the rotor order, compared with `most` [N] rms."""
 
     bands: tuple[Band, ...]
@@ -175,7 +175,7 @@ def with_rotor_order(lack: LackOfFit, fit: Fit) -> LackOfFit:
 
 
 def _score_size(fit: Fit, score: ScoreTest) -> float:
-    """N: rms that the regressors explain. A nat is one slow sample's noise power; a second has 2 SLOW of them."""
+    """N: rms that the regressors explain. Half a nat is the noise power of one slow sample, of which a second has 2 SLOW."""
     seconds = sum(float(np.ptp(e.thrust_time)) for e in fit.problem.experiments)
     slow = max(e.noise.slow for e in fit.problem.experiments)
     return float(np.sqrt(max(2.0 * score.gain, 0.0) / (2.0 * SLOW * seconds) * slow))
@@ -192,7 +192,7 @@ def pure_error(fit: Fit) -> tuple[Band, ...]:
         errors = np.stack([_filled(at.mean(shown - r.record["thrust"])) for r in e.records])
         between, within = spectra(errors)
         step = float(np.median(np.diff(at.time)))
-        # The test assumes a flat spectrum in a band: slow noise is evened out first.
+        # The test assumes a flat spectrum in a band: slow noise is flattened first.
         flat, level = spectra(e.noise.evened(errors.T, step).T)
         for low, high, inside in _bands(np.fft.rfftfreq(errors.shape[1], step)):
             count = len(errors)
@@ -204,14 +204,14 @@ def pure_error(fit: Fit) -> tuple[Band, ...]:
 def _band(
     low: float, high: float, count: int, between: float, within: float, flat: float, level: float, degrees: float
 ) -> Band:
-    """From the powers of the mean and about it, as measured and evened, and the degrees of freedom of one record."""
+    """From powers of the mean and about it, as measured and with slow noise flattened, and degrees of freedom of one record."""
     power, error = (between - within) / count, within * np.sqrt(2.0 / degrees + 2.0 / (degrees * (count - 1))) / count
     p = float(f_distribution.sf(flat / level, degrees, degrees * (count - 1))) if level > 0.0 else 1.0
     return Band(low, high, float(power), float(error), p)
 
 
 def _filled(means: np.ndarray) -> np.ndarray:
-    """Blocks without a reading become zero."""
+    """Means minus their average; zero for blocks without a reading."""
     return np.where(np.isfinite(means), means - np.nanmean(means), 0.0)
 
 
@@ -219,7 +219,7 @@ def spectra(errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(power of the mean of records times their number, power about the mean), each (frequencies,) N^2, of `errors` (records,
     n).
 
-    The analysis of variance, frequency by frequency: of noise alone both are the noise's power, and independent; sums over M
+    An analysis of variance at each frequency. For noise alone both are independent estimates of its power, and sums over M
     ordinates have a ratio with the distribution F(2 M, 2 M (records - 1)). Over all frequencies they sum to mean squares.
     """
     count, n = errors.shape
@@ -234,7 +234,7 @@ def spectra(errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _bands(frequency: np.ndarray):
-    """(low, high, mask) of the bands, each joined with the next until it has FEWEST ordinates; the mean is the map's own."""
+    """(low, high, mask) of bands without frequency 0, the map's, each joined with the next until it has FEWEST ordinates."""
     found, low = [], EDGES[0]
     for high in EDGES[1:]:
         inside = (frequency >= low) & (frequency < high) & (frequency > 0.0)
@@ -251,11 +251,11 @@ FEWEST_AT_REST = 12
 def structured_speed_share(fit: Fit) -> float:
     """Share of the speed residual's power that is structured, 0 to 1; 0 where no speed was measured.
 
-    It is the adjusted coefficient of determination (Ezekiel, 1930) of a regression on shapes of the commands; of a fit with
-    effects the share that is absent at rest (`transient_power_share`), if that is larger.
+    It is the adjusted coefficient of determination (Ezekiel, 1930) of a regression on shapes of the commands. For a fit with
+    effects it is the share that is absent at rest (`transient_power_share`), if that is larger.
 
-    It is no test. The errors of a tachometer depend on the rate of the speed, because a pulse may fall anywhere between two
-    rows: they have neither one variance nor one spectrum, and repeat in part.
+    It is not a significance test: the errors of a tachometer have no constant variance or spectrum, and repeat in part. They
+    depend on the rate of the speed, because a pulse may occur anywhere between two rows.
     """
     parts = channel_rows(fit, "omega")
     if not parts:
@@ -279,13 +279,13 @@ def transient_power_share(fit: Fit, channel: str) -> tuple[float, float]:
 
     The reference is the variance within the last thirds of holds, and the resolution of the sensor. Without a repeat record the
     noise colour is estimated from the residual, and whitening may hide a missing effect: this check uses unwhitened residuals.
-    (0, 0) with a repeat record, and where too few holds are long enough.
+    (0, 0) with a repeat record, or if too few holds are long enough.
     """
     whole, count, scatter, free, least = 0.0, 0, 0.0, 0, 0.0
     for e in fit.problem.experiments:
         if e.noise.verified:
             return 0.0, 0.0
-        at_rest = last_thirds(e.record, SETTLED * slowest(fit.values, fit.values))  # of all: they have the same commands
+        at_rest = last_thirds(e.record, SETTLED * slowest(fit.values, fit.values))  # the same for all records of the experiment
         for times, all_left, best in _unwhitened(e, predicted_rows(fit, e), channel):
             kept = np.isfinite(all_left)
             left, time, least = all_left[kept], times[kept], max(least, best**2)
@@ -330,7 +330,7 @@ TURNS = 40
 """Revolutions of a window: orders are 1 / 40 apart, and an error of 1 % in speed stays within one order."""
 
 BESIDE = np.array([-8, -7, -6, -5, -4, -3, 3, 4, 5, 6, 7, 8])
-"""Neighbouring orders in steps of 1 / TURNS: near enough for a flat spectrum, far enough not to hold the line itself."""
+"""Neighbouring orders in steps of 1 / TURNS: near enough for a flat spectrum, far enough not to contain the line itself."""
 
 VARIED = 0.05
 """Minimum relative standard deviation of the rotor frequency over the windows: else a hum may coincide with it."""

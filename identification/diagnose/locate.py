@@ -54,7 +54,7 @@ def _correlation(error: np.ndarray, signal: np.ndarray) -> float:
 
 
 def _input(speed: float, pitch: float) -> str:
-    """The command of the error, by the strongest correlation with the signals of each command."""
+    """The command to which the error is assigned, by the strongest correlation with the signals of each command."""
     if max(speed, pitch) < WEAK:
         return "neither"
     return "pitch" if pitch > 1.2 * speed else "speed" if speed > 1.2 * pitch else "both"

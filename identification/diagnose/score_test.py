@@ -29,7 +29,7 @@ DRAWS = 4000
 
 @dataclass(frozen=True)
 class ScoreTest:
-    """Log-likelihood `gain` of `count` regressors beside a fit, less its expectation under noise, half a nat each.
+    """Log-likelihood `gain` of `count` regressors beside a fit, minus its expectation under noise, half a nat each.
 
     `bands`: for each frequency band (degrees of freedom of the regressors, degrees of freedom of the noise power).
     """
@@ -42,7 +42,7 @@ class ScoreTest:
     def p(self) -> float:
         """p-value under noise alone. The statistic is a sum of F distributed terms, one a frequency band.
 
-        A single F distribution has too light a tail: slow bands hold most regressors, and their noise power is known least.
+        A single F distribution has too light a tail: slow bands have most regressors, and the least accurate noise power.
         Computed by conditional Monte Carlo on the largest term (Asmussen and Kroese, Adv. Appl. Probab., 2006).
         """
         if not self.count:
@@ -96,7 +96,7 @@ def shape_columns(fit: Fit, channel: str, parts: Sequence[slice]) -> np.ndarray:
     first, found = parts[0].start, np.empty((0, 0))
     for e, at in zip(fit.problem.experiments, parts, strict=True):
         outputs = predicted_rows(fit, e)
-        # One after the other: side by side and unwhitened the shapes of a long record would be the largest thing in memory.
+        # Each shape is whitened before the next: unwhitened, all shapes of a long record would use most of the memory.
         if channel == "thrust":
             own = [e.thrust_columns(shape) for shape in thrust_shapes(fit.values, e.record, outputs)]
         else:
@@ -110,7 +110,7 @@ def shape_columns(fit: Fit, channel: str, parts: Sequence[slice]) -> np.ndarray:
 
 
 class Projected(Protocol):
-    """A residual of a fit, and the projection of rows on what the fit does not follow, as `Linearised`."""
+    """Residual of a fit, and inner products of rows orthogonal to its sensitivities, as `Linearised`."""
 
     @property
     def residual(self) -> np.ndarray: ...
@@ -150,7 +150,7 @@ def scores_covariance(
     for directions, samples, gone in parts:
         n = samples.shape[1]
         spectrum, shapes = mean_powers(samples) / len(samples), np.fft.rfft(directions, axis=1)
-        twice = np.full(len(spectrum), 2.0)  # ordinates of a real signal but for the ends
+        twice = np.full(len(spectrum), 2.0)  # ordinates of a real signal count twice, except the ends
         twice[0], twice[-1] = 1.0, 2.0 if n % 2 else 1.0
         taken = np.sum(np.abs(shapes) ** 2, axis=0) / n
         level, free = noise_levels(spectrum, mean_powers(gone))

@@ -29,7 +29,7 @@ from identification.diagnose.search.refits import (
 )
 
 AGAIN = "a search from the second best effect"
-"""A step of the search."""
+"""Name of a step of the search."""
 
 MORE_ROUNDS = 2
 """Further rounds of refits if no candidate is accepted and lack of fit remains."""
@@ -39,8 +39,8 @@ MORE_ROUNDS = 2
 class Selection:
     """Result of a search: the base, the final fit, its judgements by effect, and all candidates, round by round.
 
-    `refused`: judgements of rejected candidates. `rivals`: for each effect, by name the sets in which an indistinguishable
-    effect takes its place.
+    `refused`: judgements of rejected candidates. `rivals`: for each effect, the fits with an indistinguishable effect in its
+    place, by the name of that effect.
     """
 
     base: Fit
@@ -65,10 +65,10 @@ def select(
 ) -> tuple[Judge, Selection]:
     """Search up to MOST effects: (final judge, selection).
 
-    `clearer(judge, fit)`: a judge with a noise estimate from the residual of a fit, if that is lower; it judges from then on.
-    If one effect does not explain all, the search starts once more from the second best single effect, if that was nearly as
-    good; the better set is kept. The first round ends whatever the budget of `effort` is. Without a budget the result does not
-    depend on the number of workers in `pool`.
+    `clearer(judge, fit)`: a judge with a noise estimate from the residual of a fit, if that is lower; it then replaces the
+    judge. If one effect does not explain all, the search starts once more from the second best single effect, if that was
+    nearly as good; the better set is kept. The first round is completed for any budget of `effort`. Without a budget the result
+    does not depend on the number of workers in `pool`.
     """
     forward = partial(_forward, options=list(options), clearer=clearer, effort=effort, pool=pool)
     judge, found = forward(judge, Selection(judge.base, judge.base))
@@ -122,8 +122,8 @@ def _forward(judge: Judge, found: Selection, options, clearer, effort, pool) -> 
 
 def _next_best(judge: Judge, found: Selection) -> tuple[Fit, dict[str, Judgement]] | None:
     """(fit, judgement) of the best other effect of the first round that is accepted alone, within ALTERNATIVE_WINDOW of the
-    best; None without one. Special cases and generalisations of the set's effects do not count. Of two true effects, a third
-    may fit better than either alone."""
+    best; None without one. Special cases and generalisations of the set's effects do not count. If two effects are present, a
+    third may fit better than either alone."""
     ranked = _ranked([t for t in found.rounds[0] if t.fit is not None])
     theirs = {e.name: e.contains for e in found.final.problem.model.effects if e.name in found.final.effects}
     for t in (t for t in ranked if t.evidence > ranked[0].evidence - ALTERNATIVE_WINDOW):
@@ -158,7 +158,7 @@ def alternatives(searcher: Searcher, found: Selection, judge: Judge) -> Iterator
 
 
 Tried = list[tuple[str, Fit, Callable[[], Judgement]]]
-"""(name, fit, its judgement when asked for) of candidates."""
+"""(name, fit, function that judges it) of candidates."""
 
 
 def nearest(judge: Judge, found: Selection, options: Sequence[Candidate], effort: Effort, pool) -> Tried:
@@ -243,7 +243,7 @@ def _pruned(searcher: Searcher, base: Fit, fit: Fit, judge: Judge) -> tuple[Fit,
 
 def _exchanged(searcher: Searcher, found: Selection, judge: Judge, pool) -> bool:
     """Replace one effect by another one, or by another form of it, that fits better beside the rest of the set, or by a special
-    case that fits as well. Whether one was replaced. It may have been ahead only because other effects were not in the set."""
+    case that fits as well. Return whether one was replaced. It may have been ahead only because other effects were missing."""
     for effect in found.final.effects:
         contained = next(e.contains for e in found.final.problem.model.effects if e.name == effect)
         rest = without(searcher, found.base, found.final, effect)
@@ -268,15 +268,15 @@ def _in_place(searcher: Searcher, rest: Fit, tried: CandidateFit) -> Fit:
 def _rivals(searcher: Searcher, found: Selection, effect: str, judge: Judge, pool) -> dict[str, Fit]:
     """Effects that, in the place of one, have evidence within MIN_EVIDENCE of it, refitted beside the rest of the set.
 
-    A generalisation always fits as well. It is a rival only if the records do not identify its additional parameter (a speed
-    limited at one load only: does the limit depend on load?), or if it fits better.
+    A generalisation always fits as well. It is a rival only if the records do not identify its additional parameter (a limit
+    reached at one load only does not show whether it depends on load), or if it fits better.
     """
     final, stand = found.final, {}
     rest = without(searcher, found.base, final, effect)
     for candidate, refit in _near_in_place(searcher, found, effect, rest, pool):
         wider, other = effect in candidate.effect.contains, refit
         if wider and (whole := _all_on(searcher, candidate, refit)).leaves_open(candidate.effect):
-            other, behind = whole, 0.5 * (whole.deviance - final.deviance)  # the BIC charges for what no record tells
+            other, behind = whole, 0.5 * (whole.deviance - final.deviance)  # without the penalty of unidentified parameters
         else:
             behind = np.inf if wider and final.deviance - refit.deviance < 2.0 * MIN_EVIDENCE else evidence_over(final, refit)
         if not refit.idle and behind <= MIN_EVIDENCE and not judge(candidate.name, other, rest).refused:
@@ -306,7 +306,7 @@ def _near_in_place(searcher: Searcher, found: Selection, effect: str, rest: Fit,
 
 
 def _near(found: Selection, effect: str) -> list[CandidateFit]:
-    """Refitted candidates of the last round that tried an effect, other forms of it too, with evidence near its best there."""
+    """Refitted candidates of the last round that tried an effect, its other forms too, with evidence near its best there."""
     final = found.final
     others = {name for name in final.effects if name != effect}
     for tried in reversed(found.rounds):

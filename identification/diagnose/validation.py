@@ -42,9 +42,9 @@ def unnamed(lack: LackOfFit) -> str:
 
 
 def share_explained(base: Fit, final: Fit, before: LackOfFit, after: LackOfFit) -> float:
-    """Share of the lack of fit that a set explains: of the pure error's power with a repeat, else of the log-likelihood. Where
-    the remaining lack of fit is of the transient thrust, its share, if smaller. A lack of fit of the speed alone is a fault of
-    the motor: it makes the explanation a part, but hides no effect of the rotor."""
+    """Share of the lack of fit that a set explains: of the pure error's power with a repeat, else of the log-likelihood. If the
+    remaining lack of fit is in the transient thrust, the share of that, if smaller. Lack of fit of the speed alone does not
+    reduce the share: it is a fault of the motor, and hides no effect of the rotor."""
     gain = 0.5 * (base.deviance - final.deviance)
     if before.bands:
         power = sum(band.power for band in before.bands)
@@ -64,7 +64,7 @@ def next_valid_alternative(
     found: Selection, refuted: str, judge: Judge, base: Fit, before: LackOfFit, shipped: Callable[[Fit, bool], tuple[Fit, str]]
 ) -> tuple[Selection, LackOfFit, Fit] | None:
     """(selection, lack of fit, final model) of the best rival of a `refuted` effect that held-out data do not refute; None
-    without one. The fitted data did not distinguish the rivals; further valid ones are its family.
+    without one. The fitted data did not distinguish the rivals; further valid ones form its family.
     """
     valid, rejected = [], {}
     for effect, name, other in alternatives(judge.searcher, found, judge):
@@ -90,7 +90,7 @@ def validated(
 ) -> tuple[Fit, str]:
     """(final model, reason why `found` does not replace the `present` model; empty if it does).
 
-    An effect with an initial state of its own (the phase of a vibration) is kept only if the step responses confirm it."""
+    An effect with its own initial state (the phase of a vibration) is kept only if the step responses confirm it."""
     for effect in (e for e in found.problem.model.effects if e.name in found.effects):
         if any(p.initial for p in effect.parameters):
             rest = without(judge.searcher, base, found, effect.name)
@@ -111,10 +111,10 @@ NOTHING_LEFT = "{} is below the minimum size when estimated for the best predict
 def _estimated(judge: Judge, knowledge: Knowledge | None, present: Fit, found: Fit) -> Fit:
     """Estimate the accepted set for the best prediction of held-out folds and step responses.
 
-    The prior from the static map had been widened to agree with records beside the base. It is weighed anew beside the effects,
-    unless the cross-validated thrust error then increases significantly. If folds or step responses are predicted worse than by
-    the `present` model, the estimates of an identification, with more weight on slow errors, are tried; then, for effects
-    without influence at rest, those with the map of the `present` model.
+    The prior from the static map had been widened to agree with records beside the base. It is weighted again beside the
+    effects, unless the cross-validated thrust error then increases significantly. If folds or step responses are predicted
+    worse than by the `present` model, the estimates of an identification are tried, which give slow errors more weight. Then,
+    for effects without influence at rest, those with the map of the `present` model are tried.
     """
     if knowledge is not None:
         agreed = found.agreed(knowledge)
@@ -182,7 +182,7 @@ def base_predicts_better(given: Replacement) -> str:
 
 
 def significantly_worse(given: Replacement) -> str:
-    """Folds or thirds are predicted significantly worse; by a `partly` worse at all."""
+    """Folds or thirds are predicted significantly worse; for a `partly`, worse at all."""
     for name in ("folds", "thirds"):
         was, now = getattr(given, name)
         if error_increases(given.pairs(was, now)) or (given.partly and now.rmse_thrust > was.rmse_thrust):
@@ -191,7 +191,7 @@ def significantly_worse(given: Replacement) -> str:
 
 
 def part_does_not_carry_over(given: Replacement) -> str:
-    """A `partly` does not predict thirds and step responses significantly better: it must carry over to other commands."""
+    """A `partly` does not predict thirds and step responses significantly better. It must carry over to other commands."""
     if not given.partly:
         return ""
     old, new = given.steps
@@ -201,7 +201,7 @@ def part_does_not_carry_over(given: Replacement) -> str:
 
 
 def steps_lose_more(given: Replacement) -> str:
-    """The step responses lose more than the folds gain: they cover commands outside the folds."""
+    """The mean square error of step responses, which cover other commands, increases more than that of folds decreases."""
     if not given.judge.runs:
         return ""
     (was, now), (old, new) = given.folds, given.steps
@@ -230,8 +230,8 @@ def reason_against(given: Replacement) -> str:
 def _refuted_by(unseen: Unseen, noise: Noise, shipped: Fit, final: Fit) -> str:
     """The reason why the unseen record refutes a model, empty if it does not: its thrust error increases.
 
-    The measured speed may outvote the thrust: not refuted if the evidence of both together is very strong, and that of the
-    thrust alone is not very strong against the model."""
+    The measured speed may outweigh the thrust: the model is not refuted if the evidence of both together is very strong for it,
+    and that of the thrust alone is not very strong against it."""
     was, now = (predict(fit.problem.model, fit.values, unseen.record) for fit in (shipped, final))
     if now.rmse_thrust <= was.rmse_thrust:
         return ""

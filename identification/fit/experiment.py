@@ -2,7 +2,7 @@
 
 Records of the same commands are one experiment: they are simulated once, and their thrust is averaged. This divides the power
 of the noise by their number and keeps the model error that they share. Speed is compared in each record separately, as the
-tachometer shows it.
+tachometer reads it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -56,13 +56,13 @@ class Experiment:
 
     @cached_property
     def converter(self) -> Converter:
-        """Of the thrust readings of all records."""
+        """Converter of the thrust readings of all records."""
         thrust = [_thrust(r.record, "thrust" in self.channels) for r in self.records]
         return Converter.of(np.concatenate(thrust), self.noise.floor)
 
     @property
     def _is_fine(self) -> bool:
-        """Whether no converter is coarse, by assumption: then the readings' grid is not searched for, which sorts them."""
+        """Whether the converter is assumed fine. The search for the readings' grid, which needs a sort, is then omitted."""
         return bool(np.isinf(self.noise.floor))
 
     def _read_speed(self, tachometers: list[Tachometer]) -> None:
@@ -115,7 +115,7 @@ class Experiment:
         return row_means(self.record.time, float(np.median(np.diff(read))))
 
     def _over_rows(self, thrust: np.ndarray) -> np.ndarray:
-        """Thrust (rows, ...) as the logger reads it: of its instants, or its means over the rows."""
+        """Thrust (rows, ...) as the logger reads it: at its instants, or as means over the rows."""
         return self._row_means @ thrust if self._averages else thrust
 
     def sensitivities(
@@ -123,9 +123,9 @@ class Experiment:
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """(outputs (rows, 3), whitened sensitivities (n, wrt) by channel) of a simulator's model.
 
-        `into` (n, wrt): an array that those of thrust may use. The sensitivities of a long record need by far the most memory.
-        If a block has several rows, the record is simulated in pieces, and of those of thrust only block means are kept. There
-        the means of a logger over its rows change nothing that matters, and are left out.
+        `into` (n, wrt): an array for the sensitivities of thrust. The sensitivities of a long record need by far the most
+        memory. If a block has several rows, the record is simulated in pieces, and only block means of the thrust's
+        sensitivities are kept. A logger's means over its rows are then negligible, and omitted.
         """
         k, count, length = len(simulator.wrt), len(self._blocks.time), int(self._blocks.edges[1])
         means = np.empty((count, k)) if into is None or len(into) < count else into

@@ -15,7 +15,7 @@ PARTNER = 0.01
 """Minimum share of a column that another must contribute to be named as its partner."""
 
 UNKNOWN = 1.0
-"""Standard deviation of a normalised coefficient that is not identifiable: coefficients have this size."""
+"""Standard deviation from which a normalised coefficient is not identifiable: the typical size of coefficients."""
 
 ORDER = ("tau_omega_1", "tau_omega_2", "tau_beta_1", "tau_beta_2", "c20", "c30", "c21", "c11", "c12")
 """Of linearly dependent parameters, those named first are fitted and the others held."""

@@ -62,8 +62,8 @@ def solve(
 ) -> Solution:
     """Minimise the sum of squares of `evaluate(x) -> (residual, jacobian)` from `start` within [lower, upper].
 
-    The Jacobian is in `x`, or in parameters with the derivatives `inner(x)` (parameters, n): then the normal matrix is
-    transformed, which is small, and of the Jacobians only the last.
+    The Jacobian is with respect to `x`, or to parameters with the derivatives `inner(x)` (parameters, n). In the second case
+    only the small normal matrix and the last Jacobian are transformed.
 
     Stops after a Gauss-Newton step that gains less than FLAT, if predicted and actual decrease of the cost are below
     `tolerance` of it, or after `limit` evaluations. A parameter at a bound is fixed until the gradient points inside. Damping

@@ -2,8 +2,8 @@
 
 Neighbouring readings share part of their noise. If they are taken as independent, any flexible candidate finds false evidence,
 so residuals are whitened before a test. Rows are first averaged to blocks, much shorter than the rig's lags. An autoregressive
-filter then removes the colour. Slow noise is correlated over many readings: after the first lags the filter has means over
-longer and longer spans of lags, whose number the BIC selects (Corsi, 2009, for long memory by few terms). The power of flicker
+filter then removes the colour. Slow noise is correlated over many readings. So, after the first lags, the filter has means over
+longer and longer spans of lags. The BIC selects their number (Corsi, 2009, for long memory by few terms). The power of flicker
 noise (1/f) and of a random walk (1/f^2) increases towards zero frequency beyond any filter length. If records of the same
 commands identify such noise, a gain in the frequency domain flattens it first.
 """
@@ -209,7 +209,7 @@ def colour_of(parts: Sequence[np.ndarray], taken: np.ndarray | None = None) -> C
 def _restricted_likelihood(part: np.ndarray, taken: np.ndarray) -> Colour:
     """The filter of the noise of a part and of the directions `taken` from it. No corner is searched: slow power in a single
     record may be model error, and flattening would hide it."""
-    colour = Colour((), (), _spread([part], None))  # white: the residual's own is too far from the noise's to converge
+    colour = Colour((), (), _spread([part], None))  # starts white: the residual's colour is too far from the noise's
     for _ in range(RESTORED):
         before = colour
         colour, _ = _selected_by_bic(*_expected_part(part, taken, before))

@@ -227,7 +227,7 @@ class Problem:
         return [(predicted - measured)[np.isfinite(measured)] for predicted, measured in pairs]
 
     def fit(self, start: Mapping[str, float]) -> Solution:
-        """Fit from `start`, weigh the channels by the residual, and fit again: for comparison with other fits."""
+        """Fit from `start`, weight the channels by the residual, and fit again: for comparison with other fits."""
         found = self._solve(self.coordinates.vector(start), WEIGHED, 40)
         self.weigh(found.residual)
         return self.refit(found.value)
@@ -239,7 +239,7 @@ class Problem:
     def solve(self, start: Mapping[str, float], enough: float = 0.0, known: list[tuple] | None = None) -> Solution:
         """Fit from `start` under the present weights. `enough`: minimum gain of log-likelihood (noise of unknown size) to
         continue the search; the Jacobian may then be of an earlier step. 0: full numerical precision. `known`: the rows at
-        `start`, if they are known; they are taken out, because a long record has memory for one Jacobian only."""
+        `start`, if they are known. They are removed from the list: memory may suffice for one Jacobian only."""
         return self._solve(self.coordinates.vector(start), enough, 100, known)
 
     def _solve(self, x, enough, limit, known=None):
@@ -252,7 +252,7 @@ class Problem:
         return solve(evaluate, x, c.lower, c.upper, tolerance, limit, residual_at, c.jacobian)
 
     def solve_and_weigh(self, start: Mapping[str, float], known: list[tuple] | None = None) -> list[Solution]:
-        """Fit from `start` and weigh the channels by their residuals, by turns, until both converge.
+        """Alternately fit from `start` and weight the channels by their residuals, until both converge.
 
         Returns all fits. The last is the result; the others are slim. Each has its own weights, so their costs do not compare.
         """

@@ -22,7 +22,7 @@ MORE = 1.3
 """Minimum number of new values per revolution for a sensor of unknown kind to be taken for an encoder."""
 
 OF_NOISE = 3.0 * 20.0**0.5 / 12.0
-"""Three standard deviations of a change of curvature, a third difference over 12, in those of a reading."""
+"""Three standard deviations of a change of curvature (a third difference over 12), in standard deviations of a reading."""
 
 FADED = 12.0
 """Time constants after which a filter has forgotten its input."""
@@ -31,7 +31,7 @@ FADED = 12.0
 class Tachometer:
     """Turns predicted speed (rows,) or its sensitivities (rows, k) into readings of the record's sensor at its new values.
 
-    `rows` (m,): the rows with a new value; `measured` (m,) rpm: the speed that it shows; `std` (m,) rpm: its uncertainty from
+    `rows` (m,): the rows with a new value; `measured` (m,) rpm: the speed read there; `std` (m,) rpm: its uncertainty from
     resolution and from the unknown instant within the sampling step; `unknown` s: median of half that time. `sensor`: as the
     record declares it. An unknown kind is taken for one mark, or for an encoder if values are renewed faster than the rotor
     turns.
@@ -123,8 +123,8 @@ class Tachometer:
         return self._time[self.rows]
 
     def _kinks(self) -> np.ndarray:
-        """(m,) rpm: maximum deviation of the speed from a parabola between rows, from the change of curvature between
-        readings that exceeds their noise: a weight must not depend on the error of its own reading."""
+        """(m,) rpm: maximum deviation of the speed from a parabola between rows, from the change of curvature between readings.
+        Only the part above their noise counts: a weight must not depend on the error of its own reading."""
         bend = np.zeros(len(self))
         if len(self) < 3:
             return bend
@@ -161,8 +161,8 @@ def _renewed(time: np.ndarray, shown: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _near_limits(time: np.ndarray, shown: np.ndarray, new: np.ndarray, interval: np.ndarray) -> np.ndarray:
-    """Speed (rows,) in the rows of new values, whose rounding is no noise: a value that changes by one digit after several
-    readings, one each `interval` [s], has just crossed the limit between two roundings, by half its motion in one interval."""
+    """Speed (rows,), corrected for rounding in the rows of new values. A value that changes by one digit after several
+    readings, one each `interval` [s], has just crossed a rounding limit, by half its motion in one interval."""
     rows = np.flatnonzero(new)
     found, change = shown.copy(), np.diff(shown[rows], prepend=shown[rows[:1]])
     held = np.diff(time[rows], prepend=time[0]) / interval[rows]
@@ -178,7 +178,7 @@ def _of_means(time, step, new, period):
     The row of a pulse mixes two values. A value that is held for two rows and longer is read unmixed in the next row, so mixed
     and unmixed rows alternate in a run of new ones, which ends with an unmixed one. Shorter ones are mixed in any row: a
     reading is a mean over the row, the time for which a value is held, and that between two pulses. One window of the same mean
-    and variance stands for the three.
+    and variance replaces the three.
     """
     row = np.arange(len(time))
     end = np.minimum.accumulate(np.where(np.append(new[1:], False), len(time), row)[::-1])[::-1]

@@ -42,9 +42,9 @@ class Uncertainty:
 
     `inflation` (n,): ratio of the standard deviation to that under white residuals. `reach` (n, 2): distances of the lower and
     upper end of the 95 % intervals from the values; None: symmetric ones from the covariance. `profiled`: parameters with
-    profile likelihood intervals. `left_open`: parameters that the records do not identify. The covariance is linearised. Near
-    a double pole it is right for functions of a pair's sum and product, such as predictions, and too wide for the single
-    constants; their `std` is from their reach.
+    profile likelihood intervals. `left_open`: parameters that the records do not identify. The covariance is linearised. Near a
+    double pole it is right for functions of a pair's sum and product, such as predictions, but too wide for the single
+    constants. Their `std` is from their reach.
     """
 
     names: tuple[str, ...]
@@ -205,7 +205,7 @@ def _coloured(jacobian, residual, inverse):
 
 def _remaining_share(j, inverse, m):
     """Share (k,) of the noise power that remains in the residual, by frequency; from the Jacobian's transform (n, k)."""
-    parts = j.view(float)  # real and imaginary ones by turns: they add up alike
+    parts = j.view(float)  # alternately real and imaginary; both add to the power
     absorbed = np.einsum("ij,ij->j", inverse @ parts, parts).reshape(-1, 2).sum(axis=1) / m
     return np.maximum(1.0 - banded(absorbed), 1.0 / ORDINATES)
 

@@ -26,7 +26,7 @@ POLE_PAIRS = (2, 30)
 """Range of pole pairs of motors. If measured over commanded speed is such a number, the speed is most likely electrical."""
 
 WHOLE = 0.03
-"""Relative tolerance of a whole ratio of speeds: speed controllers settle within it. From 17 pole pairs on every ratio is that
+"""Relative tolerance of a whole ratio of speeds: speed controllers settle within it. From 17 pole pairs on, every ratio is this
 close to a whole number, but no unit of speed has such a ratio."""
 
 FORCES = {"gf": 101.972, "kgf": 0.101972, "lbf": 0.224809, "ozf": 3.59694, "mN": 1000.0, "kN": 0.001}
@@ -39,7 +39,7 @@ AS_UNIT = 0.2
 """Logarithmic tolerance of a unit's ratio: units differ by more, and consistent files by less."""
 
 SLOWEST = 10.0
-"""s: no lag of a rotor or of blades is longer; that of a servo or a motor is a hundredth."""
+"""s: no lag of a rotor or of blades is longer; the lag of a servo or a motor is a hundredth of it."""
 
 USUAL = 0.3
 """s: typical lag of a rig, to choose among units of time; these differ by a factor of a thousand."""
@@ -67,14 +67,14 @@ OFFSET = 0.02
 """Minimum offset to report, as a share of the largest thrust; it must also exceed FAR standard deviations."""
 
 FAR = 5.0
-"""Standard deviations for a significant offset, even if the scatter is model error of a map of five terms instead of noise."""
+"""Minimum standard deviations of a significant offset, also if the scatter is the model error of a map of five terms."""
 
 SOUND, LIFT, AIR = 340.0, 0.4, 1.225
 """m/s, largest thrust coefficient T / (rho n^2 D^4) of any static propeller, and kg/m^3: they give a rotor's minimum
 diameter."""
 
 MARK = 0.025
-"""Relative tolerance of the turns between a tachometer's values, against a number and between slow and fast rotation."""
+"""Relative tolerance of the turns between a tachometer's values, from a given number, and between slow and fast rotation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -362,7 +362,7 @@ def _copies(files: Sequence[File]) -> Iterator[Finding]:
 
 
 def _early(files: Sequence[File]) -> Iterator[Finding]:
-    """Commands that are in the file later than their effects."""
+    """Commands that are logged later than their effects."""
     for file in files:
         r = file.response
         if file.look is None or r.explained < FOLLOWS or not any(r.lags.values()):

@@ -68,7 +68,7 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding. `value`, in `unit`: the evidence; `told`: a sentence of it. `where`: the file's source; `field`: its
+    """One finding. `value`, in `unit`: the evidence; `told`: the same in a sentence. `where`: the file's source; `field`: its
     column, or a parameter. `accepted`: the user accepts it."""
 
     code: str

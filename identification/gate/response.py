@@ -99,7 +99,7 @@ class Response:
 
     def owed_to_pitch(self) -> tuple[float, float]:
         """(change of the thrust from the lower to the upper tenth of the pitch, ratio of residual variances without and with
-        pitch), from speed, its square and pitch. Terms of both would extrapolate into corners without readings."""
+        pitch), from speed, its square and pitch. Products of both would extrapolate into corners without readings."""
         w = self.omega / (self.span.speed[1] or 1.0)
         a = np.column_stack([np.ones_like(w), w, w**2, self.beta])
         whole, part = (np.linalg.lstsq(columns, self.thrust, rcond=1e-9)[0] for columns in (a, a[:, :3]))
@@ -167,8 +167,8 @@ def _earlier(command: np.ndarray, rows: int) -> np.ndarray:
 
 
 def _after_lag(command: np.ndarray, lag: float) -> np.ndarray:
-    """(n,): a held command after a first-order lag in rows, in equilibrium at the start; each row is before its command
-    acts."""
+    """(n,): a held command after a first-order lag in rows, in equilibrium at the start; each row has the value before its
+    command acts."""
     kept = float(np.exp(-1.0 / lag)) if lag > 0.0 else 0.0
     moved = lfilter([0.0, 1.0 - kept], [1.0, -kept], command - command[0])
     return command[0] + moved

@@ -14,7 +14,7 @@ from vpp_fmu.record import Record, digit_of
 
 FEWEST_ROWS = 200
 SHORTEST = 2.0
-"""Minimum number of rows and seconds of a record to fit: fewer show no lag of a rig."""
+"""Minimum number of rows and seconds of a record to fit: fewer identify no lag of a rig."""
 
 FEWEST_UNSEEN = 20
 """Minimum number of rows of a record that is not fitted: SHORTEST in a log of 10 Hz."""
@@ -110,7 +110,7 @@ def runs_of_equals(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _equal(record: Record) -> Iterator[Fault]:
     """Clipped and frozen thrust: longer runs of equal neighbours than by chance under the surrounding noise.
 
-    A sensor with noise below its last digit, or slower than the rows, has long runs without a fault: then only a run that
+    A sensor with noise below its last digit, or slower than the rows, has long runs without a fault. Then only a run that
     continues after a move of a command is a fault. Readings at rest are not checked.
     """
     seen = np.flatnonzero(np.isfinite(record["thrust"]) & (record["omega_ref"] > 0.0))

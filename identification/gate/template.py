@@ -23,7 +23,7 @@ TEMPLATE_RIG = SyntheticRig(
     values={"tau_omega_1": 0.5, "tau_omega_2": 0.3, "tau_beta_1": 0.45, "tau_beta_2": 0.3},
     grid=5,
 )
-"""A large, slow rotor: few rows show its lags."""
+"""A large, slow rotor: few rows identify its lags."""
 
 COLUMNS = {
     "time": "from 0, increasing; periods may differ. In steps.csv each run has its own time from 0",

@@ -286,7 +286,7 @@ def _unwrapped(time: np.ndarray) -> tuple[np.ndarray, list[str]]:
 
 
 def _spread(time: np.ndarray) -> np.ndarray:
-    """Spread the rows of a stamp evenly up to the next. The first and last stamp may be incomplete: there the median step."""
+    """Spread the rows of a stamp evenly up to the next. The first and last may be incomplete: they get the median step."""
     first = np.flatnonzero(np.append(True, np.round(np.diff(time), 9) != 0.0))
     length = np.diff(np.append(first, len(time)))
     within = np.arange(len(time)) - np.repeat(first, length)

@@ -38,11 +38,11 @@ class Fitted:
 
 
 FILE = "speed_map.json"
-"""The map that all logs of a folder share."""
+"""File of the map that all logs of a folder share."""
 
 
 def map_beside(folder: str | os.PathLike, span: SignalRange, log: str | os.PathLike) -> SpeedMap | None:
-    """The speed map of a folder if it is another log's and for the same kind of signal, else None. BadInput: invalid file.
+    """The speed map of a folder if it is from another log and for the same kind of signal, else None. BadInput: invalid file.
 
     A command must mean the same in all records of a rig, so their logs share one map.
     """

@@ -40,7 +40,7 @@ FAST = 3000.0
 """rad/s, above any rotor's speed: larger numbers named omega are rpm."""
 
 MOVES = 2.0
-"""deg, by which an angle moves more than a stand does."""
+"""deg: an angle that moves by more is not one of the stand."""
 
 _TELLING = {
     "omega": ("rpm", "RPM", "1/min", "U/min", "rev/min", "rev/s", "rps", "krpm", "tr/min", "giri/min", "UPM"),
@@ -48,10 +48,10 @@ _TELLING = {
     "thrust": ("N", "mN", "kN", "kgf", "gf", "lbf", "ozf"),
     "torque": ("Nm", "N.m", "N·m", "N*m", "mNm", "Ncm"),
 }
-"""Units that tell a column's quantity if its name does not; of angles, only a command's."""
+"""Units that determine a column's quantity if its name does not; an angle, only if the name is that of a command."""
 
 _PLAIN = frozenset(["N", "mN", "kN", "gf", "kgf", "lbf", "deg", "rad", "rpm", "Hz", "ms", "us"])
-"""Units that an end of a name can only mean, such as thrust_N."""
+"""Endings of a name that can only be units, such as thrust_N."""
 
 SMALL_ANGLE = 0.6
 """Largest number of a pitch without a unit that is taken as rad: no rotor's pitch moves by less than a degree in all."""
@@ -168,7 +168,7 @@ def parse_fixed(pairs: Iterable[str]) -> dict[str, float]:
 
 
 def _pair(quantity: str, text: str, table: RawTable, force: bool) -> Column:
-    """COLUMN or COLUMN:UNIT; a column's own name may hold a colon."""
+    """COLUMN or COLUMN:UNIT; a column's own name may contain a colon."""
     name, colon, unit = text.rpartition(":")
     if not colon or text in table.columns:
         name, unit = text, None
@@ -314,7 +314,7 @@ def _meant(table: RawTable, name: str) -> tuple[str, float, list[str], str]:
     base, _ = split_unit(name)
     text = re.sub(r"(?i)load[ _]cell", "loadcell", re.sub(r"(?<=[a-zäöü])(?=[A-Z])", " ", base))
     tokens = [t for t in re.split(r"[\W_]+|(?<=[a-zA-Z])(?=\d)", text.casefold()) if t and not t.isdigit()]
-    tail = re.split(r"[\W_]+", base)[-1] if len(tokens) > 1 else ""  # as it is written: N is newton, n is none
+    tail = re.split(r"[\W_]+", base)[-1] if len(tokens) > 1 else ""  # case as written: N is newton, n is no unit
     if tail == "N":
         tokens.pop()
     exact = base.casefold().replace(" ", "_")
@@ -347,7 +347,7 @@ def proposed(table: RawTable, name: str) -> tuple[str, float, Column] | None:
         return None
     unit, sure = table.unit(name), SURE
     if quantity == "omega" and unit and unit.casefold() == "erpm":
-        unit = "rpm"  # until the command tells the pole pairs
+        unit = "rpm"  # until the command determines the pole pairs
     if quantity == "time" and is_calendar(table.columns[name]):
         return quantity, score, Column(name, CALENDAR, SURE)
     if not _numeric(table, name):
@@ -434,7 +434,7 @@ def _alive(table: RawTable, name: str, quantity: str) -> tuple[bool, bool]:
 
 
 def to_toml(sections: Mapping[str, Mapping]) -> str:
-    """The file import.toml, of sections by kind as `Plan.section` makes and `read_sections` reads them. `--map` takes it."""
+    """Content of import.toml: sections by kind, each as from `Plan.section`. `read_sections` and `--map` read it."""
     lines = [f"format = {json.dumps(FORMAT)}"]
     for kind, section in sections.items():
         lines += ["", f"[{kind}]", f"log = {_quoted(str(section.get('log', '')))}"]
@@ -467,7 +467,7 @@ def read_sections(path: str | os.PathLike) -> dict[str, dict]:
 
 
 def section_of(path: str | os.PathLike, kind: str) -> dict:
-    """The section of a kind, or another one if it says the same of the columns as all others. BadInput."""
+    """The section of a kind; if there is none, the first one, provided that all sections have the same columns. BadInput."""
     sections = read_sections(path)
     if kind in sections:
         return sections[kind]

@@ -34,7 +34,7 @@ def named_values(body: Sequence[tuple[int, str]], look: int) -> tuple[list[str],
 
 
 def _pairs(line: str) -> list[tuple[str, str]]:
-    """(name, value with its unit) of each pair; empty if the line holds anything else."""
+    """(name, value with its unit) of each pair; empty if the line contains anything else."""
     stamp = _STAMP.match(line)
     pairs, place = [("time", stamp[1])] if stamp else [], stamp.end() if stamp else 0
     while place < len(line):

@@ -32,7 +32,7 @@ STALL = 4.0
 """A gap longer than this many median intervals is a stall: stalls of the logs have 4.6 to 12, other gaps less than 3.2."""
 
 REMEMBERED = 7
-"""Rows after a stall in which speed and thrust still approach: 0.3, 0.12, 0.06, 0.03, 0.015, 0.007 of a step remains."""
+"""Rows after a stall in which speed and thrust still settle: 0.3, 0.12, 0.06, 0.03, 0.015, 0.007 of a step remains."""
 
 COARSE = 10.0
 """Minimum ratio of the median change between values to the smallest, for equal neighbours to be repeats. Below it 3 % or more

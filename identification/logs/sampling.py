@@ -43,7 +43,7 @@ LONGEST = 3.0
 """Ratio of the longest run of repeats to the usual one."""
 
 FEWEST_REPEATS = 100
-"""Minimum number of readings that show repeats."""
+"""Minimum number of readings to detect repeats."""
 
 CHANCE = 5.0
 """Standard errors that noise alone exceeds in one of three million logs."""

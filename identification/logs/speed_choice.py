@@ -51,7 +51,7 @@ def said_of_speed(record: Record) -> list[str]:
 
 
 def _followed(record: Record) -> np.ndarray:
-    """(n,) rpm: the command behind the lag that leaves the least of the measured speed. A motor on its way is not off it."""
+    """(n,) rpm: the command after the lag that fits the measured speed best: a motor that still accelerates is not off it."""
     command, first = record["omega_ref"], record["omega_ref"][0]
     seen = np.isfinite(record["omega"])
 

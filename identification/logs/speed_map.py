@@ -3,7 +3,7 @@
     omega = a_0 + a_1 x + a_2 x^2 + a_3 x^3,   x = throttle * voltage / nominal voltage   (omega in rpm)
 
 The throttle is the signal as a share of its range. The fit uses the measured voltage. `omega_ref` is the map at the nominal
-voltage, so that the command depends on the signal only; the influence of the battery on the speed is modelled as an effect.
+voltage, so that the command depends on the signal only. The influence of the battery on the speed is modelled as an effect.
 """
 
 import json

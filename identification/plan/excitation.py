@@ -22,8 +22,8 @@ SINES = 6
 """Lines of a multisine, logarithmically spaced."""
 
 HOLD, CLOCK, LOWEST = (0.2, 3.0), (0.2, 2.0), (0.05, 0.25)
-"""Hold of a level, clock of a binary sequence, in time scales, and lowest line of a multisine, periods per time scale: from
-well below the settling time to above it."""
+"""Hold of a level and clock of a binary sequence [time scales], lowest line of a multisine [periods per time scale]: from well
+below the settling time to above it."""
 
 PAPERS_HOLD = (2.0, 5.0)
 """Hold of a level in the paper's fine-tuning record, in time scales: 1 to 2.5 s on its rig."""

@@ -206,8 +206,8 @@ def _refined(surface: Surface, power: PowerModel, cost, thrust: float, pair: tup
 def _fixed(
     power: PowerModel, speeds: np.ndarray, pitches: np.ndarray, grid: np.ndarray, thrusts: np.ndarray
 ) -> tuple[float, np.ndarray]:
-    """(pitch [deg], power (n,) [W] over the thrusts) of the fixed pitch of least mean power among those that reach all thrusts
-    that any fixed pitch reaches; NaN where it does not reach a thrust."""
+    """(pitch [deg], power (n,) [W] over the thrusts) of the fixed pitch with the least mean power, among those that reach the
+    most thrusts; NaN where it does not reach a thrust."""
     watts = np.full((len(pitches), len(thrusts)), np.nan)
     for k, beta in enumerate(pitches):
         monotone = np.maximum.accumulate(grid[:, k])
@@ -233,9 +233,9 @@ def table(found: Allocation) -> list[Sequence[float]]:
 def allocated_controller(found: Allocation, parameters: ParameterSet) -> ParameterSet:
     """The rig's controller in mode 2 with the pairs as its table.
 
-    The table already gives most of the thrust, so the integral of pitch only removes the model's error: its time is the
-    pitch's sum of lags, which cancels the slow pole. The gain by which speed takes over from pitch gives that loop a crossover
-    of 1 / (SLOWER sum of lags) of the slower channel: pitch has then settled.
+    The table already gives most of the thrust, so the integral of pitch only removes the model's error. Its time is the pitch's
+    sum of lags, which cancels the slow pole. The gain by which speed takes over from pitch gives that loop a crossover of 1 /
+    (SLOWER sum of lags) of the slower channel: pitch has then settled.
     """
     base, values = rig_controller(parameters), parameters.values
     knots = np.linspace(found.thrust[0], found.thrust[-1], PAIRS)

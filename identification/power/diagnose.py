@@ -36,7 +36,7 @@ UNITS = {"power": "W", "voltage": "V"}
 
 @dataclass(frozen=True)
 class Lack:
-    """Score test for lack of fit: p-value, and rms `size` [W] of what the shapes explain, with its minimum `least`."""
+    """Score test for lack of fit: p-value, and rms `size` [W] that the shapes explain, with its minimum `least`."""
 
     p: float
     size: float
@@ -55,7 +55,7 @@ class Lack:
 
 
 def lack_of_fit(fit: RegressionFit, least: float) -> Lack:
-    """As `score_test` of the thrust."""
+    """Score test of the power, as `score_test` of the thrust."""
     problem = fit.problem
     each = [np.stack([p.at.mean(shape) for shape in p.shapes()], axis=1) for p in problem.parts]
     columns = np.ascontiguousarray(problem.whitened(each).T)
@@ -114,7 +114,7 @@ def select(
         if not accepted:
             break
         best, _ = max(accepted, key=lambda pair: pair[1].evidence)
-        # A missing effect passes for slow noise: the colour is estimated again beside what was found.
+        # A missing effect looks like slow noise: the colour is estimated again beside the accepted effects.
         fit = Regression.of(problem.parts, best.effects, best.x).fit(best.effects, best.x)
     return base, fit, tried
 

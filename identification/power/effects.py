@@ -1,4 +1,4 @@
-"""Effects of the channel `power`: what the steady power model (fit.py) does not have.
+"""Effects of the channel `power` that the steady power model (fit.py) does not include.
 
     resistance_heating  P_1 = gain u h,    time_constant dh/dt = u (1 + gain h / P_c) - h,    h = 0 at a record's start
     servo_load          P_1 = load |dbeta/dt|, or load |T dbeta/dt|
@@ -7,7 +7,7 @@
 
 u is the squared torque of the motor over its largest, so u P_c is its copper loss R I^2 when cold. The winding's temperature is
 a first-order lag of that heat, and the resistance grows in proportion. P_c [W] is the loss at u = 1; it is known if torque was
-measured. Else u is that of the electrical power over speed, and the gain has the feedback of the resistance on the heat in it:
+measured. Else u is computed from electrical power over speed, and the gain includes the feedback of the resistance on the heat:
 a rough size. A lead screw holds its load without power, so a servo takes power only while it moves: against friction, or
 against friction that is proportional to thrust. A drift with time, as of a battery, resembles a winding that heats slowly.
 """
@@ -28,7 +28,7 @@ FEEDBACK = 8
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """What the effects depend on, (rows,) each: `time` [s], `power` P of the steady model [W], `load` u, `rate` of the pitch
+    """Inputs of the effects, (rows,) each: `time` [s], `power` P of the steady model [W], `load` u, `rate` of the pitch
     [deg/s], `thrust` [N], `current` [A]; `step` [s] from row to row. `feedback` [1/W]: 1 / P_c, 0 if unknown."""
 
     time: np.ndarray
@@ -71,7 +71,7 @@ def _warmth(s: Signals, heat: np.ndarray, time_constant: float) -> np.ndarray:
 def _heated(s: Signals, p: Mapping[str, float]) -> np.ndarray:
     warmth = _warmth(s, s.load, p["time_constant"])
     for _ in range(FEEDBACK if s.feedback else 0):
-        # Beyond a resistance of ten times its cold value the model means nothing, and the search must not overflow.
+        # Beyond a resistance of ten times its cold value the model is invalid, and the search must not overflow.
         rise = np.minimum(p["gain"] * s.feedback * warmth, 9.0)
         warmth = _warmth(s, s.load * (1.0 + rise), p["time_constant"])
     return p["gain"] * s.load * warmth

@@ -1,7 +1,7 @@
 """Torque and power of a campaign: maps by least squares, and the motor between them, with standard deviations.
 
-Steady points are used where they have torque or power, else the rows of the record that was fitted, at the speed and pitch of
-the plant's simulation. There the rotor's acceleration takes power, too: its inertia is fitted beside the map and not reported.
+Steady points are used if they have torque or power, else the rows of the record that was fitted, at the speed and pitch of the
+plant's simulation. Acceleration takes power, too: in a record the rotor's inertia is fitted beside the map and not reported.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,16 +22,16 @@ TOLERANCE = 1.05
 """Maximum ratio of shaft to electrical power: both are measured to some per cent."""
 
 AIR_DENSITY = next(p.default for p in FIGURE.parameters if p.name == "air_density")
-"""kg/m3, where a rig does not declare it."""
+"""kg/m^3, for a rig that does not declare it."""
 
 TIMES = 4
-"""Rows per coefficient, at least."""
+"""Minimum number of rows per coefficient."""
 
 ROUNDS = 4
-"""Fits of torque and motor together, after each of which both readings are weighted by their residuals."""
+"""Number of joint fits of torque and motor. After each, both readings are weighted by their residuals."""
 
 SHARE, EXACT = 0.01, 1e-9
-"""Noise of a reading over its mean: of power before the first fit; the least, for readings without noise."""
+"""Ratio of a reading's noise to its mean: of power before the first fit; minimum, for readings without noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ class PowerFit:
     source: str
 
     def added_to(self, parameters: ParameterSet) -> ParameterSet:
-        """The plant with these outputs. Effects of the user stay."""
+        """The plant with these outputs. Its other effects are kept."""
         core, rotor = parameters.without_power.model, parameters.rig.rotor
         merit = [FIGURE.name] if rotor and TORQUE_MAP.name in self.effects else []
         model = plant([*core.optional, *self.effects, *merit], core.effects, parameters.rig.scales)
@@ -125,7 +125,7 @@ def _readings(omega, beta, torque, power, source, scales, rate=None) -> Readings
 
 
 def _check(r: Readings) -> None:
-    """BadInput for a mean below 0, and where the shaft gives more than it gets."""
+    """BadInput if a mean is not positive, or if shaft power exceeds electrical power."""
     for name, unit, values in (("torque", "N.m", r.torque), ("electrical power", "W", r.power)):
         if values is not None and not (mean := float(np.mean(values))) > 0.0:
             raise BadInput(
@@ -145,7 +145,7 @@ def _check(r: Readings) -> None:
 
 
 def figure_of_merit(readings: Readings, thrust: np.ndarray, rotor: Mapping[str, float]) -> float:
-    """Ideal over real power of a rotor in the mean of steady points of `thrust` (n,) [N]: each is weighted by its power."""
+    """Mean ratio of a rotor's ideal to its real power over steady points of `thrust` (n,) [N], each weighted by its power."""
     assert readings.torque is not None
     disc = 0.25 * np.pi * rotor["diameter"] ** 2
     ideal = np.maximum(thrust, 0.0) ** 1.5 / np.sqrt(2.0 * rotor.get("air_density", AIR_DENSITY) * disc)
@@ -153,10 +153,10 @@ def figure_of_merit(readings: Readings, thrust: np.ndarray, rotor: Mapping[str, 
 
 
 def fit_power(readings: Readings) -> PowerFit:
-    """Fit torque with its map and, where electrical power was measured too, the motor; else the map of electrical power.
+    """Fit the map of torque, and the motor if electrical power was measured too; without torque, the map of electrical power.
 
-    The terms of a map are the subset with the least BIC, among those of a power below the number of speeds, or of pitches, that
-    were measured: a rig of fixed pitch has a map of speed alone. BadInput without enough rows.
+    The terms of a map are the subset with the smallest BIC. Their powers are below the number of measured speeds, or of
+    pitches: with a fixed pitch the map depends on speed alone. BadInput without enough rows.
     """
     if readings.torque is None:
         assert readings.power is not None
@@ -187,7 +187,7 @@ def _rms(values: np.ndarray) -> float:
 
 
 def _polynomial(readings: Readings, effect: str, terms, measured: np.ndarray) -> _Map:
-    """The map of torque or power. The inertia's term, where speed changes, is in every subset and in none of the results."""
+    """The map of torque or power. If speed changes, every subset has the inertia's term; the result does not."""
     first = min(i for i, _ in terms)
     speeds, pitches = (len(np.unique(np.round(values, 3))) for values in (readings.w, readings.b))
     terms = [(i, j) for i, j in terms if i - first < speeds and j < pitches]
@@ -224,8 +224,8 @@ def _subsets(count: int) -> Iterator[tuple[int, ...]]:
 
 
 def _variance(residual: np.ndarray, count: int, in_time: bool) -> float:
-    """Variance of the residual (n,), for the covariance of `count` coefficients. Of rows in time it is raised by the ratio of
-    effective to nominal information, (1 + r) / (1 - r) with the correlation r of neighbours."""
+    """Variance of the residual (n,), for the covariance of `count` coefficients. For rows in time it is multiplied by the ratio
+    of nominal to effective information, (1 + r) / (1 - r) with the correlation r of neighbours."""
     variance = float(residual @ residual) / (len(residual) - count)
     if not in_time or variance == 0.0:
         return variance
@@ -234,8 +234,8 @@ def _variance(residual: np.ndarray, count: int, in_time: bool) -> float:
 
 
 def _with_motor(readings: Readings, torque: _Map) -> PowerFit:
-    """The torque's map and friction, copper loss and idle power of the motor, none below 0: fitted together to both readings,
-    each weighted by its noise, from the map that torque alone gives."""
+    """Fit the torque's map, and friction, copper loss and idle power of the motor, none below 0, together to both readings,
+    each weighted by its noise. The fit starts from the map of torque alone."""
     omega, power = readings.omega, readings.power
     assert power is not None
     assert readings.rate is None
@@ -264,7 +264,7 @@ def _with_motor(readings: Readings, torque: _Map) -> PowerFit:
         )
         x, weighed = found.x, noise
         free = np.isinf(lower) | (x > 1e-6)
-        # What is free is shared between the two readings by the terms of the map and those of the motor.
+        # Degrees of freedom: the map's terms count for torque, the motor's for power.
         shares = np.array([n - k, n - free[k:].sum()])
         noise = np.sqrt(np.sum(residuals(x) ** 2, axis=1) / shares)
     covariance = np.zeros((k + 3, k + 3))

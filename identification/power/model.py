@@ -16,7 +16,7 @@ from vpp_fmu.structured import read_object
 ELECTRICAL, SHAFT = "electrical", "shaft"
 
 STEP = 1e-6
-"""Step of a derivative as a share of a parameter: exact to rounding for maps, which are linear in theirs."""
+"""Step of a derivative as a share of a parameter: exact to rounding for maps, which are linear in their parameters."""
 
 
 class _Arrays(Ops):
@@ -49,9 +49,9 @@ def _covariance(path: str | os.PathLike, names: tuple[str, ...]) -> np.ndarray |
 
 @dataclass(frozen=True, eq=False)
 class PowerModel:
-    """Power [W] of a plant that has its effects (`vpp_fmu.kernel.power`): electrical, or of the shaft if only torque is known.
+    """Power [W] of a plant with effects of `vpp_fmu.kernel.power`: electrical, or of the shaft if only torque is known.
 
-    `names` (k,), `covariance` (k, k): of the parameters; those that are not named are certain.
+    `names` (k,), `covariance` (k, k): of the uncertain parameters; the others have no uncertainty.
     """
 
     parameters: ParameterSet

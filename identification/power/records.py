@@ -33,13 +33,13 @@ FINE = 0.01
 """Largest step of a difference quotient, as a share of the slowest time constant."""
 
 LEAST_SPEED = 0.02
-"""Share of the speed scale below which a speed is replaced by it where power is divided by speed."""
+"""Minimum speed, as a share of the speed scale, by which power is divided."""
 
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Of a plant to a record. `rates` (rows, 2): of speed [rpm/s] and pitch [deg/s]. `lags` (rows, k): derivatives of the power
-    by the plant's lags. `turns` (rows, k): derivatives of the rate of speed by the lags of speed."""
+    """Response of a plant to a record. `rates` (rows, 2): of speed [rpm/s] and pitch [deg/s]. `lags` (rows, k): derivatives of
+    the power by the plant's lags. `turns` (rows, k): derivatives of the rate of speed by the lags of speed."""
 
     shown: Prediction
     rates: np.ndarray
@@ -48,7 +48,7 @@ class Response:
 
 
 def respond(parameters: ParameterSet, record: Record) -> Response:
-    """Simulate. Rates bend where a command steps, so they are forward differences over fractions of a row."""
+    """Simulate a record. Rates have kinks where a command steps, so they are forward differences over fractions of a row."""
     values, model = parameters.values, parameters.model
     wrt = tuple(f"tau_{u}_{k}" for u in ("omega", "beta") for k in (1, 2))
     parts = max(int(np.ceil(record.period / (FINE * slowest(values, values)))), 3)
@@ -66,7 +66,7 @@ def respond(parameters: ParameterSet, record: Record) -> Response:
 
 
 def squared_torque(model: PowerModel, p: Prediction) -> np.ndarray:
-    """Squared torque (rows,) of the motor; without a measured torque that of the electrical power."""
+    """Squared torque (rows,) of the motor; without a measured torque, squared electrical power over speed."""
     values = model.parameters.values
     if MOTOR.name in model.parameters.model.optional:
         return (p.further["torque"] + values[MOTOR.full("friction")]) ** 2
@@ -75,7 +75,7 @@ def squared_torque(model: PowerModel, p: Prediction) -> np.ndarray:
 
 
 def power_part(name: str, r: Response, model: PowerModel, block: float, largest: float) -> Part:
-    """The power of a record, less that of the identified model."""
+    """The power of a record, minus that of the identified model."""
     p, (faster, rate) = r.shown, r.rates.T
     values, time = model.parameters.values, p.record.time
     expected, load = p.further["power"], squared_torque(model, p) / largest
@@ -112,7 +112,7 @@ def _largest(reading: np.ndarray) -> float:
 
 
 def supply_parts(parts: Mapping[str, Part], shown: Mapping[str, Prediction], power: RegressionFit) -> list[Part]:
-    """The voltages of records, by name, beside a fit of their `parts` of power. Each record has coefficients of its own."""
+    """The voltages of records, by name, beside a fit of their `parts` of power. Each record has its own coefficients."""
     found = [_supply(parts[name], p, power) for name, p in shown.items()]
     width = found[0].base.shape[1]
     wide = [np.zeros((len(p.measured), width * len(found))) for p in found]

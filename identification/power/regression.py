@@ -1,7 +1,7 @@
 """Regression of a reading in time on effects of the power, beside a base whose coefficients are free.
 
-Block means are whitened by an autoregression, and the base is projected out: what remains is nonlinear least squares in the few
-parameters of the effects.
+Block means are whitened by an autoregression, and the base is projected out. The remaining problem is nonlinear least squares
+in the few parameters of the effects.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -182,7 +182,7 @@ class RegressionFit:
 
     @property
     def evidence(self) -> float:
-        """Penalised log-likelihood: minus half the BIC, but for a constant."""
+        """Penalised log-likelihood: minus half the BIC, up to a constant."""
         return -0.5 * (self.squares + len(self.x) * float(np.log(len(self.residual))))
 
     @cached_property
@@ -191,7 +191,7 @@ class RegressionFit:
         return np.linalg.qr(np.hstack([self.problem.basis, self.problem.orthogonal(self.jacobian)]))[0]
 
     def channel_orthogonal_gram(self, rows: np.ndarray, at: slice) -> np.ndarray:
-        """`rows` (k, n) less their part in these directions, in place. Returns their products (k, k)."""
+        """Subtract from `rows` (k, n), in place, their part in these directions. Returns their products (k, k)."""
         rows -= (rows @ self.basis) @ self.basis.T
         return rows @ rows.T
 

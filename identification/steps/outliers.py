@@ -24,10 +24,10 @@ FEWEST = 5
 """Minimum number of runs of a channel to detect outliers."""
 
 CLEARLY = 1.25
-"""Ratio of residual to noise at which a fit has model error: in 750 rows chance reaches 1.1."""
+"""Ratio of residual to noise above which a fit has model error: in 750 rows chance reaches 1.1."""
 
 SLIGHT = 0.01
-"""Residual over step that is never an outlier."""
+"""Ratio of residual to step up to which a run is never an outlier."""
 
 
 def reasons(runs: Sequence[StepRun]) -> list[str]:

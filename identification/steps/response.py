@@ -66,7 +66,7 @@ class StepSummary:
         return {name: value for u, a in self.lags.items() for name, value in zip(pair(u), (a.slow, a.fast), strict=True)}
 
     def used(self, channel: str) -> list[StepRun]:
-        """Runs of a channel that count."""
+        """Runs of a channel that are used."""
         return [run for run in self.runs if run.channel == channel and not run.reason]
 
     @property

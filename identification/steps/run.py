@@ -7,7 +7,7 @@ map between the two commands, so the lags are those of speed and pitch. Without 
 those of the normalised thrust, as in the paper. Offset and gain are free in each run, so errors of the map and drift between
 runs do not bias the lags. Each run is fitted with and without the delay.
 
-A step of the speed is also fitted to the measured speed, as the tachometer shows it: the mean over the last revolution,
+A step of the speed is also fitted to the measured speed, as the tachometer reads it: the mean over the last revolution,
 compared only at new pulses. Otherwise half a revolution and half a hold would appear as a delay, of 30 ms at 2000 rpm.
 
 Standard deviations are for white residuals. Those of the speed are too large, about three times with a jittering mark: a late

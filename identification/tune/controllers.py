@@ -1,7 +1,7 @@
 """The controllers of a rig: limits, sampling period, and initial gains of a search.
 
-Gains are normalised by thrust, speed and pitch, so published ones apply to any rig after time scaling. A loop that is r times
-as slow in all its parts has the same response, r times as slow, with
+Gains are normalised by thrust, speed and pitch, so published ones apply to any rig after time scaling. A loop with parts that
+are all r times as slow has the same response, r times as slow, with
 
     kp,   ki / r,   kd r,   t_filter r
 
@@ -61,7 +61,7 @@ def controllers(
 
     `given`: a controller's own values instead, within the rig's range; scales are always the plant's. `sample_time` s: None for
     the given one, else the campaign's row period, or what the plant needs. `rig`: other ranges than those of the parameters'
-    rig. BadInput names `source` where given limits leave the rig's.
+    rig. BadInput names `source` if given limits exceed the rig's.
     """
     rig, plant = rig or parameters.rig, parameters.values
     moved = {u: low < high for u, (low, high) in zip(CHANNELS, (rig.speed, rig.pitch), strict=True)}
@@ -99,9 +99,9 @@ def rig_controller(
     rig: Rig | None = None,
     sample_time: float | None = None,
 ) -> ParameterSet:
-    """The controller that flies the rig of `parameters`, with all its values: the given one, else the dual, or the only one
-    that the rig can have. Arguments and BadInput as of `controllers`. Where no rig is known it is the paper's, published gains
-    and all."""
+    """The controller for the rig of `parameters`, with all its values: the given one, else the dual, else the only one that is
+    possible on the rig. Arguments and BadInput as of `controllers`. If no rig is known, it is the paper's controller with the
+    published gains."""
     papers = ParameterSet(CONTROLLER, source={"made_by": "the published gains"})
     published = given is None and "rig" not in parameters.source and parameters.rig.scales == PAPER
     if published and rig is None:
@@ -123,7 +123,7 @@ def rig_controller(
 
 
 def said_of(controller: ParameterSet, gains: str | None = None) -> str:
-    """What a controller takes from where, in one line. `gains`: the file that its gains come from."""
+    """Describe a controller and the sources of its values in one line. `gains`: the file that its gains come from."""
     v, rig = controller.values, controller.rig
     spans = ((v["omega_min"], v["omega_max"], "rpm"), (v["beta_min"], v["beta_max"], "deg"))
     limits = ", ".join(f"{low:.6g} to {high:.6g} {unit}" if low < high else f"{low:.6g} {unit}" for low, high, unit in spans)
@@ -136,12 +136,12 @@ def said_of(controller: ParameterSet, gains: str | None = None) -> str:
 
 
 def _of_the_rig(rig: Rig, slower: Mapping[str, float], lag: float, period: float | None) -> dict[str, float]:
-    """All values of a controller but for its gains: limits, sampling and filter for a plant whose faster channel has the sum of
+    """All values of a controller except its gains: limits, sampling and filter for a plant whose faster channel has the sum of
     lags `lag` [s], on a rig that was sampled every `period` [s]."""
     own = CONTROLLER.sized(rig.scales).values()
     own |= {f"omega_{end}": value for end, value in zip(("min", "max"), rig.speed, strict=True)}
     own |= {f"beta_{end}": value for end, value in zip(("min", "max"), rig.pitch, strict=True)}
-    # A table that knows no power: the greatest pitch, and speed by the square law of thrust, within the limits.
+    # A default table without a power model: the greatest pitch, and speed by the square law of thrust, within the limits.
     for k in range(PAIRS):
         own[f"pair_omega_{k}"] = max(rig.speed[0], rig.speed[1] * (k / (PAIRS - 1)) ** 0.5)
         own[f"pair_beta_{k}"] = rig.pitch[1]

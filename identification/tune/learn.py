@@ -4,9 +4,9 @@
         + DECAY |weights|^2
 
 The search is the covariance matrix adaptation of Hansen and Ostermeier (Evolutionary Computation 9, 2001), pycma's. Each
-generation flies new set-points on other plants of a pool. The start is a linear law: the commands that a straight line assigns
-to the set-point, with proportional and integral action. The comparison flies plants, set-points and noise that are not part of
-the search.
+generation is simulated with new set-points on other plants of a pool. The search starts from a linear law: the commands are a
+straight line over the set-point, plus proportional and integral action. The comparison uses plants, set-points and noise that
+are not part of the search.
 """
 
 import time
@@ -35,20 +35,20 @@ with warnings.catch_warnings():  # its optional plots
 OBSERVE, HISTORY = ("thrust_set", "thrust", "integral", "omega_ref", "beta_ref"), 3
 
 POOL, FLOWN = 64, 6
-"""Plants to learn on, and how many of them a generation flies."""
+"""Number of plants to learn on, and of those that a generation is simulated on."""
 
 HOLDS, FLIGHT = (2.0, 4.0), 16.0
-"""Hold of a set-point and length of a flight, in time scales of the rig."""
+"""Hold of a set-point (least, most), and duration of a flight (a simulated run), in time scales of the rig."""
 
 PENALTY, DECAY, STEP = 10.0, 1e-6, 0.15
 """Factor on overshoot beyond its limit; cost of a squared weight; first standard deviation of the search."""
 
 GENTLE = 0.3
-"""Slope of the start's first unit: within its linear part."""
+"""Slope of the first unit at the start: the unit stays in its linear part."""
 
 WIDER, FARTHER, RIDGE = 0.5, 1.5, 1e-4
-"""The box is the observations' range, widened by this share on each side; the distance is their largest by this factor; the
-covariance gets this share of a variance, as readings that follow each other are nearly equal."""
+"""Widening of the box on each side, as a share of the observations' range; factor on their largest distance; share of a
+variance that is added to the covariance, because successive readings are nearly equal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class Learned:
 
     @property
     def passes(self) -> bool:
-        """Whether the policy may fly: less error than the PID in the mean of the held-out plants, and no larger worst one."""
+        """Whether the policy may be used: less mean error than the PID on the held-out plants, and no larger maximum."""
         own, other = (self.flights[name].errors for name in ("policy", "PID"))
         return bool(np.mean(own) < np.mean(other) and np.max(own) <= np.max(other))
 
@@ -126,7 +126,7 @@ class _Network:
         )
 
     def model(self, values: Mapping[str, float], scales) -> tuple[Model, np.ndarray]:
-        """The law with its weights as parameters, in the order of the vector; its values (parameters,), these last."""
+        """The law with its weights as parameters, in the order of the vector; its values (parameters,), the weights last."""
         names = iter(f"weight_{k}" for k in range(self.count))
         named = [np.array([next(names) for _ in range(int(np.prod(s)))]).reshape(s).tolist() for s in self.shapes]
         layers = tuple((tuple(map(tuple, rows)), tuple(biases)) for rows, biases in (named[:2], named[2:]))
@@ -136,7 +136,7 @@ class _Network:
 
 
 class Trial:
-    """Flights of controllers over random set-points."""
+    """Simulated flights of controllers over random set-points."""
 
     def __init__(self, task: Task, settings: Mapping[str, float]):
         self.task, self.settings, self.dt = task, settings, settings["sample_time"]
@@ -158,7 +158,7 @@ class Trial:
         return Course(wanted, self.task.noise_std * rng.standard_normal(points), self.dt, self.scale, self.rest)
 
     def flights(self, model: Model, values: np.ndarray, plants: np.ndarray, seed: tuple[int, ...]) -> Flights:
-        """One controller on plants (plants, parameters), each with set-points of its own."""
+        """One controller on plants (plants, parameters), each with its own set-points."""
         loop, merits, travel = ClosedLoop(self.task.parameters.model, model), [], []
         width = np.array([max(self.settings[f"{u}_max"] - self.settings[f"{u}_min"], 1e-9) for u in ("omega", "beta")])
         for k, own in enumerate(plants):
@@ -188,7 +188,7 @@ def learn(
     plants.
 
     `task`: plant, its posterior, noise, limit on overshoot and seed. The policy has the settings' limits and period, and their
-    gains to fall back on.
+    gains in its fallback.
     """
     began, trial, model = time.monotonic(), Trial(task, settings), task.parameters.model
     network = _Network(hidden, trial.span, settings)
@@ -249,7 +249,7 @@ def _guarded(network: _Network, weights: np.ndarray, trial: Trial, plants: np.nd
 
 
 def _seen(policy: Policy, trial: Trial, plants: np.ndarray, seed: tuple[int, ...]) -> tuple[np.ndarray, float]:
-    """(observations (samples, observations), share of time in the fallback) of a policy that flies these plants."""
+    """(observations (samples, observations), share of time in the fallback) of a policy on these plants."""
     found, names = [], [p.name for p in trial.task.parameters.model.parameters]
     own = policy.parameters(trial.settings, trial.task.parameters.rig.scales)
     shown = tuple(Signal(f"seen_{k}", "1", "observation", -1e9, 1e9) for k in range(len(policy.law.mean)))

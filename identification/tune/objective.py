@@ -36,7 +36,7 @@ SLACK = 1.01
 search."""
 
 EVERY = 5
-"""A search uses each EVERYth frequency of a response."""
+"""A search uses one in EVERY frequencies of a response."""
 
 UNSTABLE = 100.0
 """Least value that replaces the sensitivity of an unstable loop."""
@@ -44,7 +44,7 @@ UNSTABLE = 100.0
 
 @cache
 def closed_loop(effects: tuple[str, ...], effects_from: tuple[str, ...] = ()) -> ClosedLoop:
-    """The closed loop of a plant with these effects, which may be in these files; compiled once per process."""
+    """The closed loop of a plant with these effects, some of which may be from these files; compiled once per process."""
     return ClosedLoop(plant(effects, library_with(effects_from)))
 
 
@@ -234,7 +234,7 @@ class Objective:
 
     @cached_property
     def _shares_by_pitch(self) -> np.ndarray:
-        """The same of each unit gain of pitch by way of speed, with k_mid 1."""
+        """The same for each unit gain of pitch through the speed channel, with k_mid 1."""
         units = np.eye(len(self.names))
         units[:, self.names.index("k_mid")] = 1.0
         return self._unit_shares("omega", units, "beta")

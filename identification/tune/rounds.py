@@ -14,7 +14,7 @@ from identification.tune.search import Search, search
 from identification.workers import spread
 
 ROUNDS = 4
-"""Most rounds of searches; each adds operating points and plants at which the previous gains exceed a limit or the cost."""
+"""Maximum number of search rounds; each adds operating points and plants at which the last gains exceed a limit or the cost."""
 
 WIDTHS = (0.3, 0.6)
 """Standard deviations of the logarithms of perturbed gains."""

@@ -25,7 +25,7 @@ def step_error(run: Record, step: Step, end: float, scale: float) -> float:
 
 
 def summary(found: Tuning) -> dict:
-    """The content of tuning.json, as in CONTRACT.md."""
+    """The content of tuning.json."""
     task, first = found.task, next(iter(found.tuned.values())).objective
     measurement = {name: value for name, value in first.chain.items() if name != "sample_time"}
     return {

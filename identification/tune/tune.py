@@ -30,7 +30,7 @@ SHAKES = (4, 2)
 """Final searches from perturbed best gains: on the nominal plant, on many."""
 
 LOWER, LOWEST = 0.8, 20
-"""Factor and most repetitions by which initial gains are lowered: to a hundredth."""
+"""Factor by which initial gains are lowered, and maximum number of repetitions: down to a hundredth."""
 
 HARDEST = 12
 """Plants in the first round of a worst-case search: those of largest cost under the nominal gains."""
@@ -47,7 +47,7 @@ class Task:
     limits on the nominal loop. `reference`: label of the initial gains. `robust`: None, "worst" or "mean" over `draws` plants;
     `spread`: standard deviation, as a share of the value, of parameters without one. `left_out`: controllers that are not
     possible on the rig, with the reason. `lowered`: whether initial gains are lowered by a common factor until they keep the
-    limit on sensitivity, which published or given gains are not. `effects_from`: files of user-defined effects.
+    limit on sensitivity; published or given gains are not. `effects_from`: files of user-defined effects.
     """
 
     parameters: ParameterSet
@@ -69,7 +69,7 @@ class Task:
     effects_from: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "parameters", self.parameters.without_power)  # thrust is all that the loop closes
+        object.__setattr__(self, "parameters", self.parameters.without_power)  # the loop is closed over thrust only
 
     @property
     def controller(self) -> Model:

@@ -22,7 +22,7 @@ UNITS = {"settling": "s", "overshoot": "%", "ringing": "%"}
 
 @dataclass(frozen=True)
 class Change:
-    """A figure of a step under the initial and under other gains; settling None: not before the next step.
+    """A figure of a step under the initial and under other gains. A settling of None: not before the next step.
 
     `grown`: increase of the part that counts; `tolerance`: least change in either direction that counts.
     """

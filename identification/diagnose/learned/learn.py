@@ -34,7 +34,7 @@ ROUNDS = 3
 """Maximum number of further screenings, each with the base of the best term, while lack of fit remains and terms improve."""
 
 UNLAGGED = 2
-"""Next best terms that are also refitted without their lag."""
+"""Number of next best terms that, like the best, are also refitted without their lag."""
 
 FAMILY = 2
 """Maximum number of leads of one family of ports that are refitted in a round."""
@@ -95,7 +95,7 @@ def learn(
     effort: Effort,
 ) -> Attempt:
     """Learn a term beside a fit. `smallest`: minimum sizes of interest; `scales`: of the rig; `runs`: step responses to check
-    terms. The first refits always end, whatever the budget of `effort`."""
+    terms. The first refits are completed for any budget of `effort`."""
     effort.stage("search for an effect outside the library")
     leads = screened(beside, spread=pool.map)
     comparisons = len(leads)
@@ -173,8 +173,8 @@ class Carried(Judge):
 
 
 def judged_term(judge: Carried, fit: Fit, beside: Fit, comparisons: int) -> Judgement:
-    """Judge a term as an effect; its held-out gain must also exceed that of the best of all comparisons by chance, and its
-    held-out thrust error must decrease significantly."""
+    """Judge a term as an effect. Its held-out gain must also exceed the best chance gain of all comparisons, and its held-out
+    thrust error must decrease significantly."""
     judged = judge(fit.effects[-1], fit, beside)
     needed, gain, p, refused = (
         by_chance(comparisons),
@@ -216,7 +216,7 @@ def variants(term: Term, had: Sequence[Term]) -> list[Lead]:
 
 
 def unlagged(term: Term, had: Sequence[Lead]) -> list[Lead]:
-    """The same term without its lag, if it has one: with a biased base, spurious lags appear."""
+    """The same term without its lag, if it has one: a biased base causes spurious lags."""
     values = {n: v for n, v in term.values.items() if n not in ("form", "lag")}
     lead = replace(term.lead, values=values, lag=None)
     return [] if "lag" not in term.values or lead.kind in {other.kind for other in had} else [lead]

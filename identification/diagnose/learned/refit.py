@@ -1,4 +1,4 @@
-"""Refit leads beside a fit with all parameters free. A term is fitted as any other effect."""
+"""Refit leads beside a fit with all parameters free. A term is fitted like any other effect."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,7 @@
 """Fits of a model with effects, all parameters free.
 
-The base parameters are refitted together with each effect. The base alone is biased by the missing effect: an effect fitted to
-its residual is the wrong one in a third of the cases.
+The base parameters are refitted together with each effect. Fitted alone, the base is biased by the missing effect: an effect
+fitted to its residual is the wrong one in a third of the cases.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -244,7 +244,7 @@ class Searcher:
         problem = Problem(model, self.experiments, values, [*self.names, *smooth], prior, slow_first)
         solution, intervals = problem.fit(values), {}
         rounding = {e.full(p): e for e in model.effects for p in e.rounds.values()}
-        for name in stuck if len(stuck) < 2 else stuck * 2:  # of two, each is scanned with the other's previous value: twice
+        for name in stuck if len(stuck) < 2 else stuck * 2:  # two are scanned twice: each with the other's last value
             if name in rounding:
                 solution, intervals[name] = settle(problem, solution, rounding[name])
             else:

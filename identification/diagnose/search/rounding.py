@@ -1,8 +1,8 @@
-"""Estimate the step (quantum) in which a command is executed.
+"""Estimate the step (quantum) to which a command is rounded.
 
-The cost jumps at each step at which the nearest multiple of a command level changes: a grid of simulations would need thousands
-of points. Instead, the response of the residual to each level is simulated once. The response to a step is their linear
-combination: thousands of steps cost less than ten simulations. A simulation of the best few steps decides.
+The cost jumps where the nearest multiple of a command level changes: a grid of simulations would need thousands of points.
+Instead, the response of the residual to each level is simulated once. The response to a step is their linear combination:
+thousands of steps cost less than ten simulations. A simulation of the best few steps decides.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ LEVELS = 128
 """Maximum number of levels that are used, those held longest."""
 
 BRIEF = 0.125 / LEVELS
-"""Share of the rows up to which a level is left out, as those of a ramp: they hold little information."""
+"""Share of the rows up to which a level is omitted, such as those of a ramp: they have little information."""
 
 NUDGE = 0.01
 """Share of the command's range by which a level is perturbed."""
@@ -48,7 +48,7 @@ SMALLEST = 1.0 / 30.0
 """Smallest step of the grid, as a share of the largest."""
 
 JUDGED = 10.0
-"""Log-likelihood gain at which chance is compared with that of a free size."""
+"""Log-likelihood gain at which a step's chance of a false gain is compared with that of a free size."""
 
 
 class Rounding:
@@ -99,11 +99,11 @@ class Rounding:
 
     @property
     def points(self) -> int:
-        """Equivalent number of comparisons: points of a candidate with one free size of the same chance of a false gain.
+        """Equivalent number of comparisons: points of a candidate with one free size that have the same chance of a false gain.
 
         A step has no free size. Let L be half the power of its response. Its gain has the mean L if it is real, else -L; the
-        variance is 2 L. By chance it reaches x with probability Q((x + L) / sqrt(2 L)); a free size does with that of a
-        chi-square of 2 x.
+        variance is 2 L. By chance it reaches x with probability Q((x + L) / sqrt(2 L)); a free size reaches it with the
+        probability that a chi-square variable exceeds 2 x.
         """
         _, powers = self._moves(self.steps)
         powers = powers[powers > 0.0]
@@ -144,7 +144,7 @@ class Rounding:
 
 
 def settle(problem: Problem, solution: Solution, effect: Effect) -> tuple[Solution, tuple[float, float]]:
-    """Estimate the step of an effect: (solution at its best value, which the problem then holds; 95 % interval)."""
+    """Estimate the step of an effect: (solution at its best value, which is then set in the problem; 95 % interval)."""
     records = [e.record for e in problem.experiments]
     while True:
         about = Linearised.of(problem, solution)
@@ -155,7 +155,7 @@ def settle(problem: Problem, solution: Solution, effect: Effect) -> tuple[Soluti
         costs = about.costs(problem.simulator, [{name: step} for step in steps])
         problem.values[name] = steps[int(np.argmin(costs))]
         refit = problem.refit(solution.value) if costs[0] - min(costs) >= BETTER else solution
-        if refit.cost >= solution.cost:  # the linearised refit promised a decrease that the refit does not have
+        if refit.cost >= solution.cost:  # the refit does not have the decrease that the linearised refit predicts
             problem.values[name] = steps[0]
             return solution, rounding.interval(steps[0], 0.5 * CHI2_95)
         solution = refit

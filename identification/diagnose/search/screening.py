@@ -3,8 +3,8 @@
 The fitted parameters are linearised. If an effect's response is proportional to its sizes, one simulation with sensitivities
 gives the best sizes. Else a grid is searched: all combinations of two sizes, or one size after the other.
 
-A large missing effect biases the fit so much that linearisation about it fails. Then the model is linearised about the start
-values, from the static map and the step responses, too, in both orders of the pitch lags.
+A large missing effect biases the fit so much that linearisation about it fails. Then the model is also linearised about the
+start values, which come from the static map and the step responses, in both orders of the pitch lags.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -25,13 +25,13 @@ from vpp_fmu.native import Simulator
 from vpp_fmu.tracer import LANES
 
 STRETCH = (0.7, 1.4)
-"""Range of scaling a response between the sizes of the grid, whose ratio is 2."""
+"""Range of the factor by which a response is scaled between grid sizes, whose ratio is 2."""
 
 PROPORTIONAL = 0.03
 """Relative deviation of a response from its tangent up to which it counts as proportional."""
 
 SHARP = 0.7
-"""Squared cosine of the responses to two sizes of ratio 2 below which such a grid is too coarse."""
+"""Minimum squared cosine of the responses to two sizes of ratio 2. Below it a grid of this ratio is too coarse."""
 
 ROUNDING = 1e-9
 """Relative difference of speeds that counts as equal: two compiled models round differently."""

@@ -111,7 +111,7 @@ class _Interval:
 def scan(
     problem: Problem, solution: Solution, name: str, off: float, grids: tuple[float | None, ...] = WHOLE
 ) -> tuple[Solution, tuple[float, float]]:
-    """Estimate the threshold `name`: (solution at its best value, which the problem then holds; 95 % interval).
+    """Estimate the threshold `name`: (solution at its best value, which is then set in the problem; 95 % interval).
 
     The cost is constant between the commands that bound the threshold. `off`: the value at which it has no influence.
     """
