@@ -1,4 +1,4 @@
-"""The page of effects: what `vpp effects --html` writes, as a page of the site with drawings that need no script."""
+"""The page of effects: the content of `vpp effects --html` as a page of the site, with drawings that need no script."""
 
 import re
 from html import escape

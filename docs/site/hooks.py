@@ -1,4 +1,4 @@
-"""What MkDocs calls while it builds the site: pages made from parsers and declarations, sections of READMEs, equations."""
+"""Hooks of MkDocs: pages made from parsers and declarations, sections of READMEs, equations."""
 
 import re
 from html import unescape
@@ -13,14 +13,14 @@ from docs.site.included import ROOT, Missing, picture, pictures, with_included
 
 
 def on_config(config):
-    """The pages of the verbs are part of the navigation."""
+    """Add the pages of the verbs to the navigation."""
     reference = next(part["Reference"] for part in config.nav if "Reference" in part)
     reference.append({"Command line": [verbs.INDEX, *verbs.pages()]})
     return config
 
 
 def on_files(files, config):
-    """Pages and pictures that no file in docs/ holds."""
+    """Add the pages and pictures that are not files in docs/."""
     for path, text in {**verbs.pages(), verbs.INDEX: verbs.index(), effects.PAGE: effects.page(), api.PAGE: api.page()}.items():
         files.append(File.generated(config, path, content=text))
     for file in dict.fromkeys(pictures()):
@@ -30,7 +30,7 @@ def on_files(files, config):
 
 
 def on_page_markdown(markdown, page, config, files):
-    """Sections of READMEs in their places."""
+    """Insert sections of READMEs."""
     try:
         return with_included(page.file.src_uri, markdown)
     except Missing as error:
@@ -38,7 +38,7 @@ def on_page_markdown(markdown, page, config, files):
 
 
 def on_page_content(html, page, config, files):
-    """Equations as MathML, which browsers show without a script."""
+    """Convert equations to MathML, which browsers show without a script."""
 
     def block(found: re.Match) -> str:
         text, name = re.subn(r"\\tag\{(.*?)\}", "", unescape(found[1])), re.search(r"\\tag\{(.*?)\}", found[1])

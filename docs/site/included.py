@@ -1,4 +1,4 @@
-"""Text of the site that has its home elsewhere: sections of READMEs, with their links and pictures."""
+"""Include sections of READMEs in pages of the site, with their links and pictures."""
 
 import re
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 
 INCLUDE = re.compile(r"^<!-- include (?P<file>\S+?)(?: # (?P<title>.+?))? -->$", re.M)
-"""A line that stands for a file without its title, or for the section of that title without its heading."""
+"""A line that is replaced by a file without its title, or by the section of that title without its heading."""
 
 _HEADING = re.compile(r"(#+) (.*)")
 _LINK = re.compile(r"(!?)\[([^]]*)\]\((?!https?:)([^)#\s]+)(#[^)]*)?\)")
@@ -21,7 +21,7 @@ class Missing(Exception):
 
 
 def with_included(page: str, text: str) -> str:
-    """The Markdown of a page, `page` is its path below docs/, with all that it includes."""
+    """The Markdown of a page, with the included text; `page`: its path below docs/."""
 
     folder = PurePosixPath("docs", page).parent
 
@@ -66,12 +66,12 @@ def homes() -> dict[str, str]:
 
 
 def picture(file: str) -> str:
-    """Where the site has a picture of the project."""
+    """The site's path of a picture of the project."""
     return f"pictures/{PurePosixPath(file).name}"
 
 
 def pictures() -> Iterator[str]:
-    """Files of pictures that pages name, or what they include."""
+    """Files of pictures in pages, and in the text that they include."""
     for path in sorted(DOCS.rglob("*.md")):
         text = path.read_text(encoding="utf-8")
         folder = path.relative_to(ROOT).parent
@@ -84,7 +84,7 @@ def pictures() -> Iterator[str]:
 
 
 def _moved(link: re.Match, folder: PurePosixPath, page: str) -> str:
-    """A link of a file in `folder` as one of `page`. What the site does not have is named."""
+    """A link of a file in `folder`, converted for `page`. Without a page of the site, the file is only named."""
     bang, words, target, anchor = link[1], link[2], link[3], link[4] or ""
     file = normpath(folder / target)
     if not (ROOT / file).exists():
@@ -116,7 +116,7 @@ def _outside_fences(lines: list[str]) -> Iterator[int]:
 
 
 def python_markdown(text: str) -> str:
-    """The same in the dialect of Python-Markdown: an empty line before a list, four spaces before what belongs to an item."""
+    """The text in the dialect of Python-Markdown: an empty line before a list, four spaces before the lines of an item."""
     lines = text.splitlines()
     outside = set(_outside_fences(lines))
     found: list[str] = []

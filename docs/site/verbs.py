@@ -86,5 +86,5 @@ def _cell(text: str) -> str:
 
 
 def _plain(text: str) -> str:
-    """Text as Markdown that shows it as it is."""
+    """Text with the special characters of Markdown escaped."""
     return re.sub(r"(`[^`\n]*`)|([*_<>\[\]])", lambda m: m[1] or f"\\{m[2]}", text)

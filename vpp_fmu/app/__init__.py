@@ -1,1 +1,1 @@
-"""The upper floor: command line, public API, the study of the paper, and the day of a rig."""
+"""The top layer: command line, public API, reports, the study of the paper, and the day of a rig."""

@@ -3,8 +3,8 @@
     tau_2 dx/dt = u_ref - x,   tau_1 du/dt = x - u     (each channel; paper, eqs. 13-15)
     thrust = dT/domega * omega + dT/dbeta * beta       (slopes of the map; paper, eqs. 7 and 8)
 
-All quantities are deviations from the working point, in rpm, deg and N. Effects are not linear in the small (a dead band passes
-nothing, a delay has no states), so a model with effects is linearised without them, and a warning names them.
+All quantities are deviations from the working point, in rpm, deg and N. Effects are not linearised (a dead band passes
+no small change, a delay has no states). The model is linearised without them, and a warning names them.
 """
 
 import io
@@ -35,7 +35,7 @@ OUTPUTS = ("thrust",)
 @dataclass(frozen=True, eq=False)
 class Linear:
     """`a` (4, 4), `b` (4, 2), `c` (1, 4), `d` (1, 2): from `INPUTS` [rpm, deg] through `STATES` [rpm, rpm, deg, deg] to thrust
-    [N], all deviations from the working point; `thrust` [N]: there."""
+    [N], all deviations from the working point, which has the `thrust` [N]."""
 
     a: np.ndarray
     b: np.ndarray
@@ -45,7 +45,7 @@ class Linear:
 
 
 def linearised(values: Mapping[str, float], omega: float, beta: float) -> Linear:
-    """The base plant at the working point `omega` [rpm], `beta` [deg]; `values`: of its parameters. BadInput."""
+    """The base plant at the working point `omega` [rpm], `beta` [deg]; `values` of its parameters. BadInput."""
     for signal, found in ((OMEGA_REF, omega), (BETA_REF, beta)):
         if not signal.minimum <= found <= signal.maximum:
             allowed = f"{signal.minimum:g} to {signal.maximum:g} {signal.unit}"
@@ -77,7 +77,7 @@ class _Coefficients:
 
 
 class Linearisable(ABC):
-    """A result whose parameters are a plant's."""
+    """A result with the parameters of a plant."""
 
     @property
     @abstractmethod
@@ -107,8 +107,7 @@ class Linearisable(ABC):
 
     def save_mat(self, path: PathLike, omega: float, beta: float) -> Path:
         """Write the linear plant at `omega` [rpm], `beta` [deg] to a MATLAB file: A, B, C, D, the working point, all parameters
-        with their units, and beside it a script of the same name (.m) that builds the nonlinear blocks. Returns the path.
-        BadInput."""
+        with their units. A script of the same name (.m) beside it builds the nonlinear blocks. Returns the path. BadInput."""
         target, found, held = Path(path).with_suffix(".mat"), self._linear(omega, beta), self.parameters
         if not target.stem.isidentifier():
             raise BadInput(path, "name", target.stem, "letters, digits and _, as MATLAB wants of a script's name")
@@ -162,4 +161,4 @@ thrust = @(omega, beta) s.thrust_scale * map(w(omega), b(beta));
 respond = @(block, t, u) u(1) + lsim(block, u - u(1), t);
 simulate = @(t, omega_ref, beta_ref) thrust(respond(speed, t, omega_ref), respond(pitch, t, beta_ref));
 """
-"""The .m file: NAME is its own name."""
+"""The .m file; NAME is replaced by its name."""

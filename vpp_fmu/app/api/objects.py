@@ -21,7 +21,7 @@ PathLike: TypeAlias = str | os.PathLike[str]
 
 
 def example_campaign() -> Path:
-    """The folder of the campaign that ships with the project: 100 steady points, 40 steps, 90 s twice, 60 s unseen.
+    """The folder of the campaign that ships with the project: 100 steady points, 40 steps, 90 s and a repeat, 60 s of hold-out.
 
     >>> sorted(file.name for file in vpp.example_campaign().glob("*.csv.gz"))
     ['open_loop.csv.gz', 'repeat.csv.gz', 'static.csv.gz', 'steps.csv.gz', 'validation.csv.gz']

@@ -82,7 +82,7 @@ class Result(ABC):
 
     @property
     def identity(self) -> str | None:
-        """Identity of the parameters of the files."""
+        """Identity of the parameters in the files."""
         return None
 
     def save(self, folder: PathLike) -> Path:
@@ -224,7 +224,8 @@ class DiagnoseResult(Result, Linearisable):
 
 
 class PlanResult(Result):
-    """The next experiment. `found`: the whole plan; `inflation` of the present intervals by the residuals' colour."""
+    """The next experiment. `found`: the whole plan; `inflation`: factor by which autocorrelated residuals widen the
+    present intervals."""
 
     verb = "plan"
 
@@ -352,7 +353,7 @@ class LearnResult(Result):
 
 
 class SimulateResult(Result):
-    """A record beside the model's open-loop response to its commands."""
+    """A record, and the model's open-loop response to its commands."""
 
     verb = "simulate"
 
@@ -416,7 +417,7 @@ class LoopResult(Result):
 
     @property
     def steps(self) -> list[Step]:
-        """Every change of the wanted thrust, with its settling time and overshoot."""
+        """Every change of the thrust set-point, with its settling time and overshoot."""
         return steps(self.record, limits=self._limits)
 
     def key_figures(self) -> KeyFigures:

@@ -337,7 +337,7 @@ def export_fmu(
 ) -> dict[str, Path]:
     """Write VppPlant and VppController as FMUs, with parameter values (.ssv), reference files and their loop (.ssp).
 
-    `policy`: a learned law in the controller's place, as VppPolicy; `gains` are then what it falls back on.
+    `policy`: a learned law in the controller's place, as VppPolicy; `gains` are then those of its fallback.
 
     `gains`: the controller's (a file, a set, values by name; None: the published ones, scaled to the rig's time constant),
     within the limits of the parameters' rig. `flavour`: "python", "native" (compiled C without Python) or "both".
@@ -375,12 +375,12 @@ def run_loop(
     start: tuple[float, float] = (0.0, 0.0),
     progress: Callable[[float], None] = lambda share: None,
 ) -> LoopResult:
-    """The closed loop over a profile of `time` [s] and wanted thrust `thrust_set` [N], each held to the next row.
+    """The closed loop over a profile of `time` [s] and set-points `thrust_set` [N], each held to the next row.
 
     `plant`, `controller`: paths of FMUs, parameters (run in Python), or any object with the methods of `vpp_fmu.plants.Plant`
     and `Controller`, such as a user's rig. Gains with parameters are limited to the range of the parameters' rig. `dt` s: the
-    communication step; None: the controller's sample time, else 0.004. `start`: commands [rpm, deg] on which the plant is at
-    rest at first. BadInput: a file that is no such FMU; SimulationFailed names the step.
+    communication step; None: the controller's sample time, else 0.004. `start`: commands [rpm, deg] on which the plant is
+    initially at rest. BadInput: a file that is no such FMU; SimulationFailed names the step.
 
     >>> profile = {"time": [0.0, 1.0, 4.0], "thrust_set": [1.5, 12.0, 12.0]}
     >>> found = vpp.run_loop(vpp.identify(vpp.example_campaign(), starts=1), {}, profile, dt=0.004)

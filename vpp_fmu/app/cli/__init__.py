@@ -64,8 +64,8 @@ class Parser(argparse.ArgumentParser):
 
     def parse_known_args(self, args=None, namespace=None):
         known = {name for action in self._actions for name in action.option_strings}
-        if self._subparsers is None:  # else the options may be those of the parser below
-            for word in args:  # before argparse asks for what is missing because its name is wrong
+        if self._subparsers is None:  # else they may be options of a sub-verb's parser
+            for word in args:  # before argparse reports a misspelt option as missing
                 option = word.partition("=")[0]
                 if option.startswith("--") and option not in {*known, "--"} and (hint := near(option, known)):
                     self.error(f"unrecognized arguments: {word}{hint}")
@@ -81,7 +81,7 @@ class Parser(argparse.ArgumentParser):
 
 
 class SilentParser(Parser):
-    """Of a verb without an object for --json."""
+    """The parser of a verb without an object for --json."""
 
     answers = False
 
@@ -182,7 +182,7 @@ def _prepare_streams() -> None:
 
 
 def _give_up(stream: TextIO) -> None:
-    """Drop output that a stream refuses, or the interpreter reports the error again at its end."""
+    """Drop output that a stream refuses, because the interpreter would report the error again at its end."""
     try:
         stream.flush()
     except OSError:

@@ -1,4 +1,4 @@
-"""What a verb answers, and how much of it is printed: the same for all verbs.
+"""The answer of a verb, and the options that select its printed part, the same for all verbs.
 
 The first line is the finding in a sentence; warnings and figures follow. --quiet prints the first line only, --verbose all
 notes, --json the answer's object alone on standard output, with everything else on standard error.
@@ -21,14 +21,14 @@ SCHEMAS = files("vpp_fmu.app.cli") / "schemas"
 """A JSON Schema for each verb's object, by the verb's name: `hil-run.json` for `vpp hil run`."""
 
 LEVELS = {"json": False, "quiet": False, "verbose": False}
-"""The options of `add_levels`, as they are without any."""
+"""Defaults of the options of `add_levels`."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """`text`: the finding in a sentence. `content`: the object of --json, as in the verb's JSON file. `lines`: warnings, and
-    all else that must be seen; `figures`: (label, value, note); `more`: lines for --verbose only; `written`: the output's.
-    `failure`: an error that the finding is, raised after it is printed."""
+    """`text`: the finding in a sentence. `content`: the object of --json, as in the verb's JSON file. `lines`: warnings and
+    other important lines; `figures`: (label, value, note); `more`: lines for --verbose only; `written`: lines about the files.
+    `failure`: an error to raise after the answer is printed."""
 
     text: str
     content: Mapping[str, Any]
@@ -54,7 +54,7 @@ class Answer:
 
 
 def add_levels(parser, answers: bool) -> None:
-    """The options of how much is printed. `answers`: whether the verb has an object to print."""
+    """Add the options that select what is printed. `answers`: whether the verb has an object to print."""
     if answers:
         parser.add_argument("--json", **_flag("print one JSON object and nothing else on standard output"))
     either = parser.add_mutually_exclusive_group()
@@ -63,7 +63,7 @@ def add_levels(parser, answers: bool) -> None:
 
 
 def _flag(text: str) -> dict[str, Any]:
-    return {"action": "store_true", "default": argparse.SUPPRESS, "help": text}  # a parser below does not reset it
+    return {"action": "store_true", "default": argparse.SUPPRESS, "help": text}  # else a sub-verb's parser would reset it
 
 
 def say(options: argparse.Namespace, text: str) -> None:
@@ -89,14 +89,14 @@ class Lines(list[str]):
         return self
 
     def __exit__(self, kind: type | None, *_: object) -> None:
-        """An error keeps the answer from being printed, and not the lines."""
+        """After an error the answer is not printed, but the lines are."""
         if kind is not None and not self._options.quiet:
             print(*self, sep="\n", end="\n" * bool(self))
 
 
 @contextlib.contextmanager
 def level(options: argparse.Namespace) -> Iterator[None]:
-    """Standard output is the answer's with --json, and no progress is shown with --quiet, for as long as the context lasts."""
+    """A context in which --json reserves standard output for the answer, and --quiet hides progress."""
     with contextlib.ExitStack() as stack:
         if options.json:
             stack.enter_context(contextlib.redirect_stdout(sys.stderr))
@@ -107,7 +107,7 @@ def level(options: argparse.Namespace) -> Iterator[None]:
 
 
 class _NoTerminal:
-    """A stream on which progress bars keep silent, as in a pipe."""
+    """A stream that is not a terminal for progress bars, which then print nothing."""
 
     def __init__(self, stream: TextIO):
         self._stream = stream

@@ -1,4 +1,4 @@
-"""Run the closed loop of a plant FMU and a controller FMU over a profile of wanted thrust (CSV with time, thrust_set).
+"""Run the closed loop of a plant FMU and a controller FMU over a profile of set-points (CSV with time, thrust_set).
 
 An FMU runs its author's code, with your rights."""
 

@@ -94,8 +94,8 @@ def _model(options) -> dict:
 
 
 def _of_fleet(job: tuple) -> Entry:
-    """Diagnose one campaign of a fleet into its own folder. It is complete whatever happens to the others, and a refused
-    campaign does not stop them."""
+    """Diagnose one campaign of a fleet into its own folder, which is complete even if others fail. A refused campaign does not
+    stop the others."""
     options, name, campaign, output = job
     try:
         found = diagnose(read_campaign(campaign), workers=1, **_model(options))

@@ -39,7 +39,7 @@ EXAMPLE = "vpp export --parameters out/parameters.json --flavour both -o fmus"
 SUFFIX = {"python": "", "native": ".native"}
 FMI_3 = ".fmi3"
 FLAT = ".flat"
-"""Of the loop without connectors of its own, for importers that know none."""
+"""Suffix of the loop without system connectors, for importers that do not support them."""
 
 
 def configure(parser):
@@ -214,7 +214,7 @@ def exported(
     author: str = AUTHOR,
     fmi: str = "2.0",
 ) -> dict[str, bytes | str]:
-    """All files by name, made before any is written. Of two parts or more, the first two also give their closed loop."""
+    """All files by name, made before any is written. With two parts or more, the loop of the first two is one of them."""
     experiment = _experiment(parts)
     make: dict[str, Callable[..., bytes]] = {"python": python_fmu, "native": native_fmu}
     found: dict[str, bytes | str] = {}
@@ -222,9 +222,9 @@ def exported(
         more = {"author": author} | ({"platforms": platforms, "version": fmi} if flavour == "native" else {})
         fmus = {p.model.name: make[flavour](p.model, p.values, experiment, origins=_origins(p), **more) for p in parts}
         found |= {f"{name}{_suffix(flavour, fmi)}.fmu": fmu for name, fmu in fmus.items()}
-        if len(parts) > 1 and fmi == "2.0":  # SSP 1.0 knows no other
+        if len(parts) > 1 and fmi == "2.0":  # SSP 1.0 supports no other
             loop = {p.model.name: (p, fmus[p.model.name]) for p in parts[:2]}  # a twin monitors the loop and is no part of it
-            wanted = {"thrust_set": float(f"{0.5 * sum(reach(parts[0], parts[1].values)):.2g}")}  # halfway
+            wanted = {"thrust_set": float(f"{0.5 * sum(reach(parts[0], parts[1].values)):.2g}")}  # the middle of the reach
             for flat in (False, True):
                 ssp = loop_ssp(loop, wanted, experiment.stop, connectors=not flat)
                 found[f"{NAME}{SUFFIX[flavour]}{FLAT * flat}.ssp"] = ssp

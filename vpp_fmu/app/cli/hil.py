@@ -1,7 +1,7 @@
-"""The same loop, controllers and records with a rig in the plant's place: emulated, or real.
+"""Hardware in the loop: an emulated or a real rig in the plant's place, with the same loop, controllers and records.
 
-Run a closed loop, measure a campaign, test the rig itself, or feed a recorded run to a controller once more. Before the
-first run on a real rig read hil/README.md."""
+Run a closed loop, measure a campaign, test the rig itself, or replay a recorded run with a controller. Before the first run on
+a real rig read hil/README.md."""
 
 import contextlib
 import getpass
@@ -71,7 +71,7 @@ EXAMPLE = "vpp hil run --profile step.csv --virtual -o out"
 
 WORD = "spin"
 EITHER = Number(BETA_REF.minimum, OMEGA_REF.maximum)
-"""What either number of --start may be; which of the two is looked at when both are known."""
+"""Range of both numbers of --start; each is checked against its own range later."""
 
 
 def configure(parser):
@@ -201,9 +201,9 @@ def _add_replay(parser) -> None:
 
 
 def _run(options) -> Answer:
-    """Close the loop on the rig over a profile of wanted thrust (CSV with time, thrust_set).
+    """Close the loop on the rig over a profile of set-points (CSV with time, thrust_set).
 
-    Tares, arms, spins up, settles, runs, ramps down. Ctrl-C ramps down, a second one stops at once; what was measured is kept."""  # noqa: E501
+    Tares, arms, spins up, settles, runs, ramps down. Ctrl-C ramps down, a second one stops at once; measured data are kept."""
     parquet = _parquet(options)
     profile = read_profile(options.profile)
     lines = [] if options.controller else [said_of(gains_of(options), options.gains)]
@@ -238,7 +238,7 @@ def _run(options) -> Answer:
 
 
 def _answer(found: Outcome, lines: list[str], place: list[str], judge: Callable[[], None] = lambda: None) -> Answer:
-    """The answer of a run. `judge` raises what the run itself found."""
+    """The answer of a run. `judge` raises the failure that the run found, if any."""
     content = found.content
     judged = [judged_steps(loop, found.reach) for loop in found.loops.values()]
     text = headline(judged[0]) if judged else "No row of the loop was measured."
@@ -261,8 +261,8 @@ def _page_of(found: Outcome) -> str:
 def _campaign(options) -> Answer:
     """Measure a campaign on the rig: the files that `vpp identify` and `vpp diagnose` read.
 
-    Each part is a run of its own: tare, arm, run, ramp down. As the paper has it, the static map takes 40 minutes, the steps 15.
-    Commands stay within what the rig's rig.json declares, what --parameters tells of an earlier campaign, and the limits."""  # noqa: E501
+    Each part is a separate run: tare, arm, run, ramp down. With the paper's plan the static map takes 40 minutes, steps 15.
+    Commands stay within the ranges of the rig's rig.json, those of the earlier campaign of --parameters, and the limits."""
     parquet = _parquet(options)
     setup = replace(setup_of(options, steps=True), map_is_known=False)
     given = {field: getattr(options, name.replace("-", "_")) for name, field, *_ in PLAN}
@@ -274,7 +274,7 @@ def _campaign(options) -> Answer:
     with watched(options, content) as page, Lines(options) as shown:
         confirm(setup, lines)
         if file := which(options).file:
-            folder.write(FILE, read_text(file))  # what reads the campaign must know it too
+            folder.write(FILE, read_text(file))  # readers of the campaign need it, too
         content = measuring.run(folder, content, page, shown)
     parts = content["parts"]
     lost, rows = (sum(part["log"][name] for part in parts.values()) for name in ("lost", "rows"))
@@ -283,11 +283,11 @@ def _campaign(options) -> Answer:
 
 
 def _calibrate(options) -> Answer:
-    """Measure the rig's calibration, step by step: weights on the load cell and its sign, pulses to pitch, where the motor starts.
+    """Measure the rig's calibration, step by step: weights on the load cell and its sign, pulses to pitch, the motor's start.
 
-    Each step says what to do and waits for Enter, or for a number that you read. For load cell and pitch the ESC's supply is off;
-    the last step turns the bare motor, without a propeller. --answers FILE: the same answers, a line each, `#` a remark. A part
-    that is left out stays as --calibration has it, with who measured it and when."""  # noqa: E501
+    Each step says what to do and waits for Enter, or for a number that you read. For load cell and pitch the ESC's supply is
+    off; the last step turns the bare motor, without a propeller. --answers FILE: one answer per line, `#` begins a remark.
+    Omitted parts are copied from --calibration, with operator and date."""
     setup, folder = setup_of(options, turning=False), OutputFolder(options.output)
     guide = Prompts(options.answers)
     bench = setup.bench()
@@ -325,10 +325,10 @@ def _selftest(options) -> Answer:
 
 
 def _report(options) -> Answer:
-    """Make run.csv, report.html and the end of hil.json from a run's log: for a run whose loop could not do so itself.
+    """Make run.csv, report.html and the end of hil.json from the log of a run whose loop was killed or crashed.
 
-    A loop that is killed or crashes leaves its log whole, and the log's writer then calls this. Where that was killed too, the
-    rows that reached the disk are given the log's name first."""
+    The log's writer, a separate process, completes the log and then calls this. If the writer was killed, too, the rows that
+    reached the disk are used as the log."""
     log = found_log(Path(options.log))
     folder = OutputFolder(log.parent)
     record, content, gone = of_log(log)
@@ -340,11 +340,11 @@ def _report(options) -> Answer:
 
 
 def _replay(options) -> Answer:
-    """Feed what a controller saw in a recorded run to a controller FMU, and compare what it commands, to the bit.
+    """Feed the inputs of a recorded run to a controller FMU, and compare its commands with the recorded ones, to the bit.
 
     An FMU runs its author's code, with your rights."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RecordWarning)  # a run has more columns than a record must
+        warnings.simplefilter("ignore", RecordWarning)  # a run has more columns than a record needs
         recorded = read_record(options.recorded, ("time", "thrust_set", "thrust", *COMMANDS))
     if len(recorded) < 2:
         raise BadInput(options.recorded, "rows", len(recorded), "two or more")
@@ -359,7 +359,7 @@ def _replay(options) -> Answer:
 
 @dataclass(frozen=True)
 class Which:
-    """The words of --rig: `kind`, the `plant` FMU in the rig's place, the rig.json."""
+    """The words of --rig: `kind`, the `plant` FMU in the rig's place, and the rig.json as `file`."""
 
     kind: str
     plant: str | None
@@ -367,7 +367,7 @@ class Which:
 
 
 def which(options, fmu: bool = False) -> Which:
-    """Which rig the options name."""
+    """The rig of the option --rig. BadInput."""
     words = list(options.rig)
     kind = words.pop(0) if words[0] in ("emulated", "real", "fmu") else "emulated"
     plant = words.pop(0) if kind == "fmu" and words else None
@@ -379,8 +379,8 @@ def which(options, fmu: bool = False) -> Which:
 
 
 def allowed_of(options, turning: bool = True) -> Rig:
-    """What the rig may be asked for: as its rig.json declares, else as the campaign of --parameters measured it, else, of what
-    is no real rig, the paper's. BadInput where a real one is to turn and nobody knows how far."""
+    """The rig's ranges: those of its rig.json, else of the campaign of --parameters, else the paper's. BadInput for a real rig
+    of unknown range that is to turn."""
     rig, rest = which(options, fmu=True), None
     if getattr(options, "parameters", None):
         content = plant_of(options).rig
@@ -401,7 +401,7 @@ def _limits(options, allowed: Rig, steps: bool = False) -> tuple[Limits, Rig]:
 
 
 def setup_of(options, steps: bool = False, turning: bool = True) -> Setup:
-    """The rig that the options describe; `steps` as in `limits_for`, `turning`: whether it will."""
+    """The rig that the options describe; `steps` as in `limits_for`, `turning`: whether the rotor will turn. BadInput."""
     real = which(options).kind == "real"
     if real and (options.virtual or options.hide):
         raise BadInput("command line", "--rig", "real with --virtual or --hide", "an emulated rig for these options")
@@ -441,7 +441,7 @@ def _wiring(options) -> Wiring:
 
 
 def _parquet(options) -> bool:
-    """Whether records are written as Parquet, too. BadInput where nothing here can."""
+    """Whether records are written as Parquet, too. BadInput without a library for it."""
     if options.records == "parquet":
         check_parquet()
     return options.records == "parquet"
@@ -454,8 +454,8 @@ def plant_of(options) -> ParameterSet:
 
 
 def gains_of(options) -> ParameterSet:
-    """The kernel's controller for the rig that the options name, a sample a tick where its file does not say otherwise.
-    BadInput where given limits leave the rig's."""
+    """The kernel's controller for the rig of the options; it samples once per tick, unless its file has another sample time.
+    BadInput if its limits exceed the rig's."""
     parameters, file = plant_of(options), which(options, fmu=True).file
     given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
     rig = declared_rig(file, parameters.rig) if file else None
@@ -463,12 +463,12 @@ def gains_of(options) -> ParameterSet:
 
 
 def tick_of(given: ParameterSet | None) -> float | None:
-    """s: the loop's tick, for a controller whose file names no sample time."""
+    """The loop's tick [s], for a controller whose file has no sample time; else None."""
     return None if given is not None and "sample_time" in given.estimates else PERIOD
 
 
 def controller_of(options) -> Controller:
-    """A fresh controller as the options have it."""
+    """A new controller from the options. BadInput."""
     if options.controller and options.gains:
         raise BadInput("command line", "--controller", "--controller and --gains", "only one of them")
     if options.controller:
@@ -485,7 +485,7 @@ def _fmu_loop(path: str, options, profile: Record) -> tuple[Record, dict[str, tu
 
 
 def _twin(options, allowed: Rig) -> tuple[Twin, Band, Adaptive] | None:
-    """The twin that says when the rig leaves its band, that band, and the twin that adapts."""
+    """(twin that detects when the rig leaves its band, that band, adaptive twin); None without --twin. BadInput."""
     if options.twin is None:
         if options.adapt:
             raise BadInput("command line", "--adapt", "--adapt without --twin", "both: the twin adapts these parameters")
@@ -503,7 +503,7 @@ def _twin(options, allowed: Rig) -> tuple[Twin, Band, Adaptive] | None:
 
 
 def _begun(options, setup: Setup) -> dict:
-    """What hil.json says before anything turns; each file with its hash."""
+    """The content of hil.json before the rotor turns; each file with its hash."""
     given = {"limits_file": options.limits, "rig_file": which(options).file, "parameters": options.parameters}
     given["profile"] = getattr(options, "profile", None)
     content = begun(setup, options.calibration or str(CALIBRATION), options.operator or _user(), given)
@@ -517,14 +517,14 @@ def _begun(options, setup: Setup) -> dict:
 
 
 def _user() -> str:
-    """Who runs this."""
-    with contextlib.suppress(KeyError, OSError):  # a process may belong to a number that nobody has named
+    """The user's name or number."""
+    with contextlib.suppress(KeyError, OSError):  # the user's number may have no name
         return getpass.getuser()
     return str(os.getuid())
 
 
 def allowed_words(allowed: Rig) -> str:
-    """Within what the rig will be commanded, and where that comes from."""
+    """The ranges of the rig's commands and their sources, in words."""
     return f"commands within {', '.join(allowed.command_lines())}"
 
 
@@ -542,7 +542,7 @@ def confirm(setup: Setup, lines: Sequence[str]) -> None:
 
 @contextlib.contextmanager
 def watched(options, content: Mapping) -> Iterator[OperatorPage | None]:
-    """The operator's page, where it is wanted, for as long as the context lasts; its address is printed. BadInput."""
+    """A context with the operator's page, if --watch is given; its address is printed. BadInput."""
     if options.watch is None:
         yield None
         return
@@ -550,7 +550,7 @@ def watched(options, content: Mapping) -> Iterator[OperatorPage | None]:
         allowed = "a run in real time: a virtual one ends in seconds"
         raise BadInput("command line", "--watch", "--watch and --virtual", allowed)
     with served(content, options.watch) as page:
-        print(f"operator's page: {page.address}", flush=True)  # at once, with --quiet too: STOP is there
+        print(f"operator's page: {page.address}", flush=True)  # at once, with --quiet too, because the page has STOP
         yield page
 
 

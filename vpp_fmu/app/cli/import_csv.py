@@ -1,11 +1,11 @@
 """Convert a table to a file of a campaign: CSV of any delimiter, decimal mark, header, encoding, clock; Parquet, MAT, HDF5.
 
---map says which column is what, and in which unit: thrust=Fz:gf. A unit is whatever pint knows, with a factor if need be
-("thrust=Fz:-1 gf"); without one it is the log's own. A time may be since any moment, or a date ("iso"). omega=COLUMN:erpm/7 is
-the electrical speed of a motor with 7 pole pairs. beta_ref=COLUMN:us@1000=-5,2000=10 is a linear calibration: -5 deg at a
-reading of 1000, 10 deg at 2000; thrust=COLUMN:mV@0.2=0,1.5=10 is one in N. thrust=A+B adds two columns. In the place of
-omega_ref a signal to the motor's controller will do, with a measured omega: its map is fitted to the log, and shared by all
-logs of the folder. What --map does not name is taken as the log's header says, unless NAME=- leaves it out; --propose shows it.
+--map gives the column and the unit of each quantity: thrust=Fz:gf. A unit is any of pint's, with a factor if needed
+("thrust=Fz:-1 gf"); without one it is the log's own. A time may start at any moment, or be a date ("iso"). omega=COLUMN:erpm/7
+is the electrical speed of a motor with 7 pole pairs. beta_ref=COLUMN:us@1000=-5,2000=10 is a linear calibration: -5 deg at a
+reading of 1000, 10 deg at 2000; thrust=COLUMN:mV@0.2=0,1.5=10 is one in N. thrust=A+B adds two columns. The signal to the
+motor's controller can replace omega_ref, if omega is measured: a map between them is fitted to the log, and shared by all logs
+of the folder. Other quantities are taken as the log's header says, unless NAME=- omits them; --propose prints them.
 The mapping is saved in import.toml beside the record, and --map import.toml uses it again.
 
 A table of coefficients (rpm, CT, perhaps J and pitch) becomes static.csv with --as static --diameter D: T = CT rho n^2 D^4, n
@@ -193,7 +193,7 @@ def _propose(table: RawTable, options, lines: list[str]) -> Answer:
 
 
 def _unused(table: RawTable, columns: Mapping[str, Column]) -> list[str]:
-    """The columns that are not taken, in a line; none if all are."""
+    """A line with the unused columns; none if all are used."""
     taken = {part for column in columns.values() for part in table.parts(column.name)}
     unused = [name for name in table.columns if name not in taken]
     return [f"not used: {', '.join(unused)}"] if unused else []

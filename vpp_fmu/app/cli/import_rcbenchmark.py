@@ -81,7 +81,7 @@ def _pitch(options, log: Log) -> float:
 
 @dataclass(frozen=True)
 class Known:
-    """A speed map, and whether it is another log's."""
+    """A speed map, and whether it is from another log."""
 
     map: SpeedMap
     taken_over: bool

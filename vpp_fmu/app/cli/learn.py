@@ -1,8 +1,8 @@
 """Learn a control law, a small network, on plants drawn from the parameters' uncertainty; compare it with the tuned PID.
 
-An evolution strategy (cma) searches the weights on the compiled loop. The comparison flies plants, set-points and noise that
-are not part of the search. `vpp export --policy` makes an FMU of the law, which falls back on the PID where an observation
-leaves the range of the training."""
+An evolution strategy (cma) searches the weights on the compiled loop. The comparison uses plants, set-points and noise that
+are not part of the search. `vpp export --policy` makes an FMU of the law, which falls back on the PID while an observation is
+outside the range of the training."""
 
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The command that fits what a folder holds."""
+"""The next command for the files of a folder."""
 
 from pathlib import Path
 

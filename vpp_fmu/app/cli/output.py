@@ -1,4 +1,4 @@
-"""Output common to all verbs: the folder, the provenance of results, progress, and what was written."""
+"""Output common to all verbs: the folder, the provenance of results, progress, and the written files."""
 
 import contextlib
 import os
@@ -66,7 +66,7 @@ class Stages:
             print(f"{self._verb}: {text} ({time.monotonic() - self._began:.0f} s)", file=sys.stderr, flush=True)
 
     def progress(self, done: int, total: int, best: str) -> None:
-        """On a terminal: so many of `total` candidates are done."""
+        """On a terminal, show that `done` of `total` candidates are done, and the best one."""
         if self._bar is None:
             return
         if done == 1:  # the time left is that of the stage
@@ -77,7 +77,7 @@ class Stages:
 
 
 def written(folder: OutputFolder, parameters: ParameterSet | None = None) -> list[str]:
-    """Put a set of files into its place; returns the lines that say so, with the replaced and removed files. `parameters`:
+    """Put a set of files into its place; returns lines about the written, replaced and removed files. `parameters`:
     those of the results. Files are in place before anything is printed, since standard output may fail."""
     lines = []
     if isinstance(folder, OutputSet):

@@ -126,7 +126,7 @@ def run(options):
 
 
 def remarks_on(found: Plan, inflation: float = 1.0) -> list[str]:
-    """Remarks on a plan. `inflation` of the present intervals by the residuals' colour."""
+    """Remarks on a plan. `inflation`: factor by which autocorrelated residuals widen the present intervals."""
     return ([_coloured(inflation, found.noise_std)] if inflation > COLOURED else []) + _overload(found)
 
 
@@ -176,7 +176,7 @@ def _basis(options, parameters: ParameterSet, known_in: str | None) -> Basis:
 
 
 def _step(options, campaign: Campaign | None, parameters: ParameterSet, rig: Rig) -> float | None:
-    """Sampling period [s]: from the command line, or the rig's as far as a plan may have it; None: unknown."""
+    """Sampling period [s]: from the command line, else by `step_of` from the campaign or the parameters; None: unknown."""
     if options.step is not None:
         return options.step
     records = (campaign.open_loop, campaign.repeat, campaign.validation) if campaign is not None else ()

@@ -30,14 +30,14 @@ class Prompts:
         return self._asked(what, float, "a number")
 
     def choice(self, what: str, words: Sequence[str]) -> str:
-        """One of some words."""
+        """Ask for one of some words."""
         shown = "/".join(words)
         return self._asked(f"{what}: type {shown}", lambda text: words[words.index(text)], " or ".join(words))
 
     def numbers(
         self, what: str, default: Sequence[float], good: Callable[[Sequence[float]], bool], allowed: str
     ) -> tuple[float, ...]:
-        """Numbers separated by spaces; Enter for the default."""
+        """Ask for numbers separated by spaces; Enter for the default."""
 
         def read(text: str) -> tuple[float, ...]:
             found = tuple(map(float, text.split())) or tuple(default)

@@ -153,7 +153,7 @@ def write_tuning(folder: OutputFolder, found: Tuning, **came: tuple[str | os.Pat
 
 
 def _setting(task: Task, starts) -> list[str]:
-    """Conditions from the rig: limits, sampling, the profile, and controllers that it can't have."""
+    """Conditions from the rig: limits, sampling, the profile, and controllers that it does not allow."""
     rig, settings = task.parameters.rig, next(iter(starts.values()))
     ends = ((f"{settings[f'{u}_min']:.6g}", f"{settings[f'{u}_max']:.6g}", unit) for u, unit in UNITS_OF.items())
     limits = (f"{low} {unit}" if low == high else f"{low} to {high} {unit}" for low, high, unit in ends)

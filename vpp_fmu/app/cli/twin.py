@@ -1,10 +1,10 @@
 """A rig's day: model and controller improve each other round by round, during operation.
 
-Each round flies a mission beside the adaptive twin. A diagnosis of the mission's record follows if there is an alarm, or the
-model predicts worse than before, and the adapted model does not explain it. The model that predicts the next mission best is
-kept. Gains are retuned on that model and searched on the rig; the model rejects gains that break limits. The gains with the
-least cost on the rig fly next, if they are better than the present ones. On the real rig each flight waits for the operator's
-consent."""
+Each round flies a mission, random levels of thrust, beside the adaptive twin. The twin may raise an alarm, or the model may
+predict worse than before. If the adapted model does not explain that, the mission's record is diagnosed. The model that
+predicts the next mission best is kept. Gains are retuned on that model and searched on the rig; the model rejects gains that
+break limits. The gains with the least cost on the rig are used next, if they are better than the present ones. On the real rig
+each flight waits for the operator's consent."""
 
 import math
 from collections.abc import Mapping

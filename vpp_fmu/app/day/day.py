@@ -1,10 +1,10 @@
-"""The rounds of a day.
+"""The rounds of a day. A flight is a run of the rig under a control law; a mission is a flight over random thrust levels.
 
-In each round a mission is flown beside the twin. If there is an alarm, or the model predicts a repeated mission worse than
-before, and the adapted model does not explain it, the mission's record is diagnosed against the twin's model. Gains are retuned
-on the model and searched on the rig, and a network is learned on plants of the model's uncertainty, if it is asked for. The law
-with the lowest measured cost flies next, if it is better than the present one (Reinforcement Twinning: Schena, Marques,
-Poletti, Ahizi, Van den Berghe, Mendez, 2024).
+Each round flies a mission beside the twin. The twin may raise an alarm, or the model may predict a repeated mission worse than
+before. If the adapted model does not explain that, the mission's record is diagnosed with the twin's model as the reference.
+New laws are gains retuned on the model, gains searched on the rig, and a network learned on plants of the model's uncertainty,
+as far as the policy has them. The law with the lowest measured cost is used next, if it is better than the present one
+(Reinforcement Twinning: Schena, Marques, Poletti, Ahizi, Van den Berghe, Mendez, 2024).
 """
 
 from collections.abc import Callable, Mapping
@@ -41,27 +41,27 @@ DIAGNOSED = "diagnosed"
 """Name of the model from the diagnosis of a mission."""
 
 TIMES = 4
-"""Flights of the profile per finalist: the cost scatters by 2 % between flights, which is the difference between the best and
-fair gains, and each flight takes as long as a trial of the search."""
+"""Repetitions of the profile per finalist. The cost scatters by 2 % between them; the best and fair gains differ by as much.
+Each takes as long as a trial of the search."""
 
 BETTER = 0.1
-"""Level of the t test that new gains are better than the present ones. A lower level rejects more better gains, which may
-return in the next round."""
+"""Level of the t test that new gains are better than the present ones. A lower level would reject more of the better gains,
+which may return in the next round."""
 
 WORSE = 0.01
 """Level of the test that a repeated mission is predicted worse: one false alarm in a hundred rounds."""
 
 LEFT = 0.1
-"""The same after an alarm: a needless diagnosis costs a minute, a missed effect stays in the model as a changed parameter."""
+"""The same for the adapted model: a needless diagnosis costs a minute, a missed effect remains as a changed parameter."""
 
 UNITS, GENERATIONS, JUDGED = 6, 300, 40
-"""Hidden units of a learned law, generations of its search, some 20 s, and held-out plants on which the model judges it."""
+"""Hidden units of a learned law, generations of its search (some 20 s), and held-out plants of its comparison."""
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A candidate model of the rig: `name`, its `parameters`, and the rms thrust error [N] in the mission of its fit, and
-    in the next one, a hold-out."""
+    """A candidate model of the rig: `name`, `parameters`, and its rms thrust error [N] in the mission of its fit (`fitted`) and
+    in the next one, a hold-out (`unseen`)."""
 
     name: str
     parameters: ParameterSet
@@ -71,10 +71,10 @@ class Model:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Modelled:
-    """A round's model: `mission`: its record; `alarm`: (s, its cause), or None; `models`: the compared ones, of which `chosen`
-    has the least error on a hold-out mission; `named`: effects that the diagnosis added, and its `verdict`, "" without a
-    diagnosis. `wanted`: the round's last mission, which the next round repeats, and `usual` the chosen model's mean square
-    error at each of its levels, (levels,) N^2.
+    """The choice of a round's model. `mission`: the first flight; `alarm`: (s, its cause), or None; `models`: candidates, of
+    which `chosen` has the least error on a hold-out mission; `verdict` of the diagnosis, "" without one, and the effects that
+    it `named`. `wanted`: profile of the last mission, which the next round repeats; `usual`: mean square error of the chosen
+    model at each of its levels, (levels,) N^2.
     """
 
     mission: Flight
@@ -91,8 +91,8 @@ class Modelled:
 class Round(Modelled):
     """A round, its `number` from 1, with the effects `hidden` in the rig.
 
-    `costs`: by branch, measured costs of the finalists by flight; `tries`: single flights of the search, `refused`: number of
-    gains that the model rejected. `winner`: the branch that flies next, with its `law`.
+    `costs`: by branch, measured costs of the finalist's repetitions; `tries`: costs of the search's flights, `refused`: number
+    of gains that the model rejected. `winner`: the branch of the next `law`.
     """
 
     number: int
@@ -105,18 +105,18 @@ class Round(Modelled):
 
     @property
     def settings(self) -> Mapping[str, float]:
-        """The controller's values that fly next, or to which the law that flies falls back."""
+        """Settings of the next controller, or of the fallback of the next learned law."""
         return self.law.settings
 
     @property
     def cost(self) -> float:
-        """Cost of the gains that fly next."""
+        """Mean measured cost of the next law."""
         return float(np.mean(self.costs[self.winner]))
 
 
 @dataclass(eq=False)
 class Day:
-    """A day's rounds, and its initial model and gains. `search`: on the rig, continued while the gains stay."""
+    """A day's rounds, and its initial model and gains. `search`: that on the rig, continued while the gains stay."""
 
     begun: ParameterSet
     settings: Mapping[str, float]
@@ -137,7 +137,8 @@ class Day:
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Access to the rig: `setup(round, flight)` returns the rig; `word(what)` waits for the operator's consent to `what`."""
+    """Access to the rig: `setup(round, flight)` returns it, `word(what)` waits for the operator's consent to `what`,
+    `hidden(round)` returns the names of its hidden effects."""
 
     setup: Callable[[int, int], Setup]
     word: Callable[[str], None]
@@ -259,7 +260,7 @@ def _modelled(day: Day, flights: "_Flights", band: Band, seed: int, workers: int
 
 
 def best_of(costs: Mapping[str, tuple[float, ...]]) -> str:
-    """The branch whose gains fly next: the cheapest, or the first, the present gains, if the test finds no difference."""
+    """The branch with the lowest mean cost; the first, the present law, if the test does not find the other better."""
     flew, best = next(iter(costs)), min(costs, key=lambda name: float(np.mean(costs[name])))
     return best if best == flew or ttest_ind(costs[best], costs[flew], alternative="less").pvalue < BETTER else flew
 
@@ -277,7 +278,7 @@ def error(parameters: ParameterSet, record: Record) -> float:
 
 
 def by_level(parameters: ParameterSet, record: Record, profile: Record) -> np.ndarray:
-    """(levels,) N^2: mean square of that error at each level of a mission's profile."""
+    """(levels,) N^2: mean square error of the model's thrust at each level of a mission's profile."""
     errors = predict(parameters.model, parameters.values, _measured(record)).thrust - record["thrust"]
     begins = np.searchsorted(record.time - record.time[0], profile.time[1:-1])
     return np.array([np.nanmean(own**2) for own in np.split(errors, begins)])
@@ -320,15 +321,14 @@ def _learned(flight: Flight) -> tuple[dict[str, float], dict[str, float]]:
 
 
 def _moved(model: ParameterSet, flight: Flight) -> bool:
-    """Whether the adapted model is a candidate; another mission decides."""
+    """Whether a parameter was adapted by more than CERTAIN standard deviations: the adapted model is then a candidate."""
     before, (own, std) = adaptable(model, "vpp twin").values, _learned(flight)
     return any(abs(value - before[name]) > CERTAIN * std[name] for name, value in own.items())
 
 
 def _adapted(model: ParameterSet, flight: Flight) -> Model:
-    """The model with the twin's adapted parameters: statically visible ones together, because they are correlated, and each
-    dynamic one separately; those that predict the mission best are taken. The twin also adapts a lag from moves at an
-    actuator's limit, which holds nowhere else."""
+    """The model with those adapted parameters that predict the mission best. Statically visible ones are taken together, as
+    they are correlated, each dynamic one separately: a lag that was adapted at an actuator's limit is wrong elsewhere."""
     wider, (own, std) = adaptable(model, "vpp twin"), _learned(flight)
     at_rest = watched(wider.model, tuple(own))
     groups = [[name for name in own if name in at_rest], *([name] for name in own if name not in at_rest)]
@@ -361,11 +361,11 @@ class _Flights:
 def _searched(
     day: Day, flights: _Flights, referee: Referee, flies: Mapping[str, float], seed: int
 ) -> tuple[Mapping[str, float] | None, list[float], int]:
-    """(the search's mean after its next generation, None: none flew, or the model rejects it; the costs of those that flew;
-    the number of rejected ones).
+    """(mean of the search after its next generation, None if no gains were flown or the model rejects it; costs of the flown
+    gains; number of rejected gains).
 
-    A rejected one has the cost that the model predicts, relative to the present gains. The mean is used, since the cheapest of
-    a generation is so by noise."""
+    Rejected gains get the cost that the model predicts, relative to the present gains. The mean is used, because the cheapest
+    of a generation is so by noise."""
     if day.search is None:
         day.search = Search(flies, GAINS, seed)
     generation = day.search.asked()

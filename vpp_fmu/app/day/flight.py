@@ -1,4 +1,4 @@
-"""One flight: the rig under a controller over a profile, its cost, and the twins' results."""
+"""One flight, a run of the rig under a controller over a profile: its cost, and the twins' results."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -29,8 +29,8 @@ GAINS = tuple(DUAL)
 @dataclass(frozen=True, eq=False)
 class Flight:
     """`record`: as in run.csv; `twin`: outputs of the adaptive twin (rows,) by name, empty without one; `alarms`: (s from the
-    record's start, in words) of both twins; `costs`: the paper's (eq. 21), of measured thrust, of each repetition of the
-    profile, empty if it ended early; `ended`: the reason for that, else ""."""
+    record's start, in words) of both twins; `costs`: the paper's cost (eq. 21) of the measured thrust, for each
+    repetition of the profile, empty if the flight ended early; `ended`: the reason for that, else ""."""
 
     record: Record
     twin: Mapping[str, np.ndarray]
@@ -46,7 +46,7 @@ class Flight:
 
 @dataclass(frozen=True, eq=False)
 class Twins:
-    """The model beside the rig, twice: a fixed one, which detects deviations, and an adaptive one."""
+    """The twins beside the rig: a fixed one, which detects deviations, and an adaptive one."""
 
     parameters: ParameterSet
     band: Band
@@ -59,7 +59,7 @@ class Twins:
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """What flies: the controller's `settings`, or a learned `policy` that falls back on them."""
+    """A control law: the controller's `settings`, or a learned `policy` that falls back on them."""
 
     settings: Mapping[str, float]
     policy: Policy | None = None
@@ -121,7 +121,7 @@ MISSION = 90.0
 
 
 def mission(low: float, high: float, pace: float, seed: int) -> Record:
-    """Random levels of wanted thrust [N] between `low` and `high`, for a rig `pace` times as slow as the
+    """Random levels of the thrust set-point [N] between `low` and `high`, for a rig `pace` times as slow as the
     paper's. `time` [s], `thrust_set` [N]."""
     rng, seconds = np.random.default_rng(seed), MISSION * pace
     time = np.cumsum(np.r_[0.0, rng.uniform(*HOLDS, int(seconds / (HOLDS[0] * pace))) * pace])

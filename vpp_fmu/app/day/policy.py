@@ -1,7 +1,7 @@
 """Sources of a controller's next gains: tuned on the model, or searched on the rig with a few flights per round.
 
 The model-free search is the covariance matrix adaptation of Hansen and Ostermeier (Evolutionary Computation 9, 2001), pycma's,
-in the logarithms of the gains about the present ones. Gains that the model rejects do not fly (`Referee`).
+in the logarithms of the gains about the present ones. Gains that the model rejects are not flown (`Referee`).
 """
 
 import warnings
@@ -34,7 +34,7 @@ TRIES = 8
 """Flights of a round's search: a generation of four to six gains has 8 or 9 (Hansen's default)."""
 
 SENSITIVITY = 3.0
-"""Maximum sensitivity of the model's loop with gains that fly: a gain margin of 3/(3-1) = 1.5 and a phase margin of
+"""Maximum sensitivity of the model's loop with gains to be flown: a gain margin of 3/(3-1) = 1.5 and a phase margin of
 2 asin(1/6) = 19 degrees; tuning requires 2."""
 
 COSTLIER = 1.5
@@ -58,7 +58,8 @@ def retuned(wanted: Task, settings: Mapping[str, float]) -> dict[str, float]:
 
 
 class Referee:
-    """The model's check of gains before they fly: it rejects margins below SENSITIVITY and below those of the present gains."""
+    """The model's check of gains before a flight: it rejects a cost ratio above COSTLIER, and a sensitivity above both
+    SENSITIVITY and that of the present gains."""
 
     def __init__(self, wanted: Task, settings: Mapping[str, float]):
         objective = wanted.objective(settings)
@@ -71,14 +72,14 @@ class Referee:
         return self._objective.largest_sensitivity(np.array([settings[name] for name in self._objective.names]))
 
     def predicted(self, settings: Mapping[str, float]) -> tuple[float, bool]:
-        """(predicted cost over that of the present gains; whether they may fly)."""
+        """(predicted cost over that of the present gains; whether the gains may be flown)."""
         gains = np.array([settings[name] for name in self._objective.names])
         costs = self._objective.cost(gains) / self._flies
         return costs, bool(costs <= COSTLIER and self.sensitivity(settings) <= self._most)
 
 
 class Search:
-    """Search about the gains that flew at its start: `asked` returns the next generation, `tell` takes its costs."""
+    """Search around the gains in use at its start: `asked` returns the next generation, `tell` takes its costs."""
 
     def __init__(self, settings: Mapping[str, float], names: Iterable[str], seed: int):
         self._settings = dict(settings)
@@ -94,7 +95,7 @@ class Search:
 
     @property
     def favourite(self) -> dict[str, float]:
-        """The search's present mean, from the better half of each generation, including its noise."""
+        """The search's present mean, a noisy average of the better halves of its generations."""
         return self._at(self._search.result.xfavorite)
 
     def _at(self, logarithms: np.ndarray) -> dict[str, float]:

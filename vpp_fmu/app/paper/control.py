@@ -35,7 +35,7 @@ PUBLISHED, TUNED = "published gains", "tuned gains"
 PI, PID, SPEED = "both actuators, PI", "both actuators", "speed alone"
 
 STARTS = {"dual": DUAL | {"speed_only": 0.0}, "speed_only": SPEED_ONLY}
-"""Where the searches for gains start: the published ones."""
+"""Start of the searches: the published gains."""
 
 SMOOTH = 0.04
 """s over which a rig's mean thrust is smoothed before it is judged: less than a tenth of any settling time."""
@@ -43,8 +43,8 @@ SMOOTH = 0.04
 
 @dataclass(frozen=True)
 class Merit:
-    """A step's figures: `settling` s to stay within 2 % of the step (None: never), `overshoot` in % of the step, and the
-    integral of the squared normalised error [s] until the next step; of a mean of runs with that error's standard deviation."""
+    """A step's figures: `settling` s to stay within 2 % of the step (None: never), `overshoot` in % of the step.
+    `squared_error` is the integral of the squared normalised error [s] until the next step; `error_std`: for a mean of runs."""
 
     settling: float | None
     overshoot: float
@@ -85,14 +85,14 @@ class StepTest:
 
 
 def profile(scale: float) -> Record:
-    """The paper's step, and the way back as long after it: `time` s, `thrust_set` N."""
+    """The paper's step, and the step back after the same time: `time` s, `thrust_set` N."""
     levels = np.array([STEP_FROM, STEP_TO, STEP_FROM, STEP_FROM]) * scale
     times = np.array([0.0, STEP_AT, 2.0 * STEP_AT, 3.0 * STEP_AT])
     return Record({"time": times, "thrust_set": levels}, "the paper's step test")
 
 
 def emulated(limits: Limits, seed: int, map_is_known: bool = True) -> Setup:
-    """The emulated rig in virtual time, nothing hidden in it. `seed`: of its noise."""
+    """The emulated rig in virtual time, without hidden effects. `seed`: of its noise."""
     calibration = read_calibration(str(files("hil.emulator") / "calibration.json"))
     return Setup(calibration, limits, Rig(seed=seed), virtual=True, map_is_known=map_is_known)
 
@@ -101,7 +101,7 @@ def control(
     identified: ParameterSet, noise: float, seed: int, repeats: int, stage: Callable[[str], None]
 ) -> tuple[Mapping[str, Tuning], Mapping[Loop, StepTest]]:
     """Tune for both plants, close all loops: (tunings by plant, step tests by loop). `noise` N: of a reading on the rig;
-    `repeats`: runs of each loop there, each with other noise. The paper's design knows no noise and no converter. RunEnded."""
+    `repeats`: runs of each loop there, each with other noise. The paper's design has no noise and no converter. RunEnded."""
     papers = ParameterSet(BASE).replaced(ASSUMED)
     course = profile(papers.values["thrust_scale"])
     chain = {"delay": CONTROLLER.values()["sample_time"] ** -1 / CONVERSIONS, "resolution": RESOLUTION}
@@ -130,8 +130,8 @@ def judged(run: Record) -> tuple[Merit, Merit]:
 
 
 def _designs(plant: str, found: Tuning) -> dict[Loop, tuple[Objective, np.ndarray]]:
-    """(objective, gains) of all controllers for a plant. A PI is what the paper's search has before the derivative: of the
-    published gains, those without it."""
+    """(objective, gains) of all controllers for a plant. The tuned PI is the result of the search's stage without derivative;
+    the published PI has the published gains without the derivative."""
     dual, alone = found.tuned["dual"], found.tuned["speed_only"]
     objective, start = dual.objective, dual.gains["start"]
     derivative = np.array([name.startswith("kd") for name in objective.names])

@@ -11,13 +11,13 @@ from vpp_fmu.record import Record
 from vpp_fmu.response import steps
 
 SPAN = 25
-"""Readings in a mean of the speed: the mark's jitter hides the dip."""
+"""Readings in a mean of the speed: in single ones the mark's jitter hides the dip."""
 
 BACK = 0.01
-"""Share of the speed within which it counts as back."""
+"""Share of the speed within which it counts as recovered."""
 
 NEAR = 0.4, 1.2
-"""s around a step that are drawn."""
+"""Seconds drawn before and after a step."""
 
 
 def dips(records: Sequence[Record]) -> dict[float, tuple[np.ndarray, np.ndarray]]:
@@ -37,7 +37,7 @@ def dips(records: Sequence[Record]) -> dict[float, tuple[np.ndarray, np.ndarray]
 
 
 def worst_dip(found: Mapping[float, tuple[np.ndarray, np.ndarray]]) -> tuple[float, float, float]:
-    """(level rpm, rpm by which the speed falls there, s until it stays within BACK of the level) of the deepest dip."""
+    """The deepest dip: (level rpm, rpm below the command, s until the speed stays within BACK of the level)."""
     level = min(found, key=lambda k: float(found[k][1][found[k][0] > 0.0].min()))
     time, dip = found[level]
     outside = np.flatnonzero((np.abs(dip) > BACK * level) & (time > 0.0))
@@ -46,9 +46,9 @@ def worst_dip(found: Mapping[float, tuple[np.ndarray, np.ndarray]]) -> tuple[flo
 
 
 def terms(test: StepTest) -> tuple[np.ndarray, dict[str, dict[str, np.ndarray]]]:
-    """(time [s], panel -> term -> normalised share of the command) that the controller adds up around the step upwards.
+    """(time [s], panel -> term -> its normalised share of the command) around the step upwards.
 
-    The controller once more over what the loop showed: its states are error, integrals and filtered rate.
+    The controller is run again on the loop's set-point and thrust; its states are error, integrals and filtered rate.
     """
     run, values = test.mean, CONTROLLER.values(test.settings)
     again, states = Simulation(CONTROLLER, values), []

@@ -7,15 +7,15 @@ from vpp_fmu.kernel.controller import DUAL, SPEED_ONLY
 from vpp_fmu.kernel.plant import AVERAGED, FINE_TUNED
 
 STATIC_MAP = {"c20": 0.21e-6, "c11": -5.7e-6, "c21": 0.023e-6, "c12": -1.25e-6, "c30": -2.15e-12}
-"""Of the static map in rpm, deg and N (section 4.1)."""
+"""Coefficients of the static map in rpm, deg and N (section 4.1)."""
 
 UNITS = {"c20": "N/rpm²", "c11": "N/(rpm deg)", "c21": "N/(rpm² deg)", "c12": "N/(rpm deg²)", "c30": "N/rpm³"}
-"""Of the static map's coefficients."""
+"""Units of these coefficients."""
 
 R2_ADJUSTED = 0.996
 COST_START, COST_END, ITERATIONS = 5.19e-4, 3.2e-4, 350
 ASSUMED = {"tau_beta_2": 0.05}
-"""What the paper's controllers were designed for: its fine-tuned model with a faster pitch actuator (section 4.2)."""
+"""The paper's controllers were designed for its fine-tuned model with this faster pitch actuator (section 4.2)."""
 
 STEP_FROM, STEP_TO, STEP_AT, REACHED = 0.1, 0.8, 3.33, 0.5
 """The step test: normalised thrust, time of the step [s] and time until the set-point is reached [s] (section 4.3)."""
@@ -40,7 +40,7 @@ class Row:
     std: float | None = None
 
     def cells(self) -> tuple:
-        """For a table with COLUMNS."""
+        """Cells of a table with COLUMNS."""
         what = f"{self.what} [{self.unit}]" if self.unit else self.what
         place = self.place.replace("section ", "§ ").replace("figures", "fig.").replace("figure", "fig.")
         rig = shown(self.rig) if self.std is None else f"{shown(self.rig)} ± {self.std:.1g}"
@@ -132,14 +132,14 @@ _ROWS = (
 )
 
 NUMBERS = {row[0]: Row(*row) for row in _ROWS}
-"""By name, in the paper's order."""
+"""Rows by name, in the paper's order."""
 
 KEY = (
     "r2_adjusted",
     *(f"{kind}.{lag}" for kind in ("averaged", "fine_tuned") for lag in _LAGS),
     *("overshoots", "cost_fall", "improved", "reached", "overshoot", "up", "down"),
 )
-"""Numbers that a reader wants to know first."""
+"""The most important numbers."""
 
 FIGURES = {
     "1a": "photo of the stand",
@@ -157,4 +157,4 @@ FIGURES = {
     "9": "step test of both actuators: thrust, pitch, speed",
     "10": "both actuators against speed alone: thrust, pitch, speed",
 }
-"""What each figure of the paper shows, by its number."""
+"""Content of each figure of the paper, by its number."""

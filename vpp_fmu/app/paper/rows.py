@@ -1,6 +1,6 @@
 """The comparison: every number of the paper, ours on the emulated rig and on the paper's model, and why they differ.
 
-A table holds (rig, model, why) and, of an estimate, its standard deviation on the rig, by the names in `published`.
+A table holds (rig, model, why), and for an estimate its standard deviation on the rig, by the names in `published`.
 """
 
 from collections.abc import Mapping
@@ -30,7 +30,7 @@ from vpp_fmu.response import steps
 GRAVITY = 9.80665
 
 GOOD = 0.01
-"""N; standard deviation of a mean that is good enough."""
+"""Required standard deviation of a mean, N."""
 
 THIRTEEN = (
     *("apparent_mass", "inertia", "j_a", "d_a", "kv", "drag", "k_a"),
@@ -52,7 +52,7 @@ def compared(study: Study) -> dict[str, Row]:
 
 
 def as_paper(name: str, rig: float | str, note: str = "") -> str:
-    """Whether the set-up, where nothing is estimated, has the paper's value, in words."""
+    """In words, whether a value of the set-up, which is not estimated, is the paper's."""
     same = "as the paper" if shown(rig) == shown(NUMBERS[name].value) else "not as the paper"
     return f"{same}; {note}" if note else same
 
@@ -126,7 +126,7 @@ def _models(study: Study) -> dict[str, tuple]:
 
 
 def _chosen(study: Study) -> dict[str, tuple]:
-    """What the emulated rig has in place of the paper's parts."""
+    """Parts and data of the emulated rig in place of the paper's."""
     p, points = FULL_RIG.values(emulated(Limits(), study.seed).emulated.parameters), study.campaign.static
     known = [parameter.name for parameter in FULL_RIG.parameters]
     thirteen = f"k_Q and k_i are one number; with maps, supplies and controllers it has {len(known)}"
@@ -196,7 +196,7 @@ def _averaged(study: Study) -> dict[str, tuple]:
 
 
 def _steps_seen(study: Study) -> dict[str, tuple]:
-    """Overshoots of the step responses, and which of them were left out (section 4.2)."""
+    """Step responses that overshoot, and those that were left out (section 4.2)."""
     seen, left_out, largest = [], [], {}
     for summary in study.steps:
         runs = summary.used("beta")
@@ -231,7 +231,7 @@ def _fine_tuned(study: Study) -> dict[str, tuple]:
 
 
 def _by_speed(values: Mapping[str, float]) -> dict[str, str]:
-    """The paper's name of each fine-tuned parameter -> its name in a fit: the slower lag is the one that is slower there."""
+    """The paper's name of each fine-tuned parameter -> its name in a fit: the slower lag there is the slower one here."""
     names = dict(zip(FINE_TUNED, FINE_TUNED, strict=True))
     for pair in LAGS.values():
         names |= zip(pair, sorted(pair, key=lambda name: -values[name]), strict=True)
@@ -286,7 +286,7 @@ def _costs(study: Study) -> dict[str, tuple]:
 
 
 def _improved(study: Study) -> dict[str, tuple]:
-    """By how much fine-tuning lowers the error in each part of the record (section 4.2)."""
+    """Reduction of the error by fine-tuning in each part of the record (section 4.2)."""
     cells = []
     for tuned in study.fine_tuning:
         errors = by_part(tuned.record, {"start": tuned.start, "end": tuned.values})

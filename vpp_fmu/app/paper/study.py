@@ -28,7 +28,7 @@ from vpp_fmu.kernel.plant import AVERAGED, BASE, FINE_TUNED
 from vpp_fmu.record import Record, write_record
 
 FULL, REPEATS = Plan(before=5.0), 6
-"""The paper's campaign; runs of each loop on the rig."""
+"""The paper's campaign; number of runs of each loop on the rig."""
 
 QUICK, FEWER = Plan(points=4, settle=1.0, samples=100, levels=2, before=0.4, after=2.5, section=8.0, validation=8.0), 1
 """The same shape, smaller: fewer points, readings and steps, shorter records."""
@@ -37,7 +37,7 @@ OPERATING_PITCH = (-5.0, 10.0)
 """The paper's operating region, deg: below it the blades stall and the cubic no longer fits."""
 
 PAPER_UNITS = {"omega_scale": 1.0, "beta_offset": 0.0, "beta_scale": 1.0, "thrust_scale": 1.0}
-"""A map in rpm, deg and N."""
+"""Scales of a map in rpm, deg and N."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +59,14 @@ class Statics:
 
     @property
     def scatter(self) -> float:
-        """N: residual that the paper's R² implies on its own surface."""
+        """N: residual that the paper's R² implies for its own polynomial."""
         return float(np.sqrt((1.0 - R2_ADJUSTED) * np.var(self.papers, ddof=1)))
 
 
 @dataclass(frozen=True, eq=False)
 class FineTuning:
     """Two searches on one record from one `start`: the paper's descent, with the cost at each iteration (ITERATIONS + 1,) and
-    its `values` at the end, in `seconds`; and Levenberg and Marquardt's, `ours`. Costs are mean(e²)/2 of normalised thrust."""
+    its `values` at the end, in `seconds`; and `ours`, Levenberg-Marquardt. Costs are mean(e²)/2 of normalised thrust."""
 
     record: Record
     start: Mapping[str, float]
@@ -77,15 +77,15 @@ class FineTuning:
 
     @property
     def reduction(self) -> tuple[float, float]:
-        """What the descent and our search take off the cost, %."""
+        """Reduction of the cost by the descent and by our search, %."""
         return tuple(100.0 * (1.0 - end / self.costs[0]) for end in (self.costs[-1], self.ours.cost_final))
 
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """Everything that was found. `steps`: fits of normalised thrust without a map, as the paper's; `fine_tuning` of the
-    open-loop record; both on the rig and on the paper's model. `tuned`: gains for the paper's model, as the paper designed for
-    it, and for the model that the rig's campaign gave; `tests` of all loops. `seconds` of each stage, by name."""
+    """All results. `steps`: fits of normalised thrust without a map, as the paper's; `fine_tuning` of the
+    open-loop record; both on the rig and on the paper's model. `tuned`: gains for the paper's model, as in the
+    paper, and for the model identified from the rig's campaign; `tests` of all loops. `seconds` of each stage, by name."""
 
     plan: Plan
     seed: int
@@ -115,13 +115,13 @@ class Stages:
         self.show, self.seconds, self._last = show, {}, time.perf_counter()
 
     def done(self, name: str) -> None:
-        """The stage of that name has ended."""
+        """Record the end of a stage."""
         now = time.perf_counter()
         self.seconds[name], self._last = now - self._last, now
 
 
 def study(folder: OutputFolder, plan: Plan, repeats: int, seed: int, stages: Stages) -> Study:
-    """Measure the campaign into `folder` on the emulated rig, then do all that the paper did with it."""
+    """Measure the campaign into `folder` on the emulated rig, then repeat the paper's analysis."""
     campaign = recorded(folder, plan, seed, stages.show)
     stages.done("campaign on the emulated rig")
     found = identify(campaign, seed=seed, stage=stages.show)
@@ -218,7 +218,7 @@ def fine_tuned(record: Record, start: Mapping[str, float]) -> FineTuning:
 
 
 def parts(record: Record) -> dict[str, np.ndarray]:
-    """Rows of the three parts of an open-loop record, by what moves in them: "speed only", "pitch only", "both"."""
+    """Rows of the three parts of an open-loop record, by the moving commands: "speed only", "pitch only", "both"."""
     found = {}
     for rows in np.array_split(np.arange(len(record)), 3):
         moves = [np.ptp(record[name][rows[1:]]) > 0.0 for name in ("omega_ref", "beta_ref")]

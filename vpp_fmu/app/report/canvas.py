@@ -10,15 +10,15 @@ from plotly import graph_objects as go
 from vpp_fmu.app.report import style
 
 MOST = 4000
-"""Maximum points per line. On a slow machine seven SVG lines of 22 500 points take 60 to 120 ms per zoom and 40 ms per hover,
-of 4000 points 30 and 18 ms, at a fifth of the bytes. WebGL lines need eval, which the page forbids, and plotly takes three
-WebGL contexts per figure where a browser allows some 16 per page."""
+"""Maximum points per line. On a slow machine seven SVG lines of 22 500 points take 60 to 120 ms per zoom and 40 ms per hover;
+lines of 4000 points take 30 and 18 ms, and a fifth of the bytes. WebGL lines need eval, which the page forbids. plotly takes
+three WebGL contexts per figure, while a browser allows some 16 per page."""
 
 CELLS = {"xgap": 1, "ygap": 1, "textfont": {"size": 11}}
 """Properties of a heat map whose cells have numbers."""
 
 _WIDEST = 80
-"""Letters in a line of a title on A4."""
+"""Maximum letters in a line of a title, for A4."""
 
 _GAP = 22
 """Pixels between two panels."""
@@ -111,7 +111,7 @@ def add_envelope(fig: go.Figure, x, low, high, name: str, colour: str, panel: in
 
 
 def add_band(fig: go.Figure, panel: int, half_width: float, name: str) -> None:
-    """A band around zero, drawn over the lines of a panel, or a dense residual would hide it."""
+    """A band around zero, drawn over the lines of a panel, because a dense residual would hide it."""
     fig.add_shape(
         type="rect",
         xref="x domain",

@@ -1,8 +1,8 @@
-// Draws the figures of a report: what vpp_fmu/app/report/drawing.py writes, as SVG in the page's own colours, as wide as its place.
+// Draws the figures of a report, from the data of vpp_fmu/app/report/drawing.py, as SVG in the page's colours and at its width.
 // Point at a line to read it, drag to zoom, double-click to go back, click on a name of the legend to hide it.
 "use strict";
 const figures = [];
-const arrays = []; // of all figures: each stands once in a page
+const arrays = []; // of all figures; a page has each array once
 
 function draw(name, spec) {
   const host = document.getElementById(name);
@@ -116,7 +116,7 @@ class Axis {
     return this.kind === "log" ? 10 ** value : value;
   }
 
-  // [value, label] of each tick, as many as stand `apart(label)` pixels from one another
+  // [value, label] of each tick, as many as fit if a label takes `apart(label)` pixels
   ticks(pixels, apart) {
     const fits = (found) =>
       found.every(([value, text], k) => {
@@ -148,7 +148,7 @@ class Axis {
     } else yield* this.even(this.low, this.high);
   }
 
-  // 1, 2 or 5 of a power of ten apart, the finest first
+  // steps of 1, 2 or 5 times a power of ten, the finest first
   *even(low, high) {
     const finest = this.step ?? 10 ** Math.floor(Math.log10((high - low) / 12));
     for (let decade = 1; decade <= 1e4; decade *= 10)
@@ -224,7 +224,7 @@ function axisOf(figure, name, marks) {
 
 const BELOW = 26; // pixels that the labels of an x axis take
 
-// Where each panel stands: stacked over one axis, or side by side, as many as the width holds.
+// Positions of the panels: stacked over one axis, or side by side, as many as fit the width.
 function arranged(figure, full) {
   const { panels, height } = figure.spec;
   const columns = new Set(panels.map((panel) => panel.left)).size;
@@ -251,7 +251,7 @@ function paint(figure, forced) {
   const axes = {};
   for (const name of Object.keys(spec.axes)) axes[name] = axisOf(figure, name, spec.marks);
   const placed = arranged(figure, full);
-  // Labels to the left: what stands in rows keeps them above its rows where they would take too much of the width.
+  // The y labels are on the left; those of categories are above their rows if they would take too much of the width.
   let [room, titled] = [0, 0];
   const labels = {};
   for (const panel of placed.filter((each) => each.first)) {
@@ -267,7 +267,7 @@ function paint(figure, forced) {
   const heat = spec.marks.find((mark) => mark.kind === "heatmap" && axes[mark.axes.x].kind === "category");
   let width = Math.max(full, heat ? left + 40 * axes[heat.axes.x].names.length + 20 : 0);
   for (const { x } of placed) {
-    // Labels that would not stand side by side are turned, and reach out to the left.
+    // Labels that do not fit side by side are turned, and extend to the left.
     const { kind, names } = axes[x];
     if (kind !== "category") continue;
     const step = (width - left - 12) / names.length;
@@ -415,7 +415,7 @@ const PAINTERS = {
     for (let k = 0; k < gaps.length; k += 1) {
       const end = along.at(mark[mark.flat ? "x" : "y"][k]);
       if (!Number.isFinite(end)) continue;
-      const lowered = panel.above ? 7 : 0; // the label stands above its bar
+      const lowered = panel.above ? 7 : 0; // its label is above the bar
       const middle = beside.at(gaps[k]) + shift + lowered;
       const [low, long] = [Math.min(base, end), Math.abs(end - base)];
       const thin = Math.min(thick, panel.above ? 12 : thick) * (mark.grouped ? 0.94 : 1);
@@ -603,7 +603,7 @@ function attend(figure, root, placed) {
   root.addEventListener("pointerdown", (event) => {
     const [x, y] = where(event);
     const panel = panelAt(x, y);
-    if (event.pointerType !== "mouse") point(event); // a finger scrolls the page; a tap tells
+    if (event.pointerType !== "mouse") point(event); // a finger scrolls the page; a tap shows the values
     else if (panel && event.button === 0) {
       begun = { x, y, panel };
       root.setPointerCapture(event.pointerId);
@@ -636,7 +636,7 @@ function attend(figure, root, placed) {
   });
 }
 
-// What stands at the pointer: of lines over one axis all values at that place, else the nearest point.
+// Values at the pointer: of lines over one axis all values there, else the nearest point.
 function tell(figure, placed, panel, x, y, guide) {
   const { spec } = figure;
   const lines = [];
@@ -719,7 +719,7 @@ function unit(axis) {
   return found && found[1] !== "-" ? ` ${found[1]}` : "";
 }
 
-// "%{y:.3f} N" with the values of a point in it
+// A template such as "%{y:.3f} N", filled with the values of a point
 function filled(template, mark, k, values = { x: mark.x[k], y: mark.y[k] }) {
   return template.replace(/%\{(\w+)(?::([^}]*))?\}/g, (_, key, format) => {
     const value = key === "text" ? mark.text[k] : values[key];

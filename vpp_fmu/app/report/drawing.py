@@ -1,7 +1,7 @@
 """Convert a plotly figure to the data that `draw.js` draws.
 
 plotly's own script takes 4.8 MB in every page, 2.0 MB packed. The pages need only lines, markers, bars and heat maps over plain
-axes: `draw.js` draws these in the colours of the page, light or dark, at any width. In Python the figures stay plotly's.
+axes: `draw.js` draws these in the colours of the page, light or dark, at any width. In Python they are plotly figures.
 A property of a figure that `draw.js` does not support is refused here, not dropped silently.
 """
 

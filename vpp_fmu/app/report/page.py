@@ -15,11 +15,11 @@ from vpp_fmu.date import now
 from vpp_fmu.digits import TABLE, number
 
 _NUMBER = re.compile(r"[<>≈~±+\-−]?\s*(?!\d{4}-\d\d-\d\d)\d|[–∞]?$|−∞$")
-"""Start of a number; a date is none, nor is a name that begins with one."""
+"""Start of a number. A date is not a number, nor is a name that begins with a date."""
 
 _WORDS, _PROSE = 20, 90
-"""Number of letters from which a text wraps at a readable width; and from which a column of such texts gets a larger width, if
-no other column does."""
+"""Number of letters from which a text wraps at a readable width, and number from which a column of texts is wider, if no other
+column is."""
 
 _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'"
 """Forbids all requests of the browser."""
@@ -120,7 +120,7 @@ class Page:
         self._parts.append(f"<aside>{_paragraphs(text)}{''.join(f'<p>{_html(link)}</p>' for link in links)}</aside>")
 
     def remarks(self, lines: Sequence[str]) -> None:
-        """Remarks without capital and full stop, as paragraphs of one note."""
+        """Add remarks, given without capital and full stop, as paragraphs of one note."""
         if lines:
             self.note("\n\n".join(f"{line[0].upper()}{line[1:]}." for line in lines))
 

@@ -38,7 +38,7 @@ def thrust_error(unseen: bool, values: str, noise: float | None) -> str:
 
 
 def words(name: str) -> str:
-    """The name of an effect or parameter in a text or figure: "pitch backlash, half gap"; names as typed are in tables."""
+    """The name of an effect or parameter in a text or figure: "pitch backlash, half gap"; tables have the names as typed."""
     return re.sub(r"\.(?=[a-z])", ", ", name.replace("_", " "))
 
 
@@ -54,6 +54,6 @@ def labelled(names: Sequence[str], parameters: Sequence[Parameter]) -> list[str]
 
 
 def limited(parameter: Parameter, value: float) -> str:
-    """A parameter's value with its unit, or that it limits nothing."""
+    """A parameter's value with its unit, or "no limit"."""
     free = parameter.unlimited is not None and math.isclose(value, parameter.unlimited, rel_tol=1e-3)
     return "no limit" if free else size(value, parameter.unit)

@@ -33,18 +33,18 @@ UNITS = {
     "explains": "1",
     "most_explained": "1",
 }
-"""Units of the numbers that have none beside them."""
+"""Units of the numbers without a unit beside them."""
 
 LEFT_OUT = "its start value differs from record to record: not in the exported model"
 
 ACTS = 1e-3
-"""Share of a response's range from which a limit counts as active."""
+"""Minimum change of a response by an active limit, as a share of the response's range."""
 
 HOW_READ = {"thrust": "load cell, stand, amplifier or logger", "speed": "tachometer or logger", "thrust and speed": "logger"}
 
 
 def summary(found: Diagnosis) -> dict:
-    """The content, with the names of CONTRACT.md."""
+    """The content of diagnosis.json."""
     return {
         "format": FORMAT,
         "units": UNITS,
@@ -271,7 +271,7 @@ def why_not(found: Diagnosis, tried: CandidateFit) -> str | None:
 
 
 def identification_of(found: Diagnosis, fit: Fit) -> dict:
-    """Values and names are those of `found.parameters(fit)`.
+    """The content of identification.json for a fit; values and names are those of `found.parameters(fit)`.
 
     If the campaign was identified first, the results of the static map and the steps are included.
     """

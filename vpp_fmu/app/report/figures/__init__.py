@@ -1,1 +1,1 @@
-"""Figures, one file a subject."""
+"""Figures, one file per subject."""

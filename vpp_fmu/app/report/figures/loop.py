@@ -84,7 +84,8 @@ def _add_limit(fig: go.Figure, panel: int, at: float, dash: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Responses of many plants to one step: `thrust` (plants, n) and set-point `wanted` (n,), N; `gains` name the colour."""
+    """Responses of many plants to one step: `thrust` (plants, n) and set-point `wanted` (n,), N. The name of the `gains`
+    selects the colour."""
 
     step: str
     gains: str

@@ -153,8 +153,8 @@ def best_pairs(
     pairs: tuple[np.ndarray, np.ndarray],
     title: str,
 ) -> go.Figure:
-    """Power (k, m) [W] over speeds (m,) [rpm] and pitches (k,) [deg], lines of equal thrust [N] of the thrusts (k, m), and the
-    best `pairs`, (speed, pitch), each (n,)."""
+    """Power (k, m) [W] over speeds (m,) [rpm] and pitches (k,) [deg], contours of the `thrust` (k, m) at the levels `lines`
+    [N], and the best `pairs`, (speed, pitch), each (n,)."""
     ends = float(power.min()), float(power.max())
     hover = f"%{{z:{style.SHOWN}}} W<br>%{{x:.0f}} rpm, %{{y:.1f}} deg<extra></extra>"
     fig = heatmap(title, 520, speeds, pitches, power, ends, style.sequence(), (*_COMMANDS, "power [W]"), hovertemplate=hover)

@@ -12,7 +12,7 @@ from vpp_fmu.digits import number
 from vpp_fmu.record import QUANTITIES, Record
 
 COMMANDS = {"omega_ref": "omega", "beta_ref": "beta"}
-"""Commands, and what is measured of them."""
+"""Commands, and their measured quantities."""
 
 Columns = Record | Mapping[str, np.ndarray]
 """Arrays (n,) by column name."""
@@ -26,7 +26,7 @@ _LOOP = ("thrust_set", "thrust", "omega_ref", "omega", "beta_ref", "beta")
 
 _COLUMNS = 5
 _PANEL, _GAP, _HEADING = 150, 52, 22
-"""Of step responses, pixels: height of a panel, from one row to the next, and of the headings above the first."""
+"""Heights in pixels, for step responses: a panel, the gap between two rows, and the headings above the first."""
 
 _RANKS = {"fitted": 2, "left out": 3}
 """Order in the legend, after the measured ones."""
@@ -49,8 +49,8 @@ def measured_against_predicted(
     band: np.ndarray | None = None,
     reading: str = "thrust",
 ) -> go.Figure:
-    """Measured and predicted thrust [N], their difference with a band of +-2 `noise`, and a record's commands with what is
-    measured of them, over time [s].
+    """Measured and predicted thrust [N], their difference with a band of +-2 `noise`, and a record's commands with
+    their measured quantities, over time [s].
 
     Predictions are (n,) by name; `noise`: standard deviation [N] of a reading. `band`: standard deviation (n,) of a reading
     about the first prediction; 1.96 of it are drawn around the prediction and in the residual. `reading`: a column in place of

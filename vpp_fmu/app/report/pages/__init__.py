@@ -1,1 +1,1 @@
-"""Pages, one file a subject."""
+"""Pages, one file per subject."""

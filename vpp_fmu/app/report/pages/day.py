@@ -33,7 +33,7 @@ BOXES = {
     "learned": (2, 1, ("learned policy", "trained on plants of the twin")),
     "flies": (1, 0, ("controller", "of the lowest measured cost")),
 }
-"""Column, row and words of each part of the framework."""
+"""Column, row and labels of each part of the framework."""
 
 ARROWS = (
     ("rig", "twin"),
@@ -46,7 +46,7 @@ ARROWS = (
 )
 
 WIDE, HIGH, ACROSS, DOWN = 230, 72, 270, 120
-"""Pixels: of a box, and from box to box."""
+"""Pixels: width and height of a box, and the distances from box to box."""
 
 
 def day_page(day: Day) -> Page:
@@ -141,8 +141,8 @@ def errors_by_round(errors: Sequence[Mapping[str, float]], chosen: Sequence[str]
 def costs_by_round(
     costs: Sequence[Mapping[str, Sequence[float]]], tries: Sequence[Sequence[float]], winners: Sequence[str]
 ) -> go.Figure:
-    """Measured cost of each branch's finalists by flight, one mapping per round, and the next branch; `tries`: the single
-    flights of the search."""
+    """Measured costs of each branch's finalist, one mapping per round, and those of the winning branch; `tries`: costs of the
+    search's flights."""
     flies = np.array([np.mean(each[name]) for each, name in zip(costs, winners, strict=True)])
     first, last = np.mean(next(iter(costs[0].values()))), flies[-1]
     title = f"Cost on the rig: {first:.4f} as the day began, {last:.4f} of what flies at its end"

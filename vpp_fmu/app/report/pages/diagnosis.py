@@ -35,13 +35,13 @@ SURE = {
 UNIDENTIFIABLE = "not identifiable from these records"
 
 ZOOM, SMOOTHED = 3.0, 0.2
-"""Seconds shown to both sides of a worst moment, and seconds over which the error is averaged to find it."""
+"""Seconds shown before and after the largest error, and seconds over which the error is averaged to find it."""
 
 VISIBLE = 10.0
 """Log-likelihood gain at a plausible size from which an effect counts as visible."""
 
 WORSE = 1.5
-"""Ratio of the unseen record's error to that of held-out parts, from which the unseen record is of other conditions."""
+"""Ratio of the unseen record's error to that of held-out parts, from which other conditions are suspected."""
 
 CLOSE = 0.8
 """Squared cosine from which a pair of effects is shown."""
@@ -258,7 +258,7 @@ def add_diagnosis(page: Page, found: Diagnosis) -> None:
 
 
 def _add_next(page: Page, found: Diagnosis) -> None:
-    """The next experiment, unless nothing is open."""
+    """Add the next experiment, unless the verdict is "none" or "attributed"."""
     if found.verdict not in ("none", "attributed"):
         ranges = ", ".join(found.rig.command_lines())
         page.note(
@@ -269,7 +269,7 @@ def _add_next(page: Page, found: Diagnosis) -> None:
 
 
 def _add_effect(page: Page, found: Diagnosis) -> None:
-    """What was found, if anything."""
+    """Add the effects of the final model, if there are any."""
     if found.final.effects:
         page.section("The effect" if len(found.final.effects) == 1 else "The effects")
         if found.learned:
@@ -278,7 +278,7 @@ def _add_effect(page: Page, found: Diagnosis) -> None:
 
 
 def _add_rest(page: Page, found: Diagnosis) -> None:
-    """How well the model fits, and why it is this one."""
+    """Add the quality of the fit, the candidates, and the residual."""
     page.section("The worst moments")
     _add_worst(page, found)
     if found.final.effects:
@@ -308,7 +308,7 @@ def _add_whole(page: Page, found: Diagnosis) -> None:
 
 
 def _add_worst(page: Page, found: Diagnosis) -> None:
-    """The largest error of the model before, and of the model after if it is elsewhere."""
+    """The largest error of the model before, and that of the model after if it is at another time."""
     record = found.shown
     lines = {name: found.prediction(fit, record).thrust for name, fit in found.fits.items()}
     at = blocks(record, SMOOTHED)
@@ -462,7 +462,7 @@ def add_shift(page: Page, found: Diagnosis) -> None:
 
 
 def add_apart(page: Page, found: Diagnosis) -> None:
-    """The effects that these commands distinguish, and those that they do not show."""
+    """The effects that these commands distinguish, and the invisible ones."""
     similarity = found.distinguishability
     visible = [i for i, v in enumerate(similarity.visibility) if v >= VISIBLE]
     names = np.array([label.split(" ")[0] for label in similarity.labels])

@@ -28,7 +28,7 @@ STAIRS, HOLD, STEP = 60, 3.0, 0.02
 """Stairs of a sweep up and down, seconds on each, and the simulation step, s."""
 
 NEAR = 1.5
-"""Seconds shown to both sides of the largest influence of an effect."""
+"""Seconds shown before and after the largest influence of an effect."""
 
 AT_REST = 0.01
 """Minimum share of the range that counts as an influence at rest."""
@@ -54,7 +54,7 @@ def add_effects(page: Page, found: Diagnosis) -> None:
 
 
 def around(time: np.ndarray, center: float, half: float) -> np.ndarray:
-    """Mask (n,) of the times [s] up to `half` s around a moment; at an end of the record as long, but one-sided."""
+    """Mask (n,) of the times [s] up to `half` s around a moment; at an end of the record the window is shifted inside."""
     first = max(time[0], min(center - half, time[-1] - 2.0 * half))
     return (time >= first) & (time <= first + 2.0 * half)
 

@@ -16,13 +16,13 @@ COMMANDS = (
     *((4000.0, 2.0), (4000.0, 3.0), (4000.0, 8.0), (4000.0, -2.0), (6000.0, -2.0), (6000.0, 10.0), (0.0, 4.0), (3000.0, 4.0)),
     *((5000.0, 4.0), (5000.0, 4.0), (5000.0, 4.0), (5000.0, 4.0)),
 )
-"""rpm, deg: small and large moves of the pitch to both sides, of the speed, a rest, both, and no move; each held for HOLD."""
+"""rpm, deg: small and large moves of the pitch, up and down, of the speed, a rest, both, and no move; each held for HOLD."""
 
 HOLD = 3.0
-"""s, and the longest time that is drawn."""
+"""s; also the longest time that is drawn."""
 
 LOW = 0.85
-"""Share of its nominal value of any other input, such as the supply's voltage, from LATE on."""
+"""Value of all other inputs from LATE on, such as the supply's voltage, as a share of the nominal one."""
 
 LATE = 4.0 * HOLD
 """s"""

@@ -106,7 +106,7 @@ def _map(found: Diagnosis) -> ThrustMap:
 
 
 def compared(entries: Sequence[Entry]) -> list[Entry]:
-    """With the thrust of each map, at the middle of the commands that all rigs have, among the sizes; as they are if none."""
+    """The entries; if all rigs have a common range of commands, with each map's thrust at its middle among the sizes."""
     maps = [e.map for e in entries if e.map]
     ranges = [m.speed for m in maps], [m.pitch for m in maps]
     shared = [(max(low for low, _ in own), min(high for _, high in own)) for own in ranges if own]
@@ -143,7 +143,7 @@ def columns(entries: Sequence[Entry]) -> dict[str, list]:
 
 
 def parameters(entries: Sequence[Entry]) -> list[str]:
-    """Full names of all parameters found, in the order in which the campaigns show them."""
+    """Full names of all parameters found, in the order of their first campaign."""
     return list(dict.fromkeys(name for e in entries for name in e.sizes))
 
 
@@ -213,7 +213,7 @@ def _shown(e: Entry) -> tuple[str, ...]:
 
 
 def _farthest(name: str, own: Sequence[Entry]) -> str:
-    """The campaign whose value is farthest from the median, of two from the first, if by more than its 95 % interval."""
+    """In words: the value farthest from the median, or of two the second from the first, if by more than its 95 % interval."""
     values = np.array([e.sizes[name][0] for e in own])
     middle, of = (float(values[0]), own[0].name) if len(own) == 2 else (float(np.median(values)), "the median")
     far = np.abs(values - middle)

@@ -31,7 +31,7 @@ from vpp_fmu.campaign import StaticMap
 from vpp_fmu.digits import interval, number
 
 TELLING = 0.2
-"""Component of the weakest direction from which a parameter is named."""
+"""Minimum component of the weakest direction for its parameter to be named."""
 
 MEAN_STD = 1.0 / 1500.0
 """Required standard deviation of a steady point's mean, in thrust scales: the paper's 0.01 N of 15 N."""
@@ -60,7 +60,7 @@ def identification_page(found: Identification) -> Page:
 
 
 def headline(found: Identification) -> str:
-    """The result in two sentences: the error of the prediction beside the noise, and what is not identifiable."""
+    """The result in two sentences: the error of the prediction beside the noise, and the number of identified parameters."""
     missing = found.not_identifiable
     known = len(found.uncertainty.names) - len({*found.uncertainty.names} & {*missing})
     known_of = f"{known} of {len({*found.uncertainty.names, *missing})} parameters are identified"

@@ -1,4 +1,4 @@
-"""The report of a learned law: its search, and held-out flights beside the tuned PID's."""
+"""The report of a learned law: its search, and the comparison with the tuned PID on held-out plants."""
 
 import numpy as np
 

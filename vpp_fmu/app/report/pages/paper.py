@@ -74,7 +74,7 @@ CHANNELS = {"5": ("speed", "omega", "rpm", "deg"), "6": ("pitch", "beta", "deg",
 INITIAL, DESCENT, OURS, PAPERS = "initial", "the paper's descent", "fine-tuned", "paper's published model"
 
 PARTS_SHOWN = {"8a": ("speed only", "speed"), "8b": ("pitch only", "pitch"), "8c": ("both", "both inputs")}
-"""The paper's figure for each part of the record, and what is in action there."""
+"""The part of the record in each figure of the paper, and its moving inputs."""
 
 AT = 4500.0, 4.0
 """rpm, deg around which the relations between gains and time constants are taken: where the open loop rests."""
@@ -95,7 +95,7 @@ def summary(study: Study, total: float) -> dict:
 
 
 def paper_page(study: Study, total: float) -> Page:
-    """The report; `total`: s that everything took before it."""
+    """The report; `total`: s of the study before it."""
     rows = compared(study)
     page = Page("The paper's study on the emulated rig", f"{_done(study)}\n\n{verdict(study)}")
     page.tiles(tiles(study, total))
@@ -120,7 +120,7 @@ def paper_page(study: Study, total: float) -> Page:
 
 
 def verdict(study: Study) -> str:
-    """What the study says of the paper's claims, in a sentence."""
+    """The study's results beside the paper's, in a sentence."""
     both, alone = (study.compared(name)[0] for name in (PID, SPEED))
     said = [
         f"{dual.against(single)} {way} (settled in {dual.seconds}, {single.seconds})"
@@ -135,7 +135,7 @@ def verdict(study: Study) -> str:
 
 
 def tiles(study: Study, total: float) -> list[tuple[str, str, str]]:
-    """(label, value, note) of what a reader must know first."""
+    """(label, value, note) of the figures of the first screen."""
     both, alone = (study.compared(name)[0] for name in (PID, SPEED))
     rmse = study.found.predictions["validation"].rmse_thrust
     logged = sum(len(run) for loop, test in study.tests.items() if loop.plant != MODEL for run in test.runs)
@@ -333,7 +333,7 @@ def _cells(merit: Merit) -> tuple:
 
 
 def _published(dash: str, width: float = 2) -> dict:
-    """A line of what the paper published."""
+    """Style of a line with published values."""
     return {"colour": style.PUBLISHED, "width": width, "dash": dash}
 
 

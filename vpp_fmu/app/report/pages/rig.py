@@ -102,7 +102,7 @@ def _add_difference(page: Page, first: tuple[str, Record], second: tuple[str, Re
 
 
 def _add_timing(page: Page, found: Timing, granted: str) -> None:
-    """Number of ticks by lateness; `granted`: what the system gave the loop."""
+    """Number of ticks by lateness; `granted`: real-time rights of the loop."""
     p999 = 1e6 * found.late[2]
     title = f"99.9 % of {found.ticks} ticks began within {p999:.0f} us of their time, {found.missed} slots were missed"
     fig = figure(title, 340, "late by at least [s]", "ticks [-]", legend=False)
@@ -148,7 +148,7 @@ def _add_twin(page: Page, log: Record, twin: Mapping) -> None:
 
 
 def _add_adaptive(page: Page, log: Record, twin: Mapping) -> None:
-    """What the twin that learns made of the run, where the log has it."""
+    """Residual and parameters of the adaptive twin, if the log has them."""
     units = {name: unit for name, unit in twin["units"].items() if LEARNED + name in log}
     if not units or not np.isfinite(log[LEARNED + "band"]).any():
         return
@@ -172,7 +172,7 @@ def _summary(content: dict) -> str:
 
 
 def _tiles(page: Page, run: Outcome) -> None:
-    """What the loop did, then how it ran."""
+    """Key figures of the control, then of the timing and the devices."""
     content, found = run.content, run.timing
     for name, loop in run.loops.items():
         if judged := judged_steps(loop, run.reach):
@@ -236,7 +236,7 @@ def _add_cell(page: Page, cell: LoadCell) -> None:
 
 
 def _add_pitch_table(page: Page, found: PitchTable) -> None:
-    """Pitch over the pulses, from both sides."""
+    """Pitch over the pulses, for rising and falling pulses."""
     low, high, pulses = min(found.pitches), max(found.pitches), [1e6 * pulse for pulse in found.pulses]
     title = f"The pitch goes from {low:g} to {high:g} deg, with {found.play:.2f} deg of play"
     fig = figure(title, 380, "pulse [us]", "blade pitch [deg]")
