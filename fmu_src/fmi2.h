@@ -1,6 +1,6 @@
-/* What FMI 2.0 fixes about its C interface, as far as co-simulation needs it: types, statuses, callbacks, exported names.
+/* The part of FMI 2.0's C interface that co-simulation needs: types, statuses, callbacks, exported names.
  *
- * Written out here so that the sources inside an FMU compile alone. Names are the standard's. */
+ * Included here so that an FMU's sources compile without other files. Names are the standard's. */
 
 #include <stdarg.h>
 #include <stdbool.h>
@@ -15,7 +15,7 @@
 #define EXPORT
 #endif
 
-/* Several FMUs' sources may be linked into one program: the standard gives each a prefix then. A shared library has none. */
+/* If the sources of several FMUs are linked into one program, each has a prefix. A shared library has none. */
 #ifdef FMI2_FUNCTION_PREFIX
 #define PASTE(a, b) a##b
 #define PREFIXED(a, b) PASTE(a, b)
@@ -52,7 +52,7 @@ typedef struct {
 
 typedef fmi2CallbackLogger Logger;
 
-/* One message to the importer; `%` doubled, since it becomes a format there. */
+/* Send one message to the importer. `%` is doubled, because the logger reads the message as a format. */
 static void deliver(Logger logger, void *environment, const char *name, int status, const char *category, const char *text) {
   char safe[2 * 512], *at = safe;
   for (const char *c = text; *c && at < safe + sizeof safe - 2; c++) {

@@ -1,6 +1,6 @@
-/* What FMI 3.0 fixes about its C interface, as far as co-simulation needs it: types, callbacks, exported names.
+/* The part of FMI 3.0's C interface that co-simulation needs: types, callbacks, exported names.
  *
- * Written out here so that the sources inside an FMU compile alone. Names are the standard's. */
+ * Included here so that an FMU's sources compile without other files. Names are the standard's. */
 
 #include <stdarg.h>
 #include <stdbool.h>
@@ -16,7 +16,7 @@
 #define EXPORT
 #endif
 
-/* Several FMUs' sources may be linked into one program: the standard gives each a prefix then. A shared library has none. */
+/* If the sources of several FMUs are linked into one program, each has a prefix. A shared library has none. */
 #ifdef FMI3_FUNCTION_PREFIX
 #define PASTE(a, b) a##b
 #define PREFIXED(a, b) PASTE(a, b)
@@ -44,7 +44,7 @@ typedef void (*fmi3LogMessageCallback)(void *environment, fmi3Status status, fmi
 
 typedef fmi3LogMessageCallback Logger;
 
-/* One message to the importer. The instance's name is not passed on: the environment stands for it. */
+/* Send one message to the importer. FMI 3.0 passes no instance name: the environment identifies the instance. */
 static void deliver(Logger logger, void *environment, const char *name, int status, const char *category, const char *text) {
   (void)name;
   logger(environment, (fmi3Status)status, category, text);

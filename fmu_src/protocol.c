@@ -1,8 +1,7 @@
-/* What every version of the standard asks of an instance: the order of calls, checks of what is given, plain messages.
+/* The part of an instance that all versions of the standard share: order of calls, checks of arguments, messages.
  *
- * A call that can't be carried out is refused after one message through the logger, in the Python flavour's words; the
- * instance is then in its error state: values can still be read, and a reset or a saved state brings it back. `call` is the
- * name that the importer knows a call by. */
+ * A refused call logs one message, with the same text as in the Python flavour. The instance is then in its error state:
+ * values can still be read, and a reset or a saved state restores it. `call`: the standard's name of the call. */
 
 static void tell(Slave *s, int category, Status status, const char *format, va_list values) {
   char text[MESSAGE];
@@ -21,7 +20,7 @@ static void tell(Slave *s, int category, Status status, const char *format, va_l
   }
 
 TELLING(refuse, Status, ERROR, REFUSED, s->state = FAILED; return REFUSED)
-/* The standard's answer to questions that an importer may ask but that have no answer here; the instance goes on. */
+/* For queries that the standard allows but that have no answer here. The instance remains usable. */
 TELLING(discard, Status, DISCARD, DISCARDED, return DISCARDED)
 TELLING(warn, void, WARNING, WARNED, return)
 TELLING(report, void, EVENTS, OK, return)
@@ -58,7 +57,7 @@ static bool unknown(Slave *s, unsigned r) {
   return true;
 }
 
-/* Whether there is a variable of this type under the reference. */
+/* Whether the reference is that of a variable of this type. */
 static bool is_of(Slave *s, const char *call, unsigned r, int type) {
   if (r >= N_VALUES) return !unknown(s, r);
   if (TYPES[r] == type) return true;
@@ -92,7 +91,7 @@ static bool set_value(Slave *s, const char *call, unsigned r, int type, double x
     if (is_state) s->chosen[r - FIRST_STATE] = true;
     if (is_parameter && s->state == STEPPING) {
       if (!in_range(s, r - FIRST_PARAMETER)) return false;
-      s->m.dt = NAN; /* what was prepared is stale */
+      s->m.dt = NAN; /* the prepared constants are stale */
       report(s, MODEL_NAME ": %s set to %s", NAMES[r], number(text, x));
     }
     return true;
@@ -111,8 +110,8 @@ static void begin(Slave *s) {
   start_schedule(s);
 }
 
-/* An instant of a step from the states that stand: what it writes to the outputs belongs to these states. Where states were
- * chosen, nothing is settled, and the outputs must follow them. A sampled law has not run yet: its outputs wait. */
+/* Compute the outputs for states that the importer has set, by a step of NOW seconds that leaves the states unchanged. A
+ * sampled law has not run yet: its outputs keep their start values. */
 static void show_chosen(Slave *s) {
   static const double no_tangent[N_DELAYED_OR_1] = {0};
   double kept[N_STATES_OR_1];
@@ -124,7 +123,7 @@ static void show_chosen(Slave *s) {
   s->m.dt = NAN;
 }
 
-/* In two sums, since one waits for itself at each number. */
+/* Two partial sums are faster: in a single sum each addition waits for the last one. */
 static double sum(const double *v, int first, int last) {
   double even = 0.0, odd = 0.0;
   for (int i = first; i + 1 < last; i += 2) even += v[i], odd += v[i + 1];
@@ -138,7 +137,7 @@ static inline bool has_numbers(const Slave *s) {
   return true; /* each is finite, though their sum is not */
 }
 
-/* No number comes out: an input far beyond all that the model is for. */
+/* Refuse a result that is not finite: an input is far outside the model's range. */
 static Status no_numbers(Slave *s, double time) {
   char text[MESSAGE], at[32], one[32];
   size_t used = 0;
@@ -148,8 +147,8 @@ static Status no_numbers(Slave *s, double time) {
   return refuse(s, MODEL_NAME ": step at %s s: found no finite numbers from %s, expected finite ones", number(at, time), text);
 }
 
-/* During initialisation what is read must follow what was set; from then on steps alone move outputs and states. Refused
- * where no finite numbers come of it: the values are those from before, then. */
+/* During initialisation outputs and states follow from the values set; after it only steps change them. Refused if a result
+ * is not finite: all values then stay as they were. */
 static bool settle(Slave *s) {
   double kept[N_VALUES];
   bool any = false;
@@ -166,7 +165,7 @@ static bool settle(Slave *s) {
   return false;
 }
 
-/* By how much outputs and states that are settled move, at the start, with what `along` holds. */
+/* Directional derivatives of the settled outputs and states at the start, along the direction in `along`. */
 static void settle_along(Slave *s, double *along) {
   bool any = false;
   start_along(s->m.v, along);
@@ -180,7 +179,7 @@ static void settle_along(Slave *s, double *along) {
   }
 }
 
-/* What can be computed of a slave that may have been told `time` as its start. */
+/* Set the start time [s]. */
 static Status setup(Slave *s, const char *call, int states, double time) {
   char text[32];
   if (!allowed(s, call, states)) return REFUSED;
@@ -195,7 +194,7 @@ static Status enter(Slave *s, const char *call) {
   return OK;
 }
 
-/* From here on at rest on the inputs that stand now. */
+/* End the initialisation, at rest on the present inputs. */
 static Status leave_initialisation(Slave *s, const char *call) {
   char text[32];
   if (!allowed(s, call, EXIT_STATES)) return REFUSED;
@@ -223,7 +222,7 @@ static Status reset(Slave *s, const char *call) {
   return OK;
 }
 
-/* The longest communication step that is taken, s. */
+/* The longest allowed communication step, s. */
 static double longest(const Slave *s) {
   if (EXACT) return LONGEST_EXACT;
   return PIECES * (SAMPLED ? s->m.v[SAMPLE_TIME] : largest_step(s->m.v));
@@ -253,7 +252,7 @@ static Status do_step(Slave *s, const char *call, double time, double size) {
 #endif
   if (!has_numbers(s)) {
     no_numbers(s, time);
-    memcpy(s->m.v, kept, sizeof kept); /* what can be read after a failed step are the values from before it */
+    memcpy(s->m.v, kept, sizeof kept); /* after a failed step the values are those from before it */
     return REFUSED;
   }
   s->time = time + size;
@@ -265,7 +264,7 @@ static Status get_values(Slave *s, const char *call, const unsigned *references,
   return settle(s) ? OK : REFUSED;
 }
 
-/* The standard's functions differ in the type of a value alone. */
+/* The standard's functions differ only in the type of a value. */
 #define GETTER(name, c_type, type)                                                                                            \
   static Status name(Slave *s, const char *call, const unsigned r[], size_t n, c_type value[]) {                              \
     if (get_values(s, call, r, n, value) != OK) return REFUSED;                                                               \
@@ -289,7 +288,7 @@ SETTER(set_reals, double, REAL, value[i])
 GETTER(get_integers, int, INTEGER)
 SETTER(set_integers, int, INTEGER, value[i])
 
-/* Variables of this type don't exist; asking for none is no mistake. */
+/* For types without variables: only a call without references is accepted. */
 static Status none_such(Slave *s, const char *call, int states, const unsigned r[], size_t n) {
   if (!allowed(s, call, states) || !given(s, call, n, r, r)) return REFUSED;
   if (n == 0) return OK;
@@ -298,12 +297,12 @@ static Status none_such(Slave *s, const char *call, int states, const unsigned r
                 TYPE_NAMES[TYPES[r[0]]]);
 }
 
-/* The derivative of outputs and states (unknowns) along a move of knowns.
+/* The directional derivative of outputs and states (unknowns) with respect to knowns.
  *
  * In initialization mode the knowns are inputs and parameters, as listed under InitialUnknowns. At a communication point the
- * standard knows inputs only, and there no output depends on them: held inputs act over the next step. Parameters are fixed
- * by then, so an importer that keeps to the standard won't ask; who does gets what the outputs owe to them since the start,
- * provided the instance was told to carry that along by a question about any parameter in initialization mode. */
+ * standard has inputs only, and no output depends on them there: held inputs act over the next step. Beyond the standard, a
+ * known may also be a parameter there: the result is the derivative since the start. It requires a query for any parameter in
+ * initialization mode, from which on the instance carries these derivatives along. */
 static Status derivative(Slave *s, const char *call, const unsigned unknowns[], size_t n_unknown, const unsigned knowns[],
                          size_t n_known, const double moved[], double found[]) {
   double along[N_VALUES] = {0};
@@ -356,7 +355,7 @@ static Status set_logging(Slave *s, const char *call, bool on, size_t n, const c
 
 static Status get_state(Slave *s, const char *call, void **state) {
   if (!allowed(s, call, STATE_STATES) || !given(s, call, 1, state, state)) return REFUSED;
-  Saved *saved = realloc(*state, sizeof *saved + saved_count(s) * sizeof(double)); /* one that is handed in is used again */
+  Saved *saved = realloc(*state, sizeof *saved + saved_count(s) * sizeof(double)); /* an existing state is overwritten */
   if (!saved) return refuse(s, MODEL_NAME ": out of memory");
   save(s, saved);
   *state = saved;

@@ -1,9 +1,9 @@
-/* An instance's past and present as one block of doubles: what get, set and serialise of FMU states hand around.
+/* A saved FMU state: all data of an instance in one block of doubles.
  *
  *   tag of the model, checksum, state of the call sequence, settled, time, wait for the next sample, are tangents carried,
  *   which states were chosen, all values, for each delay: acting, latest, span, count, waits..., values..., all tangents if carried
  *
- * What prepare() made is left out: it follows from the values. */
+ * The constants of prepare() are not saved: they follow from the values. */
 
 enum { TAG, CHECKSUM, STATE, SETTLED, TIME, WAIT, CARRIED, HEAD };
 
@@ -18,8 +18,8 @@ static size_t saved_count(const Slave *s) {
   return count;
 }
 
-/* Adler's sum over the bytes behind the checksum. Only what is serialised has one: bytes from a file may be anything, while
- * a state that never left is taken at every step by a host that rolls back. */
+/* Adler-32 of the bytes after the checksum. It is checked only in deserialisation, since bytes from a file may be anything.
+ * A host that rolls back restores a state at every step, without the cost of a check. */
 static double checksum(const double *data, size_t count) {
   const unsigned char *at = (const unsigned char *)(data + CHECKSUM + 1), *end = (const unsigned char *)(data + count);
   unsigned long a = 1, b = 0;
@@ -62,7 +62,7 @@ static bool is_whole(const double *data, size_t count) {
   return count >= HEAD + N_STATES + N_VALUES && data[TAG] == MODEL_TAG && data[CHECKSUM] == checksum(data, count);
 }
 
-/* Everything as it was saved; false where memory is lacking. */
+/* Restore an instance from a saved state. False: out of memory. */
 static bool restore(Slave *s, const Saved *saved) {
   const double *at = saved->data + HEAD;
   if (saved->data[CARRIED] != 0.0 && !carry_sensitivities(s)) return false;

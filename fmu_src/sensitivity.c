@@ -1,9 +1,8 @@
 /* Derivatives of the outputs, for fmi2GetDirectionalDerivative. Comes after schedule.c, whose steps call `before_step`.
  *
- * A tangent `a` has the shape of the values `v`: it holds what inputs and parameters are moved by, and the generated
- * start_along() and step_along() fill in by how much outputs and states move with them. One direction costs about as much as
- * the model itself, whatever the number of parameters; all parameters together are carried only for an instance that was
- * asked for them, one tangent each. */
+ * A tangent `a` has the shape of the values `v`. It holds a direction in inputs and parameters; the generated start_along()
+ * and step_along() fill in the derivatives of outputs and states along it. One direction costs about as much as the model
+ * itself. The tangents of all parameters, one each, are carried only if an importer has queried one of them. */
 
 /* Allocates, if not there yet, a tangent for each parameter. */
 static bool carry_sensitivities(Slave *s) {
@@ -13,7 +12,7 @@ static bool carry_sensitivities(Slave *s) {
 
 static void settle_along(Slave *s, double *along);
 
-/* The tangents of the values that the instance has settled on. */
+/* The tangents at the start, for the settled values. */
 static void start_sensitivities(Slave *s) {
   memset(s->carried, 0, sizeof(double[N_PARAMETERS_OR_1][N_VALUES]));
   for (int j = 0; j < N_PARAMETERS; j++) {
@@ -24,7 +23,7 @@ static void start_sensitivities(Slave *s) {
 
 static int is_observed(const Instance *m) { return ((const Slave *)m)->carried != NULL; }
 
-/* Half of a nudge, a step that is tried and taken back: what it makes of the states belongs to the delay alone. */
+/* Half of a nudge (see schedule.c), a trial step: only the delay's tangent gains its effect on the states. */
 static void nudge_sensitivities(Slave *s, double dt, const double *dt_tangent) {
   for (int k = 0; k < N_DELAYED; k++) {
     if (dt_tangent[k] == 0.0) continue;
@@ -35,7 +34,7 @@ static void nudge_sensitivities(Slave *s, double dt, const double *dt_tangent) {
   }
 }
 
-/* The tangents move with a step of dt, from the states before it. A sampled law's step is its sample time. */
+/* Advance the tangents by a step of dt, from the states before it. A sampled law's step is its sample time. */
 static void before_step(Instance *m, double dt, const double *dt_tangent) {
   Slave *s = (Slave *)m; /* m is the first of a slave's members */
   if (!s->carried) return;

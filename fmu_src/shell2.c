@@ -1,4 +1,4 @@
-/* The calls of FMI 2.0 co-simulation. The last of the texts that make an FMU's one source file. */
+/* The functions of FMI 2.0 co-simulation. The last part of an FMU's single source file. */
 
 FMI(const char *, GetTypesPlatform)(void) { return "default"; }
 
@@ -8,7 +8,7 @@ FMI(fmi2Component, Instantiate)
 (fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources, const fmi2CallbackFunctions *functions,
  fmi2Boolean visible, fmi2Boolean logging) {
   (void)resources, (void)visible;
-  if (!functions || !functions->logger) return NULL; /* the standard wants both, and without them nobody can be told so */
+  if (!functions || !functions->logger) return NULL; /* the standard requires both; without a logger there is no message */
   return new_slave(functions->logger, functions->componentEnvironment, name, guid, logging != 0,
                    type == fmi2CoSimulation ? NULL : "type: found another one, expected co-simulation");
 }
@@ -22,7 +22,8 @@ FMI(fmi2Status, SetDebugLogging)(fmi2Component c, fmi2Boolean on, size_t n, cons
 FMI(fmi2Status, SetupExperiment)
 (fmi2Component c, fmi2Boolean tolerance_defined, fmi2Real tolerance, fmi2Real start_time, fmi2Boolean stop_defined,
  fmi2Real stop_time) {
-  (void)tolerance_defined, (void)tolerance, (void)stop_time, (void)stop_defined; /* steps are exact, and none is refused for it */
+  /* steps are exact and may pass the stop time */
+  (void)tolerance_defined, (void)tolerance, (void)stop_time, (void)stop_defined;
   return (fmi2Status)setup(c, "fmi2SetupExperiment", SETUP_STATES, start_time);
 }
 

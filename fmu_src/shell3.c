@@ -1,7 +1,7 @@
-/* The calls of FMI 3.0 co-simulation. The last of the texts that make an FMU's one source file.
+/* The functions of FMI 3.0 co-simulation. The last part of an FMU's single source file.
  *
- * Every function of the standard must be there; those of the other interface types, of clocks and of variables that don't
- * exist are refused. Time is a variable of its own, behind all others. */
+ * Every function of the standard must exist; those for other interface types, clocks and missing variables are refused. Time
+ * is a separate variable after all others. */
 
 #define TIME_REFERENCE N_VALUES
 
@@ -38,7 +38,8 @@ FMI(fmi3Status, SetDebugLogging)(fmi3Instance c, fmi3Boolean on, size_t n, const
 FMI(fmi3Status, EnterInitializationMode)
 (fmi3Instance c, fmi3Boolean tolerance_defined, fmi3Float64 tolerance, fmi3Float64 start_time, fmi3Boolean stop_defined,
  fmi3Float64 stop_time) {
-  (void)tolerance_defined, (void)tolerance, (void)stop_defined, (void)stop_time; /* steps are exact, and none is refused for it */
+  /* steps are exact and may pass the stop time */
+  (void)tolerance_defined, (void)tolerance, (void)stop_defined, (void)stop_time;
   if (setup(c, "fmi3EnterInitializationMode", ENTER_STATES, start_time) != OK) return fmi3Error;
   return (fmi3Status)enter(c, "fmi3EnterInitializationMode");
 }
@@ -72,7 +73,7 @@ static bool scalar(Slave *s, const char *call, size_t n, size_t n_values) {
   return false;
 }
 
-/* The value of time is asked for alone, or among others. */
+/* Time may be read alone or with other variables. */
 FMI(fmi3Status, GetFloat64)
 (fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Float64 value[], size_t n_values) {
   static const char call[] = "fmi3GetFloat64";
@@ -177,7 +178,7 @@ FMI(fmi3Status, DeserializeFMUState)(fmi3Instance c, const fmi3Byte bytes[], siz
   return (fmi3Status)state_from_bytes(c, "fmi3DeserializeFMUState", bytes, size, state);
 }
 
-/* What belongs to other kinds of FMU than this: an importer that read the description doesn't call it. */
+/* Functions of other kinds of FMU: an importer that has read the model description does not call them. */
 typedef const fmi3ValueReference *References;
 
 #define NOT_PROVIDED_0(call)                                                                                                  \

@@ -8,14 +8,14 @@
 #define FIRST_STATE (FIRST_PARAMETER + N_PARAMETERS)
 #define MESSAGE 512
 
-/* Instances share nothing, so nothing that befalls one can harm another, and each can be reset: there is no fatal state. */
+/* Instances share no data and each can be reset, so there is no fatal state. */
 typedef enum { OK, WARNED, DISCARDED, REFUSED } Status; /* numbered as both versions of the standard do */
 
 typedef struct {
-  Instance m; /* first: schedule.c's steps know no more of a slave */
+  Instance m; /* first: schedule.c's functions get a pointer to it only */
   int state;
-  bool settled;                  /* outputs and states are those of the inputs and parameters that stand now */
-  bool chosen[N_STATES_OR_1];    /* this state begins where it was set to, not where the inputs settle it */
+  bool settled;                  /* outputs and states correspond to the present inputs and parameters */
+  bool chosen[N_STATES_OR_1];    /* the importer has set this state; it is not settled on the inputs */
   double time;                   /* the communication point reached, s */
   double (*carried)[N_VALUES];   /* the tangent of each parameter, or NULL */
   Logger logger;

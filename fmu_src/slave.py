@@ -1,17 +1,17 @@
 """The Python FMU's slave: a traced model under pythonfmu's calls, as strict as the native flavour (`protocol.c`).
 
-An export is one file: schedule.py, the table of calls, this text, the generated functions and a class that names them
-(`vpp_fmu.export`). It travels alone, so it may import nothing but the standard library and pythonfmu, which travels with it;
-what is imported of this project below is removed at the export, since it is then in the same file.
+An export is one file: schedule.py, the table of calls, this file, the generated functions and a class that names them
+(`vpp_fmu.export`). It may import only the standard library and pythonfmu, which is also in the FMU. The export removes the
+imports of this project below, since their code is in the same file.
 
 All values live in one list `v`, in the order of the value references: inputs, outputs, parameters, states.
 
-pythonfmu's binary answers an exception with fmi2Fatal, and gives up what it holds of the instance without owning it: its
-references to the instance, its class and its messages are dropped once for each exception, and used and dropped again
-afterwards (`upstream/` beside this file mends it there). `_kept` takes as many more before an exception leaves.
+pythonfmu's binary returns fmi2Fatal for an exception. With each exception it drops its references to the instance, the class
+and the messages, but uses and drops them again later (`upstream/` has a patch). `_kept` therefore adds as many references
+before an exception leaves.
 
-As the process ends the binary releases the interpreter twice, the second time through memory that is freed by then
-(`upstream/` mends that, too). `_release_at_exit` has it released once, before.
+At the end of the process the binary releases the interpreter twice, the second time through freed memory (`upstream/` has a
+patch). `_release_at_exit` makes it release once, before that.
 """
 
 import atexit
@@ -60,35 +60,35 @@ RELEASED = set()
 
 
 def _release_at_exit(resources):
-    """Have pythonfmu's binary release the interpreter when Python ends, which is before the process does.
+    """Make pythonfmu's binary release the interpreter when Python ends, which is before the process ends.
 
-    What it does at the end of the process then finds nothing to release. Only ELF and Mach-O systems run it in the
-    wrong order, and only they have RTLD_NOLOAD: the library that is loaded is meant, no second one.
+    Its release at the end of the process then has nothing to do. Only ELF and Mach-O systems release in the wrong order,
+    and only they have RTLD_NOLOAD, which returns the loaded library and loads no second one.
     """
     if resources in RELEASED or not hasattr(os, "RTLD_NOLOAD"):
         return
     RELEASED.add(resources)
     for path in glob.glob(os.path.join(glob.escape(resources), os.pardir, "binaries", "*", "*")):
-        with suppress(OSError, AttributeError):  # another system's library, or none of pythonfmu's
+        with suppress(OSError, AttributeError):  # a library of another system, or not pythonfmu's
             atexit.register(ctypes.CDLL(path, os.RTLD_NOLOAD).finalizePythonInterpreter)
 
 
 class Refused(ValueError):
-    """A call that can't be carried out. pythonfmu logs the repr, so that is the message."""
+    """A refused call. pythonfmu logs the repr, so the repr is the message."""
 
     def __repr__(self):
         return str(self)
 
 
 def _kept(*instances):
-    """One more reference to all that pythonfmu's binary drops of these instances on an exception."""
+    """Add a reference to each object of these instances that pythonfmu's binary drops on an exception."""
     for instance in instances:
         for held in (type(instance), instance, instance.log_queue):
             ctypes.pythonapi.Py_IncRef(ctypes.py_object(held))
 
 
 def call(method):
-    """A method that pythonfmu's binary calls: whatever it raises, a host's Ctrl-C included, leaves the instance whole."""
+    """Decorate a method that pythonfmu's binary calls: after any exception, even Ctrl-C, the instance remains usable."""
 
     @wraps(method)
     def guarded(self, *arguments):
@@ -102,19 +102,19 @@ def call(method):
 
 
 class TracedSlave(Fmi2Slave):
-    """One instance of a traced model. A generated subclass brings what is declared here, and a way to step from below."""
+    """One instance of a traced model. A generated subclass sets these attributes and inherits from a step class below."""
 
     NAME = ""
-    TAG = ""  # of the content, so that only this FMU's states are taken
+    TAG = ""  # hash of the content: saved states of other FMUs are refused
     VARIABLES = ()  # name of each value
     TYPES = ()  # type of each value
     START = ()  # each value at instantiation
-    RANGES = ()  # (minimum, maximum, what follows a number, the range in words) of each parameter
+    RANGES = ()  # (minimum, maximum, unit for messages, range in words) of each parameter
     TUNABLE = ()  # which parameters may change while the model runs
     N_INPUTS = N_OUTPUTS = N_PARAMETERS = 0
     DELAYS = ()  # (position of the input, position of its delay)
     SAMPLE_TIME = None  # position of the period of a sampled model
-    start = prepare = step = largest_step = total = None  # as vpp_fmu.tracer.emit.python_source says
+    start = prepare = step = largest_step = total = None  # see vpp_fmu.tracer.emit.python_source
 
     log_categories = LOG_CATEGORIES
 
@@ -135,7 +135,7 @@ class TracedSlave(Fmi2Slave):
 
     @call
     def setup_experiment(self, start_time, *_):
-        """pythonfmu hands the start time over as the initialization begins."""
+        """pythonfmu passes the start time when the initialization begins."""
         self._allow("fmi2EnterInitializationMode", ENTER_STATES)
         if not isfinite(start_time):
             raise Refused(f"{self.NAME}: start time: found {start_time} s, expected a finite number")
@@ -148,7 +148,7 @@ class TracedSlave(Fmi2Slave):
 
     @call
     def exit_initialization_mode(self):
-        """Start at rest on the inputs that stand now."""
+        """Start at rest on the present inputs."""
         self._allow("fmi2ExitInitializationMode", EXIT_STATES)
         for k in range(self.N_PARAMETERS):
             self._check_range(k)
@@ -163,7 +163,7 @@ class TracedSlave(Fmi2Slave):
         self.state = TERMINATED
         self._report(f"terminated at {self.time} s")
 
-    # Called at each step: guarded as `call` does, without the price of one more call.
+    # Called at each step: guarded as by `call`, without the cost of another call.
 
     def set_real(self, vrs, values):
         try:
@@ -207,7 +207,7 @@ class TracedSlave(Fmi2Slave):
             self.time = current_time + step_size
             return True
         except BaseException:
-            self.v[:] = kept  # what can be read after a failed step are the values from before it
+            self.v[:] = kept  # after a failed step the values are those from before it
             self._fail()
             raise
 
@@ -299,7 +299,7 @@ class TracedSlave(Fmi2Slave):
         return [self.v[vr] for vr in vrs]
 
     def _check_type(self, name, kind, vr):
-        if not 0 <= vr < len(self.v):  # pythonfmu takes references for signed
+        if not 0 <= vr < len(self.v):  # pythonfmu passes references as signed numbers
             reference = vr % 2**32
             raise Refused(f"{self.NAME}: value reference: found {reference}, expected 0 to {len(self.v) - 1}")
         if self.TYPES[vr] != kind:
@@ -335,7 +335,7 @@ class TracedSlave(Fmi2Slave):
             raise Refused(f"{self.NAME}: {name}: found {value}{unit}, expected {words}")
 
     def _settle(self):
-        """During initialisation what is read must follow what was set; from then on steps alone move outputs and states."""
+        """Compute outputs and states from the values set during initialisation; after it only steps change them."""
         if self.state != INITIALISING or self.settled:
             return
         kept = self.v[:]
@@ -344,14 +344,14 @@ class TracedSlave(Fmi2Slave):
             self._show_chosen()
             self.settled = self._has_numbers()
         except (ArithmeticError, ValueError):
-            pass  # not settled, then
+            pass  # then it is not settled
         if not self.settled:
             self.v[:] = kept
             raise self._no_numbers(self.time)
 
     def _show_chosen(self):
-        """Where states were chosen, the outputs must follow them: they are what an instant of a step from there gives. A
-        sampled law has not run yet: its outputs wait."""
+        """Compute the outputs for states that the importer has set, by a step of NOW seconds. A sampled law has not run yet:
+        its outputs keep their start values."""
         v, first = self.v, self.first_state
         for vr, value in self.chosen.items():
             v[vr] = value
@@ -393,12 +393,12 @@ class TracedSlave(Fmi2Slave):
         self.prepared_for, self.constants = dt, self.prepare(self.v, dt, ())
 
     def _schedule(self):
-        """What a way to step derives from the parameters before its first step."""
+        """Compute what depends on the parameters, before the first step."""
         self.prepared_for, self.wait = None, 0.0
         self._retune()
 
     def _retune(self):
-        """What a way to step derives from the parameters, whenever they change."""
+        """Compute what depends on the parameters, whenever they change."""
 
 
 class Exact:

@@ -1,10 +1,10 @@
-"""Two masses on a line, a spring and a damper between them: the example of how a model of one's own becomes an FMU.
+"""Two masses on a line, a spring and a damper between them: an example of a user-defined model for an FMU.
 
     m1 dv1/dt = force + f,   m2 dv2/dt = -f,   f = k (x2 - x1) + d (v2 - v1)
 
-sampled every `sample_time`: speeds first, from the forces at the sample, then positions from the new speeds. What is lost by
-that is of the order of (sample_time)^2 k / m a swing; the momentum is exact. A brake holds the first mass. The second one
-passes a gate; passing it, in either direction, is an event: it is seen at the first sample after it.
+sampled every `sample_time`: first the speeds from the forces at the sample, then the positions from the new speeds. The error
+is of the order of (sample_time)^2 k / m per swing; the momentum is exact. A brake holds the first mass. When the second mass
+passes a gate, in either direction, this is an event, which is detected at the first sample after it.
 
     vpp export --model fmu_src.two_masses:MODEL --flavour both -o two_masses
 """

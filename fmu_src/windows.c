@@ -1,8 +1,8 @@
-/* What a Windows library needs when it is linked to the system's C library alone, without MinGW's start-up code.
+/* Start-up code and C functions for a Windows library that is linked to the system's C library only, without MinGW.
  *
- * That code would be three quarters of the file. And the maths functions must be the system's, which are those of Python
- * on Windows: MinGW brings its own exp, and results would differ in the last bit. A C compiler on Windows needs none of
- * this: it is compiled by vpp_fmu.export alone, and does not travel. */
+ * MinGW's start-up code would be three quarters of the library. MinGW also has its own exp, while Python on Windows uses the
+ * system's: results would differ in the last bit. A C compiler on Windows needs none of this, so this file is not among an
+ * FMU's sources: only vpp_fmu.export compiles it. */
 
 #include <stdarg.h>
 #include <stddef.h>
@@ -29,7 +29,7 @@ int snprintf(char *text, size_t size, const char *format, ...) {
   return written;
 }
 
-/* Touches each page of a frame larger than one (its size is in rax), since the stack grows by one page at a time. */
+/* Touches each page of a stack frame of several pages (its size is in rax): the stack grows by one page at a time. */
 __asm__(".globl ___chkstk_ms\n"
         "___chkstk_ms:\n"
         "  pushq %rcx\n"

@@ -110,7 +110,7 @@ def read_campaign(folder: str | os.PathLike) -> Campaign:
 
 
 def _rig(records: Mapping[str, Record | None], static: StaticMap | None, steps: Sequence[Record], declared: Mapping) -> Rig:
-    """Of all that is fitted; of the validation record where there is nothing else."""
+    """The rig by all fitted files, or by the validation record if there are no others."""
     fitted = [r for n, r in records.items() if r is not None and n != "validation"] + list(steps)
     if not fitted and static is None:
         fitted = [r for r in records.values() if r is not None]

@@ -7,10 +7,10 @@ import math
 from numbers import Integral, Real
 
 DIGITS = 3
-"""Of a sentence, title, legend or card: a thrust error is known to some per cent, a parameter to less."""
+"""Significant digits in a sentence, title, legend or card: a thrust error is known to some per cent, a parameter to less."""
 
 TABLE = 4
-"""Of a table: the fourth digit still shows which of two is smaller."""
+"""Significant digits in a table: the fourth still shows which of two values is smaller."""
 
 UNCERTAINTY = 2
 """Significant digits of a standard deviation: from a hundred readings it is known to 7 %."""

@@ -43,7 +43,7 @@ STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 
 
 class Fmu:
-    """An unpacked FMU file. `instance` may be called many times. The unpacked files are removed by `close`, or with the object
+    """An unpacked FMU file. `slave` may be called many times. The unpacked files are removed by `close`, or with the object
     or the process. BadInput: no FMI 2.0 co-simulation FMU for this machine."""
 
     def __init__(self, path: str | Path):
@@ -172,7 +172,7 @@ class FmuInstance:
         except Exception as problem:  # fmpy raises plain Exception
             act()
             raise SimulationFailed(f"{fmu.path}: {self._said() or problem}") from problem
-        # An instance that outlives the interpreter's end takes the process down with it.
+        # An instance that still exists when the interpreter ends crashes the process.
         self.close = weakref.finalize(self, _end, self._slave)
         """Terminate and free the instance."""
         self._component = ctypes.c_void_p(self._slave.component)
@@ -304,7 +304,7 @@ def _fmpys(refusal: Callable[[str], VppError]) -> Iterator[None]:
     try:
         yield
         act()
-    except Exception as problem:  # it raises Exception itself, and whatever readers of XML raise
+    except Exception as problem:  # it raises Exception itself; the XML readers may raise any other
         act()
         os.chdir(before)  # fmpy changes to the library's folder, and stays there if loading fails
         said = " ".join(str(problem).split()) or type(problem).__name__
@@ -316,7 +316,8 @@ def _end(slave: FMU2Slave) -> None:
     """Free the instance, but leave its library loaded: unloading a library that holds the interpreter sometimes aborts.
 
     A library of pythonfmu's releases the interpreter twice when it is unloaded, also at the end of the process. The second
-    release writes to freed memory. It cannot be released earlier, because live instances hold it.
+    release writes to freed memory. The interpreter cannot be released earlier, because live
+    instances hold it.
     """
     with contextlib.suppress(FMICallException):  # an instance that failed, or never started, can only be freed
         slave.terminate()
@@ -332,7 +333,7 @@ def problems(path: str | Path) -> list[str]:
 
 @foreign
 def steps_in_fmpy(path: str | Path, held: Sequence[Mapping[str, float]], step: float, outputs: Sequence[str]) -> np.ndarray:
-    """Outputs (points, outputs) of an FMU of any version by fmpy's own simulation, under `held` inputs by name, each for one
+    """Outputs (points, outputs) of an FMU of any version by fmpy's own simulation. `held`: inputs by name, each for one
     communication step of `step` seconds; the last one only for the last point. SimulationFailed."""
     names = list(held[0])
     rows = [(k * step, *(inputs[name] for name in names)) for k, inputs in enumerate(held)]

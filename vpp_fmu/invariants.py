@@ -32,8 +32,8 @@ class Broken(Exception):
 
 
 def random_steps(rows: int, hold: int, seed: int = 0, model: Model = BASE) -> dict[str, np.ndarray]:
-    """Speed and pitch commands over the rig's whole range, each held for 1 to `hold` rows; any other input of the model
-    wanders by a tenth around its nominal value; a row of a log lasts 2 STEP."""
+    """Random speed and pitch commands over the rig's whole range, each held for 1 to `hold` rows. Any other input of the model
+    varies by a tenth around its nominal value; a row of a log lasts 2 STEP."""
     rng = np.random.default_rng(seed)
 
     def steps(low, high):
@@ -59,8 +59,8 @@ def reference(model: Model, parameters: Mapping[str, float], inputs: Mapping[str
 def slopes(model: Model, values: Mapping[str, float], name: str, inputs, steps):
     """Numeric derivatives of the outputs in a parameter: (central differences, mask of valid rows, their size).
 
-    A row is valid if the curve is smooth there: both one-sided differences agree, and so do those at h and h / 4, since the
-    central difference at a kink of twice SLOPE is off by SLOPE. An output that switches at a threshold is flat in between.
+    A row is valid if the curve is smooth there: both one-sided differences agree, and so do central differences at h and h / 4.
+    The central difference at a kink of twice SLOPE is off by SLOPE; an output that switches at a threshold is flat in between.
     """
     nominal = next(p.nominal for p in model.parameters if p.name == name)
     h = 1e-5 * max(abs(values[name]), 1e-2 * nominal)
@@ -149,7 +149,7 @@ def compiled(trial: Trial) -> str:
 def visible(trial: Trial) -> str:
     """The probe changes an output."""
     inputs, steps = random_steps(5000, 250, model=trial.model), np.full(4999, STEP)
-    inputs["omega_ref"][2000:3000] = 0.0  # a rest, which the start from it needs
+    inputs["omega_ref"][2000:3000] = 0.0  # standstill, without which start_from_rest is not visible
     on = Simulator(trial.model).simulate(trial.named(trial.effect.probe), inputs, steps)
     moved = np.abs(on - Simulator(BASE).simulate({}, inputs, steps)).max(axis=0)
     sizes = ", ".join(f"{x:.3g} {unit}" for x, unit in zip(moved, ("N", "rpm", "deg"), strict=True))

@@ -24,8 +24,8 @@ def run(
 
     At each communication point the controller reads the present thrust, and its commands act until the next one. `start`: the
     commands [rpm, deg] on which the plant is at rest at time 0. `progress` is called with the share done at intervals.
-    Returns a record (rows = steps + 1) of `time, thrust_set, omega_ref, beta_ref, thrust, omega, beta`, and what else the
-    plant's samples hold, one row per communication point: measured values are from before the row's commands act.
+    Returns a record (rows = steps + 1) of `time, thrust_set, omega_ref, beta_ref, thrust, omega, beta`, and any other fields
+    of the plant's samples, one row per communication point. Measured values are from before the row's commands act.
     """
     time, wanted = held(references, plant.dt)
     sample = plant.start(*start)

@@ -24,7 +24,7 @@ WRITTEN = ".vpp-written.json"
 FORMAT = "vpp-written/1"
 
 MODEL_VERBS = ("identify", "diagnose", "demo", "paper")
-"""Those that write a parameters.json."""
+"""Verbs that write a parameters.json."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class OutputSet(OutputFolder):
         return self._scratch.path / name
 
     def finish(self, identity: str | None = None) -> None:
-        """Put the files into their places. `identity`: of the parameters that they speak of (`ParameterSet.identity`)."""
+        """Put the files into their places. `identity`: of the parameters that they are made from (`ParameterSet.identity`)."""
         for name in self._hashes:
             if (self.path / name).is_dir():
                 raise BadInput(self.path / name, "output file", "not writable (is a directory)", "a file that can be written")

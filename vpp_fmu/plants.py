@@ -43,7 +43,7 @@ class Plant(Protocol):
         """Hold the commands for one step; returns the outputs at its end."""
 
     def close(self) -> None:
-        """Let go of whatever is held."""
+        """Release all resources."""
 
 
 class Controller(Protocol):
@@ -59,7 +59,7 @@ class Controller(Protocol):
         """The commands from now on."""
 
     def close(self) -> None:
-        """Let go of whatever is held."""
+        """Release all resources."""
 
 
 class KernelPlant:
@@ -245,5 +245,5 @@ class FmuTwin:
         return dict(zip(self.outputs, rows.T, strict=True))
 
     def close(self) -> None:
-        """Let go of whatever is held."""
+        """Release all resources."""
         self._fmu.close()

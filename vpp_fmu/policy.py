@@ -146,7 +146,7 @@ def policy_from_arrays(
     """A policy from arrays: `weights` (outputs, inputs) and `biases` (outputs,) of each layer, speed and pitch last.
 
     `mean`, `scale`, `low`, `high` (observations,) in the observations' units; other arguments as in the file. BadInput names
-    what does not fit.
+    an invalid argument.
     """
 
     def numbers(name: str, given: object, shape: tuple[int, ...]) -> np.ndarray:
@@ -206,8 +206,8 @@ def policy_from_arrays(
 def policy_from_torch(module: Any, **scaling: Any) -> Policy:
     """The policy of a PyTorch module: `Linear` layers with `Tanh` or `ReLU` between them, such as `Sequential`.
 
-    A `Tanh` behind the last layer is `squash`. `scaling`: the other arguments of `policy_from_arrays`. BadInput names the
-    layers that it can't take.
+    A `Tanh` behind the last layer is `squash`. `scaling`: the other arguments of `policy_from_arrays`. BadInput names
+    unsupported layers.
     """
     layers = [m for m in module.modules() if not any(True for _ in m.children())]
     found = [

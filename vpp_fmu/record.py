@@ -203,7 +203,7 @@ def held(profile: Record, dt: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def digit_of(values: np.ndarray) -> float:
-    """The digit of a display: the smallest difference of two of its values (n,); 0 if there are no two."""
+    """The resolution of a display: the smallest difference of two of its values (n,); 0 if all are equal."""
     different = np.unique(values)
     return float(np.diff(different).min()) if len(different) > 1 else 0.0
 

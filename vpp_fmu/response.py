@@ -38,7 +38,7 @@ class Step:
 
     @property
     def reached(self) -> str:
-        """What is reached where the set-point is out of reach, in words."""
+        """Thrust and commands that are reached if the set-point is out of reach, in words."""
         thrust, omega, beta = self.stuck or 3 * (float("nan"),)
         return f"{number(thrust)} N at {number(omega)} rpm, {number(beta)} deg"
 

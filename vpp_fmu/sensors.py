@@ -37,7 +37,7 @@ class SpeedSensor:
 
     @property
     def text(self) -> str:
-        """In words."""
+        """The sensor in words."""
         if not self.kind:
             return "speed sensor not known"
         marks = f", {self.marks_per_revolution} per revolution" if self.kind == MARK else ""

@@ -1,7 +1,7 @@
 """The closed loop of plant and controller as one file: System Structure and Parameterization (SSP) 1.0.
 
-One flat system, with parameter values bound to components in sets of one name: libcosim, Ecos, OMSimulator and fmpy all read
-it. Inputs that no component drives are inputs of the system; the outputs of the first component are its outputs. libcosim and
+The system is flat, and the parameter sets of all components have one name: libcosim, Ecos, OMSimulator and fmpy read this
+form. Inputs that no component drives are inputs of the system; the outputs of the first component are its outputs. libcosim and
 Ecos refuse connections to the system itself; a variant without the system's connectors is for them.
 """
 
@@ -135,7 +135,7 @@ def _connection(start: _End, end: _End, boxes: Mapping[str, _Box]) -> ElementTre
     element = ElementTree.Element(f"{{{SSD}}}Connection", {k: v for k, v in ends.items() if v is not None})
     if start.element is not None and end.element is not None:
         (x1, y1), (x2, y2) = boxes[start.element].at(start.signal.name, True), boxes[end.element].at(end.signal.name, False)
-        # Forward in a straight angle half-way, backward around below.
+        # A forward line turns half-way; a backward line passes below the components.
         points = [(x1 + 0.25 * GAP, y1), (x1 + 0.25 * GAP, 0.5 * GAP), (x2 - 0.25 * GAP, 0.5 * GAP), (x2 - 0.25 * GAP, y2)]
         if x2 > x1:
             points = [(0.5 * (x1 + x2), y1), (0.5 * (x1 + x2), y2)]

@@ -35,7 +35,7 @@ class Stopped(KeyboardInterrupt):
 
 
 def said(verb: str, why: Stopped) -> str:
-    """The one line."""
+    """The message, one line."""
     return f"{verb}: stopped by {why}; files that were not complete are not kept"
 
 

@@ -74,7 +74,7 @@ def read_toml(path: str | os.PathLike, allowed: str = "TOML") -> dict:
         found = tomllib.loads(text)
     except RecursionError as error:
         raise _too_deep(path) from error
-    except ValueError as error:  # not of TOML's own kind where a number or a date is none
+    except ValueError as error:  # an invalid number or date raises a plain ValueError
         raise BadInput(path, "file", f"no TOML ({' '.join(str(error).split())[:120]})", allowed) from error
     _check(path, found)
     return found

@@ -32,7 +32,7 @@ COMPILERS = """\
 
 
 SHELLS = {"2.0": ("fmi2.h", "shell2.c"), "3.0": ("fmi3.h", "shell3.c")}
-"""Declarations and functions of each version of the standard; all between is common."""
+"""Declarations and functions of each version of the standard; the parts between them are common."""
 
 TYPES = {"Real": "REAL", "Integer": "INTEGER", "Boolean": "BOOLEAN"}
 

@@ -23,7 +23,7 @@ NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 HERE = Path(vpp_fmu.__file__).parent
 STANDARD = sysconfig.get_paths()["stdlib"]
-TRY_STEP = 0.01  # s; any step shows the inputs and outputs of a function
+TRY_STEP = 0.01  # s; arbitrary: the check needs only the names that a function reads and sets
 
 
 def check_model(where: str, model: Model) -> None:
@@ -138,7 +138,7 @@ class _Check:
             self.chain(graph)
 
     def tuples(self, where: str, declared: Model | Effect, fields: Iterable[str]) -> None:
-        """A missing comma, as in effects=(ROOM), gives no tuple."""
+        """Refuse fields that are no tuple, as after a missing comma: effects=(ROOM)."""
         for name in fields:
             value = getattr(declared, name)
             if not isinstance(value, tuple | list):

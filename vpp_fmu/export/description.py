@@ -30,7 +30,7 @@ TEN_SECONDS = Experiment()
 
 @dataclass(frozen=True)
 class Flavour:
-    """Differences between the flavours' descriptions: the generation tool, capabilities, source files."""
+    """Data that differ between the flavours' descriptions: generation tool, capabilities, source files."""
 
     tool: str
     capabilities: Mapping[str, bool]
@@ -135,8 +135,8 @@ def variables(model: Model, values: Mapping[str, float]) -> list[Variable]:
 def dependencies(model: Model) -> list[int]:
     """Value references on which the start value of each output depends.
 
-    At a communication point no output depends on an input directly. At the start those of a model in continuous time are
-    settled on all inputs and parameters; those of a sampled law are start values until its first sample, and depend on nothing.
+    At a communication point no output depends on an input directly. At the start the outputs of a continuous model are
+    settled on all inputs and parameters. Those of a sampled law are start values until its first sample, and depend on nothing.
     """
     if model.sample_time is not None:
         return []

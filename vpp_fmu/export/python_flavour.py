@@ -59,8 +59,8 @@ def python_fmu(
 def _pythonfmu(name: str) -> dict[str, bytes]:
     """pythonfmu's binaries and modules, by their place in an FMU.
 
-    As packed by pythonfmu's builder, which is not used: it takes the imported pythonfmu, which may be that of a loaded FMU,
-    without binaries; and it runs the script once more.
+    They are those that pythonfmu's builder packs. The builder is not used: it takes the imported pythonfmu, which may be that
+    of a loaded FMU, without binaries; and it runs the script once more.
     """
     folder = Path(distribution("pythonfmu").locate_file("pythonfmu"))
     modules = {f"resources/pythonfmu/{file.name}": file.read_bytes() for file in folder.glob("*.py")}

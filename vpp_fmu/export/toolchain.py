@@ -36,7 +36,7 @@ TUPLES = {
 """FMI 3.0's names of the platforms."""
 
 FLAGS = ("-std=c99", "-O2", "-fPIC", "-ffp-contract=off", "-fvisibility=hidden", "-fno-ident", "-g0", "-w")
-"""Options for shipped libraries, other than those of `vpp_fmu.native`. No debug information, which has names of folders."""
+"""Options for shipped libraries, other than those of `vpp_fmu.native`. No debug information: it has names of folders."""
 
 UCRT = (
     *CALLS,
@@ -64,8 +64,8 @@ def binaries(name: str, text: str, platforms: str | Iterable[str], version: str 
     """Shared libraries of the C text by their path in an FMU. `platforms`: "host", "all", or names of TARGETS. `version`: of
     FMI; 3.0 has other names of paths.
 
-    Importers differ about where 64-bit ARM is found. An FMU for the machine it was made on has its library under the names
-    of both; one for all platforms keeps FMI's names, and a library for both kinds of Mac under the older one.
+    Importers look for 64-bit ARM in different folders. An FMU for this machine has its library in both. An FMU for all
+    platforms has FMI's names only, and a library for both kinds of Mac under the older name.
     """
     if platforms == "host":
         here, library = host(), _for_this_machine(name, text)

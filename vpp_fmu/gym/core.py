@@ -25,7 +25,7 @@ class Plants(Protocol):
         """Hold commands for some steps."""
 
     def close(self) -> None:
-        """Let go of whatever is held."""
+        """Release all resources."""
 
 
 class Core:
@@ -103,7 +103,7 @@ class Core:
         return found
 
     def shown(self) -> dict[str, np.ndarray]:
-        """What the plants do, without noise, by name: (n,) each; the next step makes new arrays."""
+        """Outputs without noise, and commands, by name: (n,) each; the next step makes new arrays."""
         return dict(zip(("thrust", "omega", "beta", "omega_ref", "beta_ref"), (*self._sample, *self._commands), strict=True))
 
     def _read(self) -> None:

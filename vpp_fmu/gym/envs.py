@@ -60,7 +60,7 @@ class _Single(gymnasium.Env):
         return {name: float(values[0]) for name, values in self._core.shown().items()}
 
     def close(self) -> None:
-        """Let go of the plant."""
+        """Release the plant."""
         self._core.plants.close()
 
 
@@ -84,7 +84,7 @@ class VppFmuEnv(_Single):
     """The same with a plant FMU, of this project or any with its variables, stepped through fmpy.
 
     `parameters`: start values by the FMU's names. Limits of the rig are those of `limits` in `options`, else the ranges of the
-    FMU's scales; there is no posterior to draw from. Where no `profile` is given, set-points are in reach of the FMU.
+    FMU's scales. There is no posterior to draw from. Without a `profile`, set-points are within reach of the FMU.
     """
 
     def __init__(self, fmu: str | Path, parameters: Mapping[str, float] | None = None, task: Task | None = None, **options):
@@ -100,7 +100,7 @@ class VppFmuEnv(_Single):
 
 
 class _OneFmu:
-    """An FMU in the plants' place."""
+    """One FMU with the interface of `Plants`."""
 
     outputs = MEASURED
 
@@ -132,7 +132,7 @@ class _OneFmu:
 class VppThrustVectorEnv(VectorEnv):
     """`num_envs` rigs, moved by one compiled call, each with its own parameters, set-points and noise.
 
-    With the seed s environment k has the numbers of a single one with the seed s + k, to the bit. An ended episode begins anew
+    With the seed s environment k equals a single one with the seed s + k, to the bit. An ended episode begins anew
     with the next step, whose action is not used (`AutoresetMode.NEXT_STEP`). `options`: fields of a `Task`. BadInput.
     """
 
@@ -171,5 +171,5 @@ class VppThrustVectorEnv(VectorEnv):
         return self._core.parameters.copy()
 
     def close_extras(self, **_) -> None:
-        """Let go of the plants."""
+        """Release the plants."""
         self._core.plants.close()

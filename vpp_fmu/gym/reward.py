@@ -35,8 +35,8 @@ class Reward:
 
         -(error |thrust_set - thrust| / error_scale + energy P seconds + wear (speed_travel + pitch_travel)) - limit [exceeded]
 
-    `energy` [1/J]: of `power`, by default that which was identified. Where errors cost, ending early would pay without the
-    cost `limit`. Any other function of a Moment that returns (n,) serves as a reward, too.
+    `energy` [1/J]: of `power`, by default the identified one. Without the cost `limit`, an early end of an episode would avoid
+    the cost of further errors. Any other function of a Moment that returns (n,) serves as a reward, too.
     """
 
     error: float = 1.0

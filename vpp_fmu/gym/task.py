@@ -1,4 +1,4 @@
-"""A control task: the plant, its limits, the set-points of an episode, what is observed and what an action means."""
+"""A control task: the plant, its limits, the set-points of an episode, the observations and the actions."""
 
 import math
 from collections.abc import Callable
@@ -26,12 +26,12 @@ HOLDS = 2.0, 6.0
 """Shortest and longest hold of a random set-point, in time scales of the rig: a step takes about one."""
 
 QUICK = 5.0
-"""Ranges per second that a command moves at most where actions are rates and the rig declares no slew rate."""
+"""Maximum change of a command, in ranges per second, if actions are rates and the rig declares no slew rate."""
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What an environment is about.
+    """The definition of an environment.
 
     `parameters`: the plant, a set or a file or folder; None: the paper's. `randomise`: each episode draws its parameters from
     the posterior (standard deviations of the parameters, correlation of the identification.json beside it). `profile`:
@@ -90,7 +90,7 @@ class Task:
 
     @cached_property
     def pays(self) -> Callable[[Moment], np.ndarray]:
-        """The reward, with the identified power where it has none of its own. BadInput without any."""
+        """The reward, with the identified power if it has none of its own. BadInput if there is none."""
         reward = self.reward
         if isinstance(reward, Reward) and reward.energy and reward.power is None:
             return replace(reward, power=PowerModel.of(self._given[0]).at)

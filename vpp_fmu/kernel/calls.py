@@ -1,8 +1,8 @@
 """Allowed calls of an FMU's instance by state: the common table of all flavours' state machines.
 
-After FMI 2.0.4, section 4.2.4, and FMI 3.0, section 4.2; where the standard leaves it open, the narrower reading. An error is
-a state of its own: values can still be read, and a reset or a saved state brings the instance back. This file travels inside
-the Python FMU; `vpp_fmu.export` writes the same as C. A state is a bit, so that a set of states is a number.
+From FMI 2.0.4, section 4.2.4, and FMI 3.0, section 4.2; where these are ambiguous, the stricter reading. After an error the
+state is FAILED: values can still be read, and a reset or a saved state restores the instance. A state is a bit, so that a set
+of states is a number. This file is part of the Python FMU; `vpp_fmu.export` writes the same table as C.
 """
 
 INSTANTIATED, INITIALISING, STEPPING, TERMINATED, FAILED = STATES = 1, 2, 4, 8, 16
@@ -27,7 +27,7 @@ IN_WORDS = {
 
 SLACK = 1e-3
 """Maximum distance, in communication steps, between the end of a step and the start of the next: importers round time in
-different ways. A nanosecond per second is allowed besides, for very short steps."""
+different ways. For very short steps, a nanosecond per second of time is allowed in addition."""
 
 LOG_CATEGORIES = {
     "logEvents": "what the instance was brought to: initialised, tuned, terminated; only if logging is on",

@@ -2,9 +2,9 @@
 
     f(x + e d) = f(x) + e f'(x) d,   e^2 = 0        (Griewank and Walther, Evaluating Derivatives, ch. 3)
 
-The tracer's tangents (`vpp_fmu.tracer.tangents`) differentiate a recorded graph; these are part of the record, so that a
-law may compute with the derivatives of a plant. A tangent that is zero by structure is None and costs nothing: which ones are
-depends on the model alone, not on the numbers, and so floats and trace do the same operations in the same order.
+The tracer's tangents (`vpp_fmu.tracer.tangents`) differentiate a recorded graph. Dual numbers are part of what is recorded, so
+a law may compute with the derivatives of a plant. A structurally zero tangent is None and costs nothing. The structure depends
+on the model only, not on the numbers, so floats and traced values do the same operations in the same order.
 """
 
 from typing import Any
@@ -13,7 +13,7 @@ from vpp_fmu.kernel.ops import Ops, Symbolic
 
 
 class Dual(Symbolic):
-    """A value and its `tangents`, one for each direction; None where it does not depend on it."""
+    """A value and its `tangents`, one for each direction; None: independent of that direction."""
 
     __slots__ = ("tangents", "value")
 
@@ -60,7 +60,7 @@ class Dual(Symbolic):
 
 
 class Duals(Ops):
-    """Dual numbers of `width` directions on the arithmetic `ops`. Comparisons are the values' own."""
+    """Dual numbers of `width` directions on the arithmetic `ops`. Comparisons use the values only."""
 
     def __init__(self, ops: Any, width: int):
         self.ops, self._none = ops, (None,) * width

@@ -5,7 +5,7 @@ from vpp_fmu.kernel.plant import THRUST
 from vpp_fmu.kernel.types import Model, Signal
 
 CONVERSIONS = 860.0
-"""Readings per second of the rig's converter (ADS1115). On average the middle of the newest one is one conversion old."""
+"""Readings per second of the rig's converter (ADS1115). On average the middle of the newest conversion is one period old."""
 
 RESOLUTION = 98.07 / 2**15
 """N per count: the rig's 10 kg load cell over half the converter's 16 bits."""

@@ -109,10 +109,10 @@ class Ops:
     def two_lag_step(self, tau_1, tau_2, dt):
         """Unit step response at dt of two lags in a row: 1 - (tau_1 e_1 - tau_2 e_2) / (tau_1 - tau_2).
 
-        Written so that equal time constants need no case of their own: with the slower and the faster constant,
+        This form needs no special case for equal time constants: with the slower and the faster constant,
         e_fast = e_slow exp(-d), d = dt (slow - fast) / (slow fast) >= 0, and the quotient becomes `relaxation(d)`.
         """
-        # For equal constants each picks another one, so that each gets half of the slope.
+        # For equal constants the two functions pick different arguments, so that each gets half of the slope.
         slow, fast = self.maximum(tau_1, tau_2), self.minimum(tau_2, tau_1)
         apart = dt * (slow - fast) / (slow * fast)
         left = self.exp(-dt / slow)

@@ -127,10 +127,10 @@ FINE_TUNED = {
 
 
 def normalised_map(c20: float, c11: float, c21: float, c12: float, c30: float) -> dict[str, float]:
-    """A map in rpm, deg, N as one in the paper's normalised quantities: beta = 15 b - 5 deg put in and sorted by powers.
+    """Convert a map in rpm, deg, N to the paper's normalised quantities: insert beta = 15 b - 5 deg, collect powers.
 
-    The term in w alone that the shift leaves (-0.0011 for the paper's map, 0.017 N at full speed) has no place in
-    eq. 8 and is dropped.
+    The shift adds a term in w alone (-0.0011 for the paper's map, 0.017 N at full speed). Eq. 8 has no such term, so it
+    is dropped.
     """
     w, b, shift, t = 6000.0, 15.0, 5.0, 15.0
     return {
@@ -149,7 +149,7 @@ AVERAGED = {
     "tau_beta_2": 0.28,
     **normalised_map(0.21e-6, -5.7e-6, 0.023e-6, -1.25e-6, -2.15e-12),
 }
-"""The paper's start of the fine-tuning: averaged time constants of the steps and the static map (sections 4.1, 4.2)."""
+"""The paper's model before fine-tuning: averaged time constants of the steps and the static map (sections 4.1, 4.2)."""
 
 BASE = Model(
     "VppPlant",
@@ -164,8 +164,8 @@ BASE = Model(
 def plant(effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, scales: Scales | None = None) -> Model:
     """The Wiener plant with the named effects on. KeyError names an effect that the library doesn't have.
 
-    `scales`: of its rig; None: those of the library's effects, the paper's. Effects of `vpp_fmu.kernel.power` are in every
-    library: they add outputs.
+    `scales`: of its rig; None: those of the library's effects, the paper's. Effects of `vpp_fmu.kernel.power`, which
+    add outputs, are available with every library.
     """
     names, library = frozenset(effects), tuple(library)
     for unknown in names - {e.name for e in (*library, *POWER_EFFECTS) if e.off is not None}:

@@ -1,4 +1,4 @@
-"""A learned law as a model: the controller's variables, whether its fallback acts, and the speed where it is observed."""
+"""A learned law as a model: the controller's variables, a flag for the fallback, and the speed if it is observed."""
 
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.effects.policy import Law, policy_effect
@@ -12,8 +12,8 @@ FALLBACK = Signal("fallback", "1", "the dual PID acts in place of the learned la
 
 
 def policy_model(law: Law, scales: Scales = PAPER, outputs: int = 3) -> Model:
-    """The law's model for a rig of these scales. `outputs`: 2 leaves out whether its fallback acts, as a controller's loop has
-    it."""
+    """The law's model for a rig of these scales. `outputs`: 2 omits the flag for the fallback, as a controller has no
+    such output."""
     return Model(
         NAME,
         "Learned law: thrust error to speed and pitch commands, with a dual PID to fall back on",

@@ -6,7 +6,7 @@
     figure_of_merit: T sqrt(T / (2 rho A)) / (Q omega)          ideal over real power of a hovering rotor; A: its disc
 
 `motor` is the paper's eqs. 3 and 4 at rest, R i^2 + k omega i with the motor's constant k: Q_m = k i, so loss = R / k^2, which
-takes no measurement of the motor's own current; idle is the ESC's. Coefficients are in N.m or W: w and b are normalised.
+needs no measurement of the motor current; idle is the power of the ESC. Coefficients are in N.m or W: w and b are normalised.
 """
 
 from itertools import product
@@ -15,11 +15,11 @@ from math import pi
 from vpp_fmu.kernel.types import Effect, Parameter, Signal
 
 RAD_PER_S = 2.0 * pi / 60.0
-"""One rpm."""
+"""One rpm in rad/s."""
 
 TORQUE_TERMS = tuple(product((1, 2), (0, 1, 2)))
 POWER_TERMS = tuple(product((1, 2, 3), (0, 1, 2)))
-"""Powers (i, j) of the terms w^i b^j. A torque's terms times the speed are among those of power; a rotor at rest takes none."""
+"""Powers (i, j) of the terms w^i b^j. The power terms include the torque terms times speed. A rotor at rest takes none."""
 
 TORQUE = Signal("torque", "N.m", "torque of the rotor", -1e4, 1e4, 0.1)
 POWER = Signal("power", "W", "electrical power", -1e6, 1e6, 100.0)
@@ -81,7 +81,7 @@ def _figure(ops, s, x, p, dt):
     shaft, disc = s.torque * s.w * s.omega_scale * RAD_PER_S, 0.25 * pi * p.diameter * p.diameter
     lift = ops.maximum(s.thrust, 0.0)
     known = ops.where(shaft > 0.0, disc, 0.0) > 0.0
-    # At least a little: the derivative of a square root at 0 is infinite.
+    # Limited from below: the derivative of a square root at 0 is infinite.
     ideal = lift * ops.sqrt(ops.maximum(lift / ops.where(known, 2.0 * p.air_density * disc, 1.0), 1e-12))
     return {"figure_of_merit": ops.where(known, ideal / ops.where(known, shaft, 1.0), 0.0)}, {}
 
@@ -100,6 +100,6 @@ FIGURE = Effect(
 )
 
 EFFECTS = (TORQUE_MAP, MOTOR, POWER_MAP, FIGURE)
-"""In their order along the chain. A model has `torque_map`, with `motor` and `figure_of_merit` or without, or `power_map`."""
+"""In their order along the chain. A model has `torque_map`, optionally with `motor` and `figure_of_merit`, or `power_map`."""
 
 NAMES = frozenset(e.name for e in EFFECTS)

@@ -18,7 +18,7 @@ class Scales:
     """Sizes of a rig. The paper's are the defaults.
 
     `omega_scale` [rpm], `beta_scale` [deg], `beta_offset` [deg] and `thrust_scale` [N] normalise the thrust map and are
-    parameters of plant and controller; `time_scale` [s], about how long a step takes, only sizes bounds and searches.
+    parameters of plant and controller; `time_scale` [s], about the duration of a step, is used in bounds and searches only.
     """
 
     omega_scale: float = 6000.0
@@ -53,4 +53,4 @@ class Scales:
 
 
 PAPER = Scales()
-"""The paper's rig: 6000 rpm, -5 to 10 deg, 15 N; its pitch takes half a second."""
+"""The paper's rig: 6000 rpm, -5 to 10 deg, 15 N; a step of its pitch takes half a second."""

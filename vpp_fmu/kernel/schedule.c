@@ -1,8 +1,8 @@
-/* schedule.py in C: the same arithmetic in the same order. See there for what it does and why.
+/* schedule.py in C: the same arithmetic in the same order. It is explained there.
  *
  * Comes after the generated model, which defines the sizes N_INPUTS, N_DELAYED, N_WRT and the functions prepare(), step(),
- * step_values() where there are tangents, largest_step(); `v` holds all values (inputs, outputs, parameters, states), `c` what prepare() made of parameters and dt,
- * `d` the tangents of states and outputs. */
+ * largest_step() and, with tangents, step_values(). `v` holds all values (inputs, outputs, parameters, states), `c` the
+ * constants that prepare() computes from parameters and dt, `d` the tangents of states and outputs. */
 
 #include <string.h>
 
@@ -61,14 +61,14 @@ typedef struct {
   double v[N_VALUES];
   double c[N_CONSTANTS];
   double d[N_TANGENTS];
-  double dt, dt_tangent[N_DELAYED_OR_1]; /* what `c` was prepared for */
+  double dt, dt_tangent[N_DELAYED_OR_1]; /* step length, and its tangents, for which `c` was prepared */
   double wait;
-  int nudging; /* the step being taken is no part of the run, but half of a nudge */
-  int plain;   /* values alone are wanted: tangents stand still */
+  int nudging; /* the present step is half of a nudge, not part of the run */
+  int plain;   /* only values are computed, no tangents */
   DelayLine lines[N_DELAYED_OR_1];
 } Instance;
 
-#ifdef OBSERVED /* an FMU's shell looks at every step before it is taken, while it has tangents of its own to move */
+#ifdef OBSERVED /* before_step() is called before every step, to advance the caller's own tangents or to record the step */
 static int is_observed(const Instance *m);
 static void before_step(Instance *m, double dt, const double *dt_tangent);
 #else
@@ -94,8 +94,8 @@ static void take_step(Instance *m, double dt, const double *dt_tangent) {
   step(m->v, m->c, m->d);
 }
 
-/* The delay k decides how long the input `old` stood where the acting one stands now: its tangents gain the difference that
- * an instant of the one and of the other makes. Values don't move. */
+/* The delay k determines when the input changes from `old` to the acting one. Its tangents gain the difference between the
+ * time derivatives under the two inputs, from trial steps of NUDGE seconds. Values do not change. */
 static void nudge(Instance *m, int k, double old) {
 #if N_DELAYED && (N_WRT || defined(OBSERVED))
   const double acting = m->v[DELAYED_INPUT[k]];
@@ -122,7 +122,7 @@ static void nudge(Instance *m, int k, double old) {
 #endif
 }
 
-/* Advance by `span` under the inputs that stand in m->v. 1: done; 0: a delay has no room for more changes. */
+/* Advance by `span` under the inputs in m->v. 1: done; 0: a delay has no room for more changes. */
 static int run_held(Instance *m, double span) {
   static const double no_tangent[N_DELAYED_OR_1] = {0};
   double wanted[N_DELAYED_OR_1], before[N_DELAYED_OR_1];

@@ -3,7 +3,7 @@
 A piece ends where a delayed command begins to act, and is cut into equal steps no longer than the model's largest step. A
 delay is thus exact at any communication step, and every form that is exact for held inputs stays exact behind it. A
 sampled law runs when its sample is due. `schedule.c` is the same text in C; both must do the same arithmetic in the same
-order, since results are compared bit by bit. This file travels inside the Python FMU.
+order, since results are compared bit by bit. This file is part of the Python FMU.
 """
 
 from math import ceil, isinf
@@ -12,8 +12,8 @@ NOW = 1e-9  # s; events within a nanosecond are simultaneous, so that rounding c
 NUDGE = 1e-7  # s; short enough for a derivative at an instant, long enough to keep its digits
 SLOTS = 4096  # commands that may wait in one delay; C needs the bound, so Python has it too
 FULL = f"delay: found more than {SLOTS} waiting command changes, expected fewer. Try: longer communication steps"
-PIECES = 100_000  # of the model's own steps in one communication step of an FMU: seconds of work, where 1e9 s would not return
-LONGEST_EXACT = 1e5  # s; of an FMU that takes any communication step in one: beyond a day the number is a mistake
+PIECES = 100_000  # maximum of the model's own steps in one communication step of an FMU: seconds of computing time
+LONGEST_EXACT = 1e5  # s; longest communication step of an FMU that is exact at any: beyond a day it is a mistake
 
 
 class DelayFull(OverflowError):

@@ -26,7 +26,7 @@ class Simulation:
     def start(self, inputs: Mapping[str, float], states: Mapping[str, float] | None = None) -> dict[str, float]:
         """Settle on `inputs`, by name; measured ones may be missing. Returns the outputs.
 
-        `states`: those that begin elsewhere, by full name; the outputs are then what an instant of a step from there gives.
+        `states`: initial values that replace settled ones, by full name; the outputs are then those after a step of INSTANT.
         """
         self._inputs = self._complete(inputs)
         self._lines = [

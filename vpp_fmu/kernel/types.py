@@ -1,9 +1,9 @@
 """The parts of a model: parameters, signals, states, effects; and one step of it on any arithmetic.
 
 A model is a chain. Its inputs are signals; each effect in turn reads signals, sets signals, and moves its own states; the
-signals at the end are the outputs. An effect never sees another's state: what it may know of the past is published as a
-signal. A stage that others may reshape keeps its state open: it publishes the value, and names the signal that holds the
-next one at the end of the chain (`State.closed_by`). All feedback thus runs through a state and no algebraic loop can form.
+signals at the end are the outputs. An effect never reads another's state, only signals. If other effects may change a state,
+its effect publishes the value as a signal, and `State.closed_by` names the signal that is the next value at the end of the
+chain. All feedback thus runs through a state and no algebraic loop can form.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -29,7 +29,7 @@ class Signal:
     """A quantity that runs along the chain; as a model's input or output also an FMU variable.
 
     `scale`: the rig's scale that is its nominal value; "": `nominal` is absolute. `kind`: REAL, INTEGER or BOOLEAN. `clock`: an
-    input that is the time [s] for which the row holds, which whoever runs a record knows.
+    input that is the duration [s] of the present row, which the simulation of a record sets.
     """
 
     name: str
@@ -52,10 +52,10 @@ class Signal:
 class Parameter:
     """A constant of the model. `minimum` and `maximum` are the FMU's range and the fit's bounds alike.
 
-    `choices`: the only values that mean something, where the parameter picks a form of the effect; a search tries each.
-    `limit_form`: what the effect becomes at a bound, where that is a form of its own and no sign of a misfit.
+    `choices`: the only meaningful values, if the parameter selects a form of the effect; a search tries each.
+    `limit_form`: the form of the effect at a bound, if it is valid there; "": an estimate at a bound is a sign of a misfit.
     `scale`: the rig's scale (`Scales.absolute`) that default, bounds and nominal are shares of, as the effect declares them;
-    "": they are absolute. `unlimited`: the value, in the unit and on any rig, that stands for no limit at all. `kind`: as a
+    "": they are absolute. `unlimited`: the value, in the unit and on any rig, that means no limit. `kind`: as a
     signal's. `tunable`: an importer may change it while the model runs, between two steps. `initial`: an initial condition,
     which differs between records.
     """
@@ -112,23 +112,22 @@ class Effect:
     """One physical effect.
 
     `step(ops, s, x, p, dt) -> (signals it sets, its next states)`: signals `s`, own states `x` and own parameters `p` come
-    as attributes, dt in s. States and inputs are as they stand at the start of the step, set signals as at its end.
+    as attributes, dt in s. States and inputs are values at the start of the step, set signals are values at its end.
 
     `off` holds the parameter values at which the effect is exactly the identity; None: always part of the model. `probe` holds
-    a plausible size: where a search starts, what a sensitivity picture uses. `inputs` are measured quantities that the effect
-    needs beside the commands; a model with the effect has them as inputs. `delays` maps an input's name to the parameter that
-    holds it back [s]; the schedule does it, between steps, exactly. `rounds` maps an input's name to the parameter whose
-    multiples are all that is executed of it: the response jumps in that parameter, and the input's levels tell where.
-    `largest_step` is the longest step [s] that the discrete form is good for; None: exact for held inputs at any step.
-    `contains` maps the name of an effect that is a special case of this one to the parameters that they share, own name to
-    its: a search for this one starts at what was found for that one, too. `channels`: "beta" and "omega", whichever it acts
-    in; none: it changes the thrust alone. `reading`: "thrust", "speed" or "thrust and speed", it is how that is read, not what
-    it is. `common`: every rig has a little of it, and it is
-    worth a name from this share of the noise's power on. `declared`: of an effect that was sized for a rig, the effect as its
-    file declares it, in shares of the rig's scales. `ahead`: signals from behind the effect that its states start from as
-    `settled_<name>`, each with the input that it is about; "": it is about 0. `outputs`: signals that become outputs of a model
-    with the effect. `says`: the effect as a clause, "the pitch servo ignores changes below {half_width}", with the names of
-    parameters in braces; "": the description says it."""
+    a plausible size, for the start of a search and for pictures of the sensitivity. `inputs` are measured quantities that the
+    effect needs beside the commands; a model with the effect has them as inputs. `delays` maps an input's name to the parameter
+    that is its delay [s]; the schedule applies it exactly, between steps. `rounds` maps an input's name to the parameter to
+    whose multiples the input is rounded: the response is discontinuous in it, at values that follow from the input's
+    levels. `largest_step` is the longest step [s] at which the discrete form is accurate; None: exact for held inputs
+    at any step. `contains` maps the name of an effect that is a special case of this one to their common parameters, own name
+    to its name: a search for this one also starts at the fit of that one. `channels`: those of "beta" and "omega" in which it
+    acts; none: it changes only the thrust. `reading`: "thrust", "speed" or "thrust and speed", if it changes the reading and
+    not the quantity. `common`: for an effect that every rig has a little of, the share of the noise's power from which on it
+    is relevant. `declared`: of an effect that was sized for a rig, the effect as its file declares it, in shares of the rig's
+    scales. `ahead`: later signals from which its states start, as `settled_<name>`, each with the input that is its first
+    guess; "": 0. `outputs`: signals that become outputs of a model with the effect. `says`: the effect as a clause, "the pitch
+    servo ignores changes below {half_width}", with the names of parameters in braces; "": the description says it."""
 
     name: str
     description: str
@@ -167,12 +166,12 @@ class Effect:
         )
 
     def full(self, name: str) -> str:
-        """The name outside the effect: bare for what is always present, else `<effect>.<name>`."""
+        """The name outside the effect: unchanged for an effect that is always present, else `<effect>.<name>`."""
         return name if self.off is None else f"{self.name}.{name}"
 
     @property
     def switched_off(self) -> dict[str, float]:
-        """`off` by full names; empty for what is always present."""
+        """`off` by full names; empty for an effect that is always present."""
         return {self.full(name): value for name, value in (self.off or {}).items()}
 
 
@@ -267,7 +266,7 @@ def compose(model: Model, library: Iterable[Effect], names: Iterable[str]) -> Mo
 def step(model: Model, ops: Any, inputs: Mapping, states: Mapping, parameters: Mapping, dt: Any) -> tuple[dict, dict]:
     """One step of the chain under held inputs: (signals at its end, next states), on whatever arithmetic `ops` is.
 
-    `states` and `parameters` go by full name. Units are the declarations'; dt in s.
+    `states` and `parameters` have full names. Units are the declarations'; dt in s.
     """
     s = SimpleNamespace(**inputs)
     ahead: dict = {}
@@ -287,9 +286,9 @@ def step(model: Model, ops: Any, inputs: Mapping, states: Mapping, parameters: M
 def start(model: Model, ops: Any, inputs: Mapping, parameters: Mapping) -> tuple[dict, dict]:
     """The chain settled on `inputs`: (signals, states).
 
-    Each state starts from the signals that reach its effect; one INSTANT of the effect's own step then gives the signals
-    behind it. From a settled state every exact form stays where it is to the bit. Where effects start from signals that arise
-    behind them, the chain is gone through again with what it has led to.
+    Each state starts from the signals that reach its effect; a step of INSTANT of the effect then gives the signals behind
+    it. From a settled state every exact form stays where it is to the bit. If effects start from later signals (`ahead`), this
+    is repeated with the signals of the last pass.
     """
     guesses = {name: inputs[guess] if guess else 0.0 for e in model.effects for name, guess in e.ahead.items()}
     for _ in range(SETTLING if guesses else 0):

@@ -1,10 +1,10 @@
-/* The gradient of a weighted sum of a record's outputs, in all parameters at once: record_tape() runs the record and keeps
- * what every step saw, pull_back() goes the way back over it. Comes after the generated model, its adjoints, and schedule.c.
+/* The gradient of a weighted sum of a record's outputs, in all parameters at once: record_tape() runs the record and stores
+ * the data of every step, pull_back() is the reverse sweep. Comes after the generated model, its adjoints, and schedule.c.
  *
- * gradient = sum over rows and outputs of cotangent x d output / d parameter. On the way back `b` holds the cotangents of the
- * values as they stand, `g` those of the constants that prepare() made: steps of one length share them, so they are summed
- * and go back through prepare() once for each run of such steps. That also yields the cotangent of the length itself, which
- * is a sample time's share, and in a nudge (see schedule.c) a delay's. */
+ * gradient = sum over rows and outputs of cotangent x d output / d parameter. In the reverse sweep `b` holds the cotangents of
+ * the present values, `g` those of the constants of prepare(). Consecutive steps of one length share these constants, so their
+ * cotangents are summed and pass back through prepare() once. That also gives the cotangent of the length, which contributes
+ * to the sample time and, in a nudge (see schedule.c), to a delay. */
 
 #include <stddef.h>
 #include <stdlib.h>
@@ -15,7 +15,7 @@
 
 #define FIRST_PARAMETER (N_INPUTS + N_OUTPUTS)
 #define FIRST_STATE (FIRST_PARAMETER + N_PARAMETERS)
-#define SEEN (N_INPUTS + N_STATES)   /* what a step reads beside parameters and constants */
+#define SEEN (N_INPUTS + N_STATES)   /* values that a step reads beside parameters and constants */
 #define ENTRY (SEEN + 1 + N_DELAYED) /* and its length, with the length's tangent in each delay */
 
 typedef struct {
@@ -31,7 +31,7 @@ static int is_observed(const Instance *m) {
   return 1;
 }
 
-/* Counts on when the tape is full, so that the caller learns how long it must be. */
+/* Counts also when the tape is full, so that the caller learns its required length. */
 static void before_step(Instance *m, double dt, const double *dt_tangent) {
   Recorder *r = (Recorder *)m;
   if (r->entries < r->room) {
@@ -79,7 +79,7 @@ long record_tape(const double *parameters, const double *inputs, const double *s
 typedef struct {
   double v[N_VALUES], b[N_VALUES];
   double c[N_CONSTANTS], g[N_CONSTANTS];
-  const double *length; /* of the steps whose shares `g` sums: dt and its tangents, on the tape; NULL: none yet */
+  const double *length; /* of the steps whose cotangents `g` sums: dt and its tangents, on the tape; NULL: none yet */
 } Way;
 
 static void settle(Way *w) {
@@ -89,7 +89,7 @@ static void settle(Way *w) {
   memset(w->g, 0, sizeof w->g);
 }
 
-/* Half of a nudge, marked by a negative length: its only share is the delay's, the run itself did not pass through it. */
+/* Half of a nudge, marked by a negative length. It contributes to the delay only, because it is not part of the run. */
 static void back_over_nudge(const Way *w, const double *entry, double *b) {
   Way alone = *w;
   const double *along = entry + SEEN + 1;

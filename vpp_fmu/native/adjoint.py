@@ -28,12 +28,12 @@ class Adjoint:
         self._inputs = [s.name for s in model.inputs]
         self._record, self._pull_back = _compiled(model)
         self._entry = len(model.inputs) + len(model.states) + 1 + len(model.delays)
-        self._a_row = 1.0  # entries; grows when steps are cut
+        self._a_row = 1.0  # entries per row; grows when steps are cut
 
     def record(
         self, parameters: Mapping[str, float], inputs: Mapping[str, np.ndarray], steps: np.ndarray, late: float = 0.0
     ) -> "Tape":
-        """Run a record (arguments as `Simulator.simulate`) and keep the data of the reverse sweep, linear in its steps."""
+        """Run a record (arguments as `Simulator.simulate`) and store the data for the reverse sweep, linear in the steps."""
         values = np.array(list(self.model.values(parameters).values()))
         inputs = completed(self.model, inputs, steps)
         columns = np.column_stack([inputs[name] for name in self._inputs]).astype(float, order="C", copy=False)

@@ -85,8 +85,8 @@ class ClosedLoop:
         return merits[0], rows
 
     def merits(self, sets: Sequence[np.ndarray], course: Course) -> np.ndarray:
-        """(count, 2) for each row of the sets, (count, parameters) or shared: the integral of the squared error over `scale`
-        [s], and the largest overshoot of a step of the wanted thrust as a share of it. SimulationFailed.
+        """(count, 2), one row for each row of the sets, which are (count, parameters) or shared. The columns are the integral
+        of the squared error over `scale` [s], and the largest overshoot of a step as a share of it. SimulationFailed.
 
         Infinite if a run diverged.
         """

@@ -23,8 +23,8 @@ FLAGS = (
     *("-std=c11", "-O1", "-ftree-loop-vectorize", "-fPIC", "-shared"),
     *("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-w"),
 )
-"""-O1 code of straight lines is as fast as -O2 and compiles in two thirds of the time; parallel runs are loops. No fused
-multiply-adds: they round once where Python rounds twice. Neither errno nor the exception flags are read: without them roots are
+"""Straight-line code is as fast with -O1 as with -O2, and compiles in two thirds of the time; parallel runs are loops. No fused
+multiply-adds: they round once where Python rounds twice. errno and the exception flags are not read; without them a root is
 one instruction, and choices need no branch."""
 
 VECTORS = ("avx512f", "avx2")
@@ -76,7 +76,7 @@ def compiled_as(name: str, source: Callable[[], str]) -> ctypes.CDLL:
 
 @cache
 def _vectors() -> tuple[str, ...]:
-    """The flag for the widest vectors of this processor; none where it does not say."""
+    """The flag for the widest vectors of this processor; none if they are unknown."""
     try:
         known = Path("/proc/cpuinfo").read_text(encoding="utf-8").partition("\nflags")[2].partition("\n")[0].split()
     except OSError:

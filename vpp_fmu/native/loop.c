@@ -1,4 +1,4 @@
-/* loop.py in C, for compiled parts: plant, measurement chain and controller over one profile, for many sets of parameters. */
+/* vpp_fmu/loop.py for compiled parts: plant, measurement chain and controller over a profile, for many sets of parameters. */
 
 #include <math.h>
 #include <stdlib.h>
@@ -22,8 +22,8 @@ typedef struct {
   double jump;          /* N; smaller changes of `wanted` are no steps */
   const double *wanted; /* (points) N */
   const double *noise;  /* (points) N */
-  const double *rest;   /* the plant's inputs at rest; from the third on they stay */
-  long inputs;          /* how many these are */
+  const double *rest;   /* the plant's inputs at rest; constant from the third on */
+  long inputs;          /* number of the plant's inputs */
 } Profile;
 
 /* One loop. `rows`: points x (omega_ref, beta_ref, thrust, omega, beta), or NULL. `merits`: the integral of the squared error
@@ -38,7 +38,7 @@ static int run_loop(const Part *parts, void *const *memory, const double *const 
   seen[0] = sample[0], seen[1] = 0.0;
   chain->begin(memory[1], sets[1], seen, &reading);
   given[0] = p->wanted[0], given[1] = reading;
-  controller->begin(memory[2], sets[2], given, held); /* its first sample sets them anew, before they act */
+  controller->begin(memory[2], sets[2], given, held); /* its first sample replaces them before they act */
   for (long k = 0; k < p->points; k++) {
     seen[0] = sample[0], seen[1] = p->noise[k];
     chain->advance(memory[1], seen, p->dt, &reading);

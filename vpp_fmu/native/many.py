@@ -79,4 +79,4 @@ class ManyPlants:
         return self._shown
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing: there are no resources to release."""

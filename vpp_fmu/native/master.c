@@ -1,4 +1,4 @@
-/* loop.py over two FMI 2.0 instances, on their own entry points: what Python does between their calls is most of a step. */
+/* vpp_fmu/loop.py for two FMI 2.0 instances, called through their entry points: in Python most of a step is overhead. */
 
 #include <stddef.h>
 
@@ -9,7 +9,7 @@ typedef struct {
   int (*get)(void *instance, const unsigned *references, size_t count, double *values);
   const unsigned *inputs, *outputs;
   size_t n_inputs, n_outputs;
-  double *given, *shown; /* values of inputs and outputs; shown holds what stands now */
+  double *given, *shown; /* values of inputs and of present outputs */
 } Side;
 
 #define WARNING 1
@@ -22,7 +22,7 @@ static int take(const Side *side, double time, double dt) {
 }
 
 /* Communication points `from` to `to` of `count`. sides: controller (wanted, thrust -> commands), plant (commands -> thrust ...).
- * rows: commands and what the plant shows at each point. `side` tells which one failed; returns its status, or 0. The point
+ * rows: commands and plant outputs at each point. `side`: the one that failed; returns its status, or 0. The point
  * reached is written to `at`. */
 int run_master(const Side *sides, const double *wanted, double dt, long from, long to, long count, double *rows, long *at,
                int *side) {

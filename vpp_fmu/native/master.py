@@ -16,7 +16,7 @@ CHUNK = 1000
 
 class Entry(NamedTuple):
     """An FMI 2.0 instance in initialised state, as C sees it: addresses of the instance, of fmi2SetReal, fmi2DoStep and
-    fmi2GetReal, of the value references of inputs and outputs, how many these are, and of their values."""
+    fmi2GetReal, of the value references of inputs and outputs; their numbers; addresses of their values."""
 
     instance: int
     set_real: int

@@ -1,4 +1,4 @@
-/* A whole record through a compiled model. Comes after the generated model and schedule.c. */
+/* Run a whole record with a compiled model. Comes after the generated model and schedule.c. */
 
 #include <stdlib.h>
 #include <string.h>
@@ -9,7 +9,7 @@
 
 typedef struct {
   Instance instance;
-  double rings[2 * SLOTS * N_DELAYED_OR_1]; /* never touched, and so never in memory, where nothing is delayed */
+  double rings[2 * SLOTS * N_DELAYED_OR_1]; /* never touched, so not in memory, if nothing is delayed */
 } Run;
 
 /* A run settled on the first row of inputs, without tangents where it is `plain`; NULL: no memory. */
@@ -52,8 +52,8 @@ int proceed(void *of, const double *inputs, const double *steps, long n, int las
 void end(void *run) { free(run); }
 
 #ifdef LANES
-/* Lengths of step whose constants are kept: those of a row, and of its parts before and behind a late command, of a clock that rounds
- * to two. */
+/* Number of step lengths whose constants are kept: of a row and its parts before and after a late command, each with two
+ * lengths because of the clock's rounding. */
 #define PREPARED 6
 
 /* The widest vectors of the processor, from compiler.py: no fused operations, and so the same bits on each. */
@@ -64,8 +64,8 @@ void end(void *run) { free(run); }
 #endif
 
 /* A whole record for LANES sets of parameters (LANES x N_PARAMETERS) side by side, as proceed() runs each. inputs, steps: of n rows.
- * outputs: N_OUTPUTS x n rows of LANES, `stride` numbers from row to row. APART: their longest steps differ, and so do not stay in
- * step. */
+ * outputs: N_OUTPUTS x n rows of LANES, `stride` numbers from row to row. APART: their largest steps differ, so they would take
+ * different steps. */
 WIDEST int alike(const double *parameters, const double *inputs, const double *steps, long n, long stride, double *outputs) {
   static const double no_tangent[N_DELAYED_OR_1] = {0};
   double v[N_VALUES][LANES], c[PREPARED][N_CONSTANTS][LANES], own[N_VALUES] = {0}, constants[N_CONSTANTS], tangents[N_TANGENTS];

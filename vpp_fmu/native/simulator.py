@@ -149,8 +149,9 @@ class Simulator:
 def split(
     columns: np.ndarray, steps: np.ndarray, commanded: np.ndarray, late: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """(inputs (rows + splits, inputs), steps, indices (rows,) of the original rows, None if none was split): each row in which
-    a command changes becomes two, the first of the share `late` of its time with the previous commands (inputs,)."""
+    """(inputs (rows + splits, inputs), steps, indices (rows,) of the original rows, or None without splits). A row in which a
+    command changes becomes two; the first takes the share `late` of its time, with the previous commands. `commanded`: mask
+    (inputs,)."""
     if not late:
         return columns, steps, None
     changes = np.flatnonzero((columns[1:-1, commanded] != columns[:-2, commanded]).any(axis=1)) + 1
@@ -209,10 +210,10 @@ def _library_text() -> str:
 
 @lru_cache(maxsize=1024)
 def _runner(chain: _Chain, wrt: tuple[str, ...]):
-    """(a generator function (parameters, inputs, steps, plain) that fills each (rows, outputs, tangents) sent to it; tangents:
-    arrays (rows, wrt) by output, {} in a plain run; a function (parameters (LANES, n), inputs, steps, outputs (outputs, rows,
-    LANES), whose rows may have a distance) that fills the outputs and returns whether these runs take the same steps; None if
-    no runs do)."""
+    """(run, alike). `run(parameters, inputs, steps, plain)`: a generator that fills each (rows, outputs, tangents) sent to it;
+    tangents: arrays (rows, wrt) by output, {} in a plain run. `alike(parameters (LANES, n), inputs, steps, outputs (outputs,
+    rows, LANES))`: fills the outputs, whose rows may be strided, and returns whether these runs take the same steps; None if
+    no runs do."""
     try:
         return _compiled(chain, wrt)
     except CompilerMissing as missing:

@@ -16,12 +16,12 @@ from vpp_fmu.tracer.tangents import tangents
 
 @dataclass(frozen=True)
 class Adjoints:
-    """The reverse sweep through each block of a program, on cotangents in place: all are read before any is written.
+    """The reverse sweep through each block of a program. It changes cotangents in place: all are read before any is written.
 
-    `b` stands for values by their position, `g` for prepared constants. Going back through `step` turns the cotangents of
-    the states behind it into those of the states before it, takes the outputs' away, since it overwrote them, and adds to
-    those of parameters and constants. `prepare` adds the constants' share to the parameters, and its result is the cotangent
-    of dt. `start` adds to the parameters.
+    `b` holds cotangents of values by position, `g` those of prepared constants. `step` replaces the cotangents of the states
+    after the step by those before it, and sets those of the outputs to 0, because the step overwrites the outputs. It adds to
+    those of parameters and constants. `prepare` adds the contribution of the constants to the parameters; its result is the
+    cotangent of dt. `start` adds to the parameters.
     """
 
     step: tuple[Write, ...]
@@ -30,7 +30,7 @@ class Adjoints:
 
 
 def adjoints(program: Program) -> Adjoints:
-    """The adjoints of a program's blocks in everything they read but the inputs; for a program traced without tangents."""
+    """The adjoints of a program's blocks in all that they read except inputs; for a program traced without tangents."""
     graph, layout = _graph(program), program.layout
     parameters, states = layout.positions("parameter"), layout.positions("state")
     constants = range(len(program.prepare))
@@ -53,7 +53,7 @@ def adjoints(program: Program) -> Adjoints:
 def pulled_back(graph: Graph, seeds: Iterable[tuple[object, Node]]) -> dict[Node, object]:
     """The cotangent (node or number) of every node that the seeds depend on; seeds are (node or number, its cotangent).
 
-    Each operation's partial derivatives are its forward rule on one-hot tangents: both directions rest on one table.
+    Each operation's partial derivatives are its forward rule on one-hot tangents: both modes use one table of rules.
     """
     total: dict[Node, object] = {}
     seeds = list(seeds)

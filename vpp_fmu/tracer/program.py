@@ -1,6 +1,6 @@
 """A model's own functions, run once on symbols: straight-line blocks with forward tangents.
 
-The same operations in the same order as on floats, so that generated Python and C equal the functions to the last bit.
+The operations are those on floats, in the same order: generated Python and C equal the functions to the last bit.
 Values that depend only on parameters and the step are computed separately (`prepare`), not at every step.
 """
 
@@ -150,7 +150,7 @@ def _set_apart(graph: Graph, writes: tuple[Write, ...], parameters: set[Node]) -
         """The expression for `n` in `step`."""
         if not isinstance(n, Node):
             return n
-        if n not in moved:  # then it is fixed: all others are entered in order, below
+        if n not in moved:  # `n` is fixed: the loop below enters all others in order
             if n in parameters:
                 moved[n] = n
             elif n.op in COMPARE:

@@ -1,12 +1,11 @@
-"""A commanded channel: two first-order lags in a row (paper, eqs. 13-15), open between its stages for other effects.
+"""A commanded channel: two first-order lags in series (paper, eqs. 13-15). Other effects may act between its stages.
 
     tau_2 dx/dt = u_ref - x        (the inner stage)
     tau_1 du/dt = x - u            (the outer stage: rotor speed, or blade pitch)
 
-Four effects, so that others can stand between them: the error that drives the inner stage, the inner stage's move, the outer
-stage's move, and where that ends. All are exact for a command held over the step, also where the two time constants are
-equal. The paper's deviations from the operating point are absolute values here; the equations are linear, so nothing else
-changes.
+A channel is four effects, so that others can act between them: the input error of the inner stage, the inner stage's change,
+the outer stage's change, and its final value. All are exact for a command held over the step, also for equal time constants.
+The paper's deviations from the operating point are absolute values here; the equations are linear, so nothing else changes.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter, State
@@ -18,9 +17,9 @@ TIME_CONSTANTS = (0.001, 30.0)
 def channel(u: str, title: str, unit: str, tau_1: float, tau_2: float) -> tuple[Effect, ...]:
     """The stages of channel `u` ("omega" or "beta"), commanded by the signal `<u>_ref`.
 
-    Signals: `<u>_inner` and `<u>_outer` are the stages' values before the step, `<u>_error` the inner stage's error,
-    `<u>_move` and `<u>_travel` the changes of the inner and the outer one in the step; `tau_<u>_1`, `tau_<u>_2`; at the end
-    `<u>`, its mean rate in the step `<u>_rate` and its remaining error, `<u>_to_go`. If an effect has set `<u>_lowest` or
+    Signals: `<u>_inner` and `<u>_outer` are the stages' values before the step, `<u>_move` and `<u>_travel` their changes in
+    the step. `<u>_error` is the inner stage's input error; `tau_<u>_1` and `tau_<u>_2` are the time constants. The last effect
+    sets `<u>`, its mean rate in the step `<u>_rate` and its remaining error `<u>_to_go`. If an effect has set `<u>_lowest` or
     `<u>_highest`, the outer stage stops there.
     """
     ref, error = f"{u}_ref", f"{u}_error"
@@ -37,8 +36,8 @@ def channel(u: str, title: str, unit: str, tau_1: float, tau_2: float) -> tuple[
         return {move: ops.gain(getattr(s, fast), dt) * getattr(s, error)}, {}
 
     def second_lag(ops, s, x, p, dt):
-        # Within the step the inner stage relaxes from its value towards the next with its own time constant; what the
-        # outer stage makes of that is the two lags' step response over the inner stage's share.
+        # Within the step the inner stage relaxes towards its next value with its own time constant. The response of the
+        # outer stage is the step response of two lags, divided by the gain of the inner lag.
         tau_1, tau_2, value = getattr(s, slow), getattr(s, fast), getattr(x, outer)
         carried = ops.two_lag_step(tau_1, tau_2, dt) / ops.gain(tau_2, dt)
         covered = ops.gain(tau_1, dt) * (getattr(s, inner) - value) + carried * getattr(s, move)

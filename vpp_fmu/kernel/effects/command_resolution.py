@@ -2,15 +2,15 @@
 
     executed = step round(command / step)
 
-Multiples count from 0 of the command's unit; ties round to even. A servo resolves its pulse to 0.25 deg and more, a speed
-controller its frame to 10 rpm and more. At a fixed multiple k the executed command is k step, with the derivative k.
+Multiples count from 0 of the command's unit; ties round to even. A servo's pulse has steps of 0.25 deg and more, a speed
+controller's frame of 10 rpm and more. At a fixed multiple k the executed command is k step, with the derivative k.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter
 
 
 def _resolution(channel: str, scale: str, unit: str, largest: float, plausible: float) -> Effect:
-    """The effect that a `channel`'s command, in its `unit`, is executed in steps; sizes are shares of the rig's `scale`."""
+    """The resolution of a `channel`'s command, in its `unit`; sizes are shares of the rig's `scale`."""
     command = f"{channel}_ref"
 
     def step(ops, s, x, p, dt):

@@ -1,10 +1,10 @@
-"""A signal's dead time as three states, for where the schedule can't hold it back: what is read late, not what is commanded.
+"""Dead time of a signal as three states, for readings: the schedule can delay commands only.
 
     late(s) / signal(s) = (1 - x/2 + x^2/12) / (1 + x/2 + x^2/12),   x = s delay
 
-the Pade approximant of order 2 (Baker and Graves-Morris, Pade Approximants, 1996): all frequencies pass whole, and up to
-2 / delay rad/s they are late by `delay` to 1 %; behind the lags of a rotor little is left above. It is the signal less `delay`
-times the rate of a second-order lag of it, solved exactly for a signal that runs straight over the step.
+the Pade approximant of order 2 (Baker and Graves-Morris, Pade Approximants, 1996). Its gain is 1 at all frequencies, and its
+delay is `delay` to 1 % up to 2 / delay rad/s; the lags of a rotor attenuate higher frequencies. It is the signal less `delay`
+times the rate of a second-order lag of it, exact for a signal that is linear over the step.
 """
 
 from math import sqrt
@@ -13,7 +13,7 @@ from vpp_fmu.kernel.types import Effect, Parameter, State
 
 
 def dead_time(ops, signal, x, delay, dt):
-    """(the late signal, next states) of a `signal` at the end of the step; `x`: the states of `states`."""
+    """(delayed signal, next states) of a `signal` at the end of the step; `x`: the states of `states`."""
     there = delay > 0.0
     d = ops.where(there, delay, 1.0)
     a, wd = 3.0 / d, sqrt(3.0) / d
@@ -28,7 +28,7 @@ def dead_time(ops, signal, x, delay, dt):
 
 
 def states(signal: str, unit: str) -> tuple[State, ...]:
-    """The states behind a `signal` in its `unit`."""
+    """The states that delay a `signal`, in its `unit`."""
 
     def settled(ops, s, p):
         return getattr(s, signal)
@@ -41,9 +41,9 @@ def states(signal: str, unit: str) -> tuple[State, ...]:
 
 
 def late_reading(name: str, reading: str, signal: str, unit: str) -> Effect:
-    """The effect that a `signal`, in its `unit`, is read late as the `reading` "thrust" or "speed".
+    """The dead time of the `reading` "thrust" or "speed" of a `signal`, in its `unit`.
 
-    A logger's time goes with no scale of the rig, so neither does the delay.
+    The delay of a logger does not depend on the size of the rig, so it has no scale.
     """
 
     def step(ops, s, x, p, dt):
@@ -65,7 +65,7 @@ def late_reading(name: str, reading: str, signal: str, unit: str) -> Effect:
 
 
 THRUST = late_reading("reading_delay", "thrust", "thrust", "N")
-"""Averaging and frames of the load cell's amplifier. Measured speed is not late; that tells it from a rotor that moves late."""
+"""Averaging and frames of the load cell's amplifier. If the rotor itself were late, the speed reading would be late, too."""
 
 SPEED = late_reading("speed_reading_delay", "speed", "omega", "rpm")
-"""A display that averages, a frame that waits; the thrust is not late."""
+"""Averaging of a display, or waiting of a frame; the thrust is not late."""

@@ -1,4 +1,4 @@
-"""Laws from thrust error to commands of speed and pitch, sampled, in normalised quantities.
+"""Sampled control laws from thrust error to speed and pitch commands, in normalised quantities.
 
 Mode 0, two PIDs on one error (paper, section 3.3):
 
@@ -7,19 +7,19 @@ Mode 0, two PIDs on one error (paper, section 3.3):
     D[k] = (1 - delta) D[k-1] + delta (e[k] - e[k-1]) / dt,     delta = dt / t_filter
     w_ref = kp e + ki I + kd D,   held within the limits
 
-Mode 1 is speed alone at a fixed pitch. Mode 2, allocated: a table gives the best pair (w*, b*) of thrust_set. Pitch, the fast
-actuator, corrects the error; speed follows until pitch is back at its best (mid-ranging: Allison and Isaksson 1998):
+Mode 1 commands only speed, at a fixed pitch. Mode 2, allocated: a table gives the best pair (w*, b*) for thrust_set. Pitch, the
+fast actuator, corrects the error; speed changes until pitch is back at b* (mid-ranging: Allison and Isaksson 1998):
 
     b_ref = b* + kp e + ki I + kd D
     w_ref = w* + kp e + k_mid M + kd D,    M[k] = M[k-1] + (b_ref - b*) dt
 
-There I and M go on beyond the limits of pitch, by its range at most, while speed is free: the best pitch of many rotors is at
-a limit, where only what pitch would do tells speed that thrust is missing.
+While speed is within its limits, I and M of mode 2 continue beyond the limits of pitch, by at most its range. The best pitch
+of many rotors is at a limit; there only the unlimited pitch command makes speed correct the error.
 
 Clamping is separate for each channel: an integral stops if its sum is outside of its limits and the step would increase the
 excess. With a shared integral, or a shared test, a channel within its limits would stop with the other. When the mode changes
-during a run, the integrals are set such that the commands go on from where they are; fixed pitch alone jumps.
-Departs from the paper: delta is held to 1 where t_filter < dt, since the form is unstable there.
+during a run, the integrals are set such that the commands are continuous; only a fixed pitch jumps.
+Departs from the paper: delta is limited to 1 where t_filter < dt, since the form is unstable there.
 """
 
 from collections.abc import Iterator
@@ -33,7 +33,7 @@ DUAL, SPEED_ONLY, ALLOCATED = 0.0, 1.0, 2.0
 """Values of `mode`."""
 
 PAIRS = 9
-"""Knots of the table of best pairs, evenly from pairs_thrust_min to pairs_thrust_max; between them it is straight."""
+"""Number of knots of the table of best pairs, evenly from pairs_thrust_min to pairs_thrust_max; linear between them."""
 
 
 def _channel(ops, e, move, integral, rate, kp, ki, kd, low, high):
@@ -46,11 +46,11 @@ def _channel(ops, e, move, integral, rate, kp, ki, kd, low, high):
 
 
 NARROWEST = 1e-6
-"""Share of the thrust scale that the table spans at least: no division by zero, whatever an importer sets."""
+"""Minimum span of the table, as a share of the thrust scale: no division by zero, whatever an importer sets."""
 
 
 def _best_pair(ops, thrust_set, p):
-    """The table's (speed [rpm], pitch [deg]) for a wanted thrust [N]; its ends outside."""
+    """The table's (speed [rpm], pitch [deg]) for a wanted thrust [N]; constant beyond its ends."""
     span = ops.maximum(p.pairs_thrust_max - p.pairs_thrust_min, NARROWEST * p.thrust_scale)
     at = (PAIRS - 1) * (thrust_set - p.pairs_thrust_min) / span
     pair = []
@@ -67,7 +67,7 @@ def _mode(ops, p):
 
 
 def _continued(ops, switched, integral, ki, before, rest):
-    """The integral, or after a switch that with which the sum `rest + ki integral` is the command `before`."""
+    """The integral; after a switch the one for which the sum `rest + ki integral` equals the command `before`."""
     return ops.where(switched, ops.where(ki > 0.0, (before - rest) / ops.where(ki > 0.0, ki, 1.0), 0.0), integral)
 
 
@@ -102,7 +102,7 @@ def _step(ops, s, x, p, dt):
     move = ops.where(allocated, ops.where(running, away * dt, 0.0), move)
     w, omega_integral = _channel(ops, e, move, integral, rate, p.kp_omega, ki, p.kd_omega, low, high)
 
-    # Limits are held in rpm and deg: scaled back and forth they would be off by a rounding.
+    # Limits are applied in rpm and deg: scaling them would add rounding errors.
     w, b = ops.where(allocated, w_best + w, w), ops.where(allocated, b_best + b, b)
     omega = ops.clip(p.omega_scale * w, p.omega_min, p.omega_max)
     beta = ops.clip(p.beta_scale * b - p.beta_offset, p.beta_min, p.beta_max)
@@ -125,7 +125,7 @@ def _gain(name: str, default: float, unit: str, text: str) -> Parameter:
 
 
 def _table() -> Iterator[Parameter]:
-    """The table of best pairs. Its defaults know no power: full pitch, and speed by the square law of thrust."""
+    """The table of best pairs. Its defaults do not use power: full pitch, and speed by the square law of thrust."""
     for end, share in (("min", 0.0), ("max", 1.0)):
         text = f"mode 2: thrust of the table's {'first' if end == 'min' else 'last'} pair"
         yield Parameter(f"pairs_thrust_{end}", "N", share, -100.0, 100.0, text, 1.0, scale="thrust")
@@ -187,4 +187,4 @@ DUAL_PID = Effect(
 )
 
 ALLOCATION = {p.name: p.default for p in DUAL_PID.parameters if p.name in ("mode", "k_mid") or p.name[:4] == "pair"}
-"""Parameters of the choice of mode and of mode 2, with their defaults: mode 0."""
+"""Parameters for the selection of the mode and for mode 2, with their defaults (mode 0)."""

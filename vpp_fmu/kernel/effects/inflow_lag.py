@@ -1,12 +1,12 @@
-"""The induced inflow builds up behind a change of thrust; until it has, the blades meet more air and thrust leads.
+"""The induced inflow lags behind a change of thrust. Until it has built up, the blades meet more air and thrust leads.
 
     d inflow/dt = (q - inflow) / time_constant,   lead = gain (q - inflow)        (paper, eq. 2)
     form 1: thrust += thrust_scale w^2 lead                                       q = b
     form 2: thrust += thrust_scale (h(w, b + lead) - h(w, b))                     q = b, through the whole map h
     form 3: thrust += thrust_scale lead                                           q = thrust / thrust_scale
 
-Form 3 leads with speed as well as with pitch. Physical time constants are 3 to 30 ms: 0.849 / (4 lambda Omega), or the disk's
-transit. q runs nearly straight over a step, and the lag is exact for that.
+Form 3 leads with speed as well as with pitch. Physical time constants are 3 to 30 ms: 0.849 / (4 lambda Omega), or the
+transit time of the disk. q is nearly linear over a step, and the lag is exact for a ramp.
 """
 
 from vpp_fmu.kernel.effects.thrust_map import normalised_thrust

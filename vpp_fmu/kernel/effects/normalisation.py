@@ -1,8 +1,8 @@
-"""The scales by which the thrust map, and whatever else goes with a rig's size, is normalised (paper, section 3.1).
+"""The scales that normalise the thrust map and other quantities that depend on a rig's size (paper, section 3.1).
 
 w = omega / omega_scale,  b = (beta + beta_offset) / beta_scale,  T = thrust / thrust_scale
 
-The first link of the chain: every effect finds the scales as signals.
+The first effect of the chain: it passes the scales to all others as signals.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter

@@ -2,8 +2,8 @@
 
     tau dx/dt = (input - x) exp(-asymmetry) rising, (input - x) exp(asymmetry) falling
 
-`asymmetry` builds the same for either channel. The inner lag keeps its direction in a held step and is exact; where the
-outer one turns within a step, the time before and the time behind the turn go by their own constants.
+`asymmetry` builds the effect for either channel. The inner lag keeps its direction while the command is held, and is exact. If
+the outer lag reverses within a step, the times before and after the reversal have their own time constants.
 """
 
 from vpp_fmu.kernel.effects.stage import WHICH_LAG, OneOf, stage, with_distance
@@ -20,7 +20,7 @@ def asymmetry(u: str, name: str, description: str, probe: float) -> Effect:
         rising, falling = ops.gain(slower, dt) / plain - 1.0, ops.gain(faster, dt) / plain - 1.0
         end = lag.after - lag.distance
         turns = lag.before * end < 0.0
-        left = ops.where(turns, end / ops.where(turns, end - lag.before, 1.0), 0.0)  # share of the step behind the turn
+        left = ops.where(turns, end / ops.where(turns, end - lag.before, 1.0), 0.0)  # share of the step after the turn
         behind = 0.5 * plain * left * end
         begins = ops.where(turns, lag.before, lag.before + end)
         more = ops.where(begins < 0.0, falling, rising) * (lag.distance - behind)

@@ -1,9 +1,9 @@
-"""Play in the linkage: when the drive turns round, what it drives waits until the gap is taken up.
+"""Play in the linkage: when the drive reverses, the driven side waits until the gap is closed.
 
     driven <- clip(driven, drive - half_gap, drive + half_gap)
 
-form 1: between actuator and blades, behind both lags; form 2: between the lags, on what drives the outer one. The play
-itself is exact while the drive runs one way. It starts in the middle of the gap.
+form 1: between actuator and blades, after both lags; form 2: between the lags, on the input of the outer one. The play is
+exact while the drive keeps its direction. It starts in the middle of the gap.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter, State

@@ -2,7 +2,7 @@
 
     held <- beta_ref  where |beta_ref - held| > half_width
 
-The paper saw it as demanded pitch that "was not always reached by the actuator, leaving flat areas, where the model predicts
+The paper reports demanded pitch that "was not always reached by the actuator, leaving flat areas, where the model predicts
 bumps".
 """
 

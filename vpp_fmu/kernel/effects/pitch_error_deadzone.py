@@ -1,10 +1,10 @@
-"""A small position error does not move the actuator, a larger one counts only by its excess.
+"""A small position error does not move the actuator; of a larger one only the excess acts.
 
     tau dx/dt = e - clip(e, -half_width, half_width),   e = input - x
 
-Static friction, or an amplifier that needs a smallest voltage before the motor turns: the actuator comes to rest
-half_width short of its command, on the side from which it came. In the inner lag exact for a held command; the outer lag,
-whose input moves within the step, takes the mean of its error.
+Causes are static friction, or an amplifier with a minimum voltage for the motor: the actuator comes to rest half_width short
+of its command, on the side from which it came. The form is exact in the inner lag for a held command. The outer lag, whose
+input moves within the step, uses the mean of its error.
 """
 
 from vpp_fmu.kernel.effects.stage import WHICH_LAG, stage, with_distance

@@ -2,9 +2,9 @@
 
     thrust += gain w^2 d beta/dt,   d beta/dt = (inner - outer) / tau_beta_1
 
-The virtual camber of a blade that pitches, and the push of the moving parts on the stand: the direct feed-through of sudden
-pitch changes that the paper's introduction reports (Cutler 2015). The rate is that of the actuator's outer lag by its
-equation, not a difference of samples, and none while a stop, a band or play holds the blades.
+Causes are the virtual camber of a pitching blade and the reaction of the moving parts on the stand: the direct feed-through of
+sudden pitch changes that the paper's introduction reports (Cutler 2015). The rate is from the equation of the actuator's outer
+lag, not from a difference of samples. It is 0 while a stop, a band or play holds the blades.
 """
 
 from vpp_fmu.kernel.effects.stage import OUTER, stage

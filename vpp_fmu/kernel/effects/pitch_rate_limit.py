@@ -1,10 +1,10 @@
 """Blade pitch can't move faster than the actuator's motor at full voltage.
 
     form 1, 2: dx/dt = clip((input - x) / tau, -rate, rate)      in the inner or the outer lag
-    form 3:    the command itself is led to its goal at `rate`, before the lags
+    form 3:    the command changes by `rate` at most, before the lags
 
-The instant at which the limit ends lies between samples: until then the lag runs straight, from there it relaxes. Form 3
-subtracts the response to the error of the limited command from the lags, which are linear in it.
+The limit may end between samples: until that instant the lag moves at constant rate, after it the lag relaxes. The lags are
+linear, so form 3 subtracts their response to the difference between the command and the limited command.
 """
 
 from vpp_fmu.kernel.effects.stage import INNER, stage, with_distance

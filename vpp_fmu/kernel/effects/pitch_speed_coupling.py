@@ -1,11 +1,11 @@
-"""Moving the blades disturbs the rotor speed until the speed loop has caught it (paper, eqs. 9-12: K_beta).
+"""Moving the blades disturbs the rotor speed until the speed loop has corrected it (paper, eqs. 9-12: K_beta).
 
     form 1: d_omega = -gain s / ((tau_omega_1 s + 1)(tau_omega_2 s + 1)) beta      the loop's two lags
     form 2: d_omega = -gain s / (tau_omega_1 s + 1) beta                           one lag
 
-Pitch loads the rotor; the loop's integrator takes a constant load up, so only the rate of pitch shows. With the paper's
-symbols gain = K_beta / K_I in form 1, the whole loop's; a loop whose gain is far above its integral leaves one lag. Pitch
-runs nearly straight over a step, and the lags here are exact for that.
+Pitch loads the rotor; the loop's integrator compensates a constant load, so only the rate of pitch has an effect. In the
+paper's symbols gain = K_beta / K_I in form 1, for the whole loop; a loop whose gain is far above its integral gain has one lag.
+Pitch is nearly linear over a step, and the lags here are exact for a ramp.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter, State

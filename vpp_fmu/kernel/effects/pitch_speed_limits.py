@@ -1,4 +1,4 @@
-"""The actuator board's speed law: full speed far from the goal, in proportion near it, never below a least speed.
+"""The actuator board's speed law: full speed far from the goal, proportional near it, never below a least speed.
 
     |dx/dt| = full                                   where |e| > threshold
             = clip(|e| / tau, slowest, full)         where accuracy < |e| < threshold
@@ -7,7 +7,7 @@
 A linear actuator control board (Actuonix LAC) turns its motor at full duty outside its threshold, scales the duty down
 inside it to a minimum that still overcomes friction, and switches off within its accuracy. Acts in the inner lag. The
 instants at which full speed ends and at which the motor stops are exact; in the step in which the least speed takes over,
-the farther of the two ways counts.
+the larger of the two distances is used.
 """
 
 from vpp_fmu.kernel.effects.stage import INNER, stage, with_distance

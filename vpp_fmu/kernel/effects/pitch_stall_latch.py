@@ -1,11 +1,11 @@
-"""The actuator board takes a slow approach for a stall, and turns its motor off until the opposite command.
+"""The actuator board mistakes a slow approach for a stall, and turns its motor off until the opposite command.
 
     slow for `time`: |dx/dt| < speed while |e| > accuracy   ->   dx/dt = 0 until e changes its sign
 
-A linear actuator control board (Actuonix LAC) protects its motor so: off after the stall time below a least speed. On the
-tail of an exponential approach the speed is always low in the end; the actuator then stays speed tau exp(-time / tau)
-short. Acts in the inner lag; the instant of turning off is exact, and so is, to third order in the step, that of becoming
-slow (the logarithm in it by a difference over a geometric mean).
+A linear actuator control board (Actuonix LAC) turns its motor off after the stall time below a least speed, to protect it. The
+end of an exponential approach is always slow; the actuator then stops speed tau exp(-time / tau) short of its goal. Acts in
+the inner lag. The instant of turning off is exact; the instant of becoming slow is exact to third order in the step (its
+logarithm is approximated by a difference over a geometric mean).
 """
 
 from vpp_fmu.kernel.effects.stage import INNER, stage, with_distance

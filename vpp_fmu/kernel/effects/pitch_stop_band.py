@@ -3,8 +3,8 @@
     tau dx/dt = e where |e| > half_width, else 0;   e = input - x
 
 A linear actuator control board stops its motor within its accuracy (Actuonix LAC: 0.39 % of the stroke as delivered), since
-it would hunt otherwise. The motor stops on the edge, between samples. The outer lag, whose input moves, also starts on the
-edge, and follows an input that leads it slowly half_width behind.
+it would hunt otherwise. The motor stops at the edge of the band, also between samples. The outer lag, whose input moves, also
+starts at the edge, and follows a slowly moving input at a distance of half_width.
 """
 
 from vpp_fmu.kernel.effects.pitch_stop_restart import driven_between

@@ -2,8 +2,8 @@
 
     stops where |e| < stop, starts where |e| > restart;   tau dx/dt = e while it runs;   e = input - x
 
-The hysteresis keeps a position loop with friction from hunting. Both edges are met between samples. A restart below the
-stop counts as equal to it.
+The hysteresis keeps a position loop with friction from hunting. Both edges are resolved between samples. A restart below
+the stop counts as equal to it.
 """
 
 from typing import Any
@@ -13,9 +13,9 @@ from vpp_fmu.kernel.types import Effect, Parameter, State
 
 
 def driven_between(ops, lag: Stage, running, stop, restart, dt) -> tuple[Any, Any]:
-    """What a lag covers whose motor starts at one edge and stops at another, 0 <= stop <= restart: (distance, 1 if it runs on).
+    """(distance of a lag, 1 if its motor still runs): the motor stops at `stop`, starts at `restart`, 0 <= stop <= restart.
 
-    `running`: 1 where the motor ran before. Where a stopped motor is led over `restart` within the step, it follows.
+    `running`: 1 if the motor ran before. If the error exceeds `restart` within the step, a stopped motor starts.
     """
     runs = ops.where(ops.abs(lag.before) > restart, 1.0, running) > 0.5
     side = ops.where(ops.where(runs, lag.before, lag.after) < 0.0, -1.0, 1.0)

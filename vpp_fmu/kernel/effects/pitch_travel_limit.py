@@ -3,7 +3,7 @@
     form 1: u = clip(beta_ref, minimum, maximum)          the command is cut, the lags run into the limit slowly
     form 2: beta = clip(beta, minimum, maximum)           the blades hit a stop on their way, at full speed
 
-In form 2 the command and the inner lag go on beyond the stop; the blades leave it when the inner lag comes back.
+In form 2 the command and the inner lag continue beyond the stop; the blades leave it when the inner lag comes back.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter

@@ -5,10 +5,10 @@
     command = low + (high - low) (a + 1) / 2, or the last command + a rate dt       a held to -1 ... 1
     command held to rate dt about the last one, then to the limits
 
-The dual PID takes over where an observation is outside of its box, or where z' P z > distance^2 (P: inverse covariance of the
-observations in training), and for `fallback_hold` seconds after, twice as long each time that it takes over again: a law that
+The dual PID takes over if an observation is outside of its box, or if z' P z > distance^2 (P: inverse covariance of the
+observations in training). It acts for `fallback_hold` seconds after that, twice as long at each further takeover: a law that
 drives itself out of its box ends in the fallback. While the law acts, the integrals of the PID are set so that
-its commands are those of the law: the takeover has no bump. Before the first sample the commands are the lowest ones.
+its commands are those of the law: the takeover is bumpless. Before the first sample the commands are the lowest ones.
 """
 
 from collections.abc import Iterable, Sequence
@@ -28,11 +28,11 @@ OBSERVABLE = {
     "integral": "N.s",
 }
 """Observations and their units: set-point and reading of thrust, reading of speed, the last commands, and the integral of
-set-point less reading, which stops while both commands are at the limits that the error calls for. The policy's FMU has an
-input for the speed only where it is observed."""
+set-point less reading. The integral stops while both commands are at their limits in the direction of the error. The policy's
+FMU has an input for the speed only if the speed is observed."""
 
 UNLIMITED = 1e9
-"""Rate of a command, rpm/s or deg/s, that is no limit."""
+"""Rate of a command, rpm/s or deg/s, that means no limit."""
 
 LARGEST_INTEGRAL, LONGEST_HOLD = 1e6, 1e6
 """N.s; s"""
@@ -131,7 +131,7 @@ def _nothing(ops, s, p):
 
 
 def _outside(ops: Any, law: Law, seen: Sequence, z: Sequence) -> Any:
-    """1 where an observation is not within its box or distance, which NaN never is; else 0."""
+    """1 if an observation is NaN, or outside of its box or distance; else 0."""
     outside = 0.0
     for o, low, high in zip(seen, law.low, law.high, strict=True):
         inside = ops.where(o > low, ops.where(o < high, 1.0, 0.0), 0.0)
@@ -143,7 +143,7 @@ def _outside(ops: Any, law: Law, seen: Sequence, z: Sequence) -> Any:
 
 
 def _grown(ops: Any, integral: Any, s: SimpleNamespace, before: dict, p: SimpleNamespace, dt: Any) -> Any:
-    """The next integral: it stops while both commands are at the limits that the error calls for."""
+    """The next integral: it stops while both commands are at their limits in the direction of the error."""
     error = s.thrust_set - s.thrust
     below = ops.where(before["omega_ref"] < p.omega_max, 1.0, ops.where(before["beta_ref"] < p.beta_max, 1.0, 0.0))
     above = ops.where(before["omega_ref"] > p.omega_min, 1.0, ops.where(before["beta_ref"] > p.beta_min, 1.0, 0.0))
@@ -166,7 +166,7 @@ def _network(ops: Any, law: Law, z: Sequence, p: SimpleNamespace) -> list:
 
 
 def _dot(one: Iterable, other: Iterable) -> Any:
-    """Scalar product, summed in pairs: few operations wait for others, and few brackets are nested in generated code."""
+    """Scalar product, summed in pairs: few dependent operations, and few nested brackets in generated code."""
     terms = [a * b for a, b in zip(one, other, strict=True)]
     while len(terms) > 1:
         terms = [a + b for a, b in zip(terms[::2], terms[1::2], strict=False)] + list(terms[len(terms) // 2 * 2 :])
@@ -174,7 +174,7 @@ def _dot(one: Iterable, other: Iterable) -> Any:
 
 
 def _tracked(ops: Any, p: SimpleNamespace, commands: dict, memory: dict, active: Any) -> dict:
-    """Integrals of the PID with which its commands are those of the law; its own while it acts."""
+    """Integrals for which the PID's commands equal those of the law; its own integrals while it acts."""
     reached = {
         "omega": commands["omega_ref"] / p.omega_scale,
         "beta": (commands["beta_ref"] + p.beta_offset) / p.beta_scale,

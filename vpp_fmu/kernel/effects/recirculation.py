@@ -1,8 +1,8 @@
-"""Air that the rotor has driven comes back to it: in a closed room, or near a wall, thrust falls as the circulation builds up.
+"""The rotor's wake returns to it: in a closed room, or near a wall, thrust decreases as the circulation builds up.
 
     d wake/dt = (thrust - wake) / time_constant,   thrust -= share wake
 
-Thrust runs nearly straight over a step, and the lag is exact for that. At the start the circulation is steady.
+Thrust is nearly linear over a step, and the lag is exact for a ramp. At the start the circulation is steady.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter, State

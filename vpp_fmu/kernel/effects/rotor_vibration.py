@@ -2,7 +2,7 @@
 
     reading = thrust + amplitude w^2 sin(2 pi turns + phase),   d turns/dt = omega / 60
 
-The force of an imbalance goes with the square of speed. Speed runs nearly straight over a step; whole turns are dropped.
+The force of an imbalance is proportional to speed squared. Speed is nearly linear over a step; whole turns are dropped.
 `phase` is the rotor's angle at the start of a record.
 """
 

@@ -2,12 +2,12 @@
 
     reading(t_k) = signal(t_j - share (t_j - t_(j-1))),   age = (k - j) + share
 
-A loop that reads, waits for its frames and then stamps the row is late by a share of a row, one that writes what the loop
-before has read by a whole one and more. For equal rows this is a dead time of all readings, and if only one command moves, a
-dead time of that. Rows of unequal length distinguish it from both, and two commanded channels from a delayed motor.
+A logger that reads, waits for its frames and then stamps the row is late by a share of a row. One that writes the readings of
+the cycle before is late by one row and more. With rows of equal length this equals a dead time of all readings or, if only one
+command moves, of that command. Rows of unequal length distinguish it from both, two commanded channels from a delayed motor.
 
 `row_time` is the row's length, which a simulation of a record sets; without it, as in a co-simulation, nothing is delayed.
-The reading is held between the ends of rows. Signals run straight over a step.
+The reading is held between the ends of rows. Signals are linear over a step.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter, Signal, State

@@ -1,8 +1,8 @@
-"""The load cell's amplifier answers late: a first-order low-pass, such as capacitors across its terminals make.
+"""The load cell's amplifier is a first-order low-pass, for example with capacitors across its terminals.
 
     time_constant d reading/dt = thrust - reading;   time_constant = 0: none
 
-Thrust runs nearly straight over a step, and the lag is exact for that.
+Thrust is nearly linear over a step, and the lag is exact for a ramp.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter, State

@@ -2,8 +2,8 @@
 
     tau d omega/dt = (input - omega) exp(-asymmetry) rising, (input - omega) exp(asymmetry) falling
 
-The controller drives the motor upwards, but downwards it mostly lets drag do the work, unless it brakes. The form is that
-of `pitch_asymmetry`.
+The speed controller accelerates the motor, but mostly lets drag decelerate it, unless it brakes. The form is that of
+`pitch_asymmetry`.
 """
 
 from vpp_fmu.kernel.effects.pitch_asymmetry import asymmetry

@@ -1,7 +1,7 @@
 """The speed command acts after a dead time: u(t) = omega_ref(t - delay), exact at any communication step.
 
-Frames of the command link, the control period and the speed controller's own filter. The schedule delays the command,
-between steps.
+Causes are frames of the command link, the control period and the speed controller's own filter. The schedule delays the
+command, between steps.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter

@@ -3,7 +3,7 @@
     form 1: u = min(omega_ref, maximum)        the command is cut, the lags run into the limit slowly
     form 2: omega = min(omega, maximum)        the rotor runs into it on its way
 
-In form 2 the command and the inner lag go on beyond the limit; the rotor leaves it when the inner lag comes back.
+In form 2 the command and the inner lag continue beyond the limit; the rotor leaves it when the inner lag comes back.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter

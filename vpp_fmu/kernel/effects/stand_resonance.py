@@ -2,7 +2,7 @@
 
     y'' + 2 damping w0 y' + w0^2 y = w0^2 thrust,   w0 = 2 pi frequency;   frequency = 0: a rigid stand
 
-Solved exactly for thrust that runs straight over the step. A stand is made stiff whatever it carries: no scale for `frequency`.
+Exact for thrust that is linear over the step. A stand of any size is built stiff, so `frequency` has no scale.
 """
 
 from math import pi

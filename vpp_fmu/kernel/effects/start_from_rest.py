@@ -1,4 +1,4 @@
-"""A rotor at rest starts late: its controller must find the poles before it turns, which delays no later command.
+"""A rotor at rest starts late: its controller must first find the poles. Later commands are not delayed.
 
     from the command that leaves rest on, the motor does nothing for `wait` seconds
 

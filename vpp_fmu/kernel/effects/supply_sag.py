@@ -1,12 +1,12 @@
-"""The supply gives way under load, and with it the speed that the motor reaches.
+"""The supply voltage sags under load, and with it the speed that the motor reaches.
 
     form 1: u = min(omega_ref, limit - sag lift)                 a speed loop holds the command until its voltage ends
     form 2: u = omega_ref - sag lift (omega / full_speed)^2      no speed loop: speed droops with the torque
 
 lift = beta + beta_offset is the pitch from which thrust and torque grow (the normalised b is lift / beta_scale), not below 0
-in form 2; full_speed = omega_scale. Torque goes with the square of the speed that is reached, so in form 2 the rotor's
-lags are part of a loop, and a loaded rotor answers faster. Pitch counts by its mean over the step, speed by where the last
-step's change takes it half a step on.
+in form 2; full_speed = omega_scale. Torque is proportional to the square of the reached speed, so in form 2 the
+rotor's lags are in a feedback loop, and a loaded rotor responds faster. The step uses the mean pitch, and the speed
+extrapolated by half a step from its last change.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter, State

@@ -1,9 +1,9 @@
-"""The measured supply voltage moves the speed: without a speed loop a motor turns in proportion to its voltage.
+"""The measured supply voltage changes the speed: without a speed loop, speed is proportional to voltage.
 
     u = omega_ref (1 + share (voltage / nominal - 1))
 
 A duty cycle commands a share of the supply (paper, eq. 4: u V_in); the command is scaled for the nominal one. A speed loop
-takes the change up, in part or wholly: share 1 is none at all, 0 a perfect one.
+compensates the change in part or wholly: share 1 is no speed loop, 0 a perfect one.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter, Signal

@@ -2,14 +2,14 @@
 
 thrust = thrust_scale (c20 w^2 + c11 w b + c21 w^2 b + c12 w b^2 + c30 w^3)
 
-w and b by the scales of `normalisation`. Effects behind the map find w, b and its coefficients as signals.
+w and b are normalised by `normalisation`. Effects after the map read w, b and the coefficients as signals.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter
 
 
 def normalised_thrust(c, w, b):
-    """The map at normalised speed and pitch; `c` has the coefficients, as the map's parameters and, behind it, signals."""
+    """The map at normalised speed and pitch; `c`: the coefficients, from the map's parameters or, after the map, signals."""
     return w * (w * (c.c20 + c.c21 * b + c.c30 * w) + b * (c.c11 + c.c12 * b))
 
 

@@ -1,10 +1,10 @@
 """The measurement chain from the thrust to the controller's input, once per sample.
 
     time_constant d filtered/dt = thrust - filtered        low-pass of the load cell's amplifier; 0: none
-    late = filtered, `delay` sampling periods ago          straight between samples
+    late = filtered, `delay` sampling periods ago          linear between samples
     reading = resolution round((late + noise) / resolution)     the converter's steps; 0: none
 
-Thrust runs nearly straight over a sample, and the low-pass is exact for that. Ties round to even.
+Thrust is nearly linear over a sample, and the low-pass is exact for a ramp. Ties round to even.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter, State

@@ -1,4 +1,4 @@
-"""A term that no effect of the library has: where it enters the chain, what drives it, how it looks."""
+"""A learned term, for dynamics that no effect of the library has: its port in the chain, its driver and its shape."""
 
 from vpp_fmu.kernel.learned.drivers import DRIVERS, Driver
 from vpp_fmu.kernel.learned.effect import learned

@@ -13,9 +13,9 @@ from vpp_fmu.kernel.types import State
 
 @dataclass(frozen=True)
 class Driver:
-    """A driver. `signal`: of the chain; "": the driver needs none. `behind`: the effect of every plant from which on it is
-    known; "": an input. `guess`: the input that it is about when settled; "": 0. `scale`: of the rig. `signed`: it goes through
-    0, which means rest."""
+    """A driver. `signal`: its signal of the chain; "": it has none. `behind`: the effect of CHAIN after which the signal is
+    known; "": it is an input. `guess`: the input that approximates its settled value; "": 0. `scale`: of the rig. `signed`: it
+    changes its sign, and 0 means rest."""
 
     name: str
     unit: str
@@ -32,13 +32,13 @@ class Driver:
         return not self.behind or 2 * CHAIN.index(self.behind) < port.position
 
     def settled(self, s, p, port: Port):
-        """Its value on settled inputs, from the signals that reach the port."""
+        """Its settled value, from the signals that reach the port."""
         if not self.signal or self.own_stage(port):
             return 0.0
         return getattr(s, self.signal if self.known(port) else f"settled_{self.signal}")
 
     def own_stage(self, port: Port) -> bool:
-        """Whether it is what the very lag that the port bends has still to go."""
+        """Whether it is the remaining error of the lag that the port changes."""
         return port.staged and self.name.endswith("to_go") and self.channel == port.channel
 
     def states(self, port: Port) -> tuple[State, ...]:
@@ -57,7 +57,7 @@ class Driver:
         return first, State("driver_before", self.unit, f"{self.words} a step earlier", start)
 
     def ahead(self, port: Port) -> dict[str, str]:
-        """Signals of the chain's end from which its states start, each with the input that replaces it at first."""
+        """Signals at the end of the chain from which its states start, each with the input that is the first guess."""
         if not self.behind or self.own_stage(port) or self.known(port):
             return {}
         return {self.signal: self.guess}
@@ -74,7 +74,7 @@ class Driver:
             return lag.before, lag.after - lag.distance, {}
         if self.known(port):
             now = getattr(s, self.signal)
-            if self.signal.endswith("_rate"):  # the mean over a step: from the middle of the last one to that of this, and on
+            if self.signal.endswith("_rate"):  # a mean over the step, valid at its middle
                 return 0.5 * (x.driver + now), now + 0.5 * (now - x.driver), {}
             return x.driver, now, {}
         return x.driver, 2.0 * x.driver - x.driver_before, {"driver_before": x.driver}

@@ -1,4 +1,4 @@
-"""A learned term as an effect like any other.
+"""A learned term as an effect.
 
     term = times * shape(driver through its lag),   port <- port + term, or port * (1 + term)
 
@@ -33,11 +33,11 @@ def learned(
     form: float = 2.0,
     scales: Scales = PAPER,
 ) -> Effect:
-    """The effect of a term. KeyError names a port, driver or shape that there is not.
+    """The effect of a term. KeyError names an unknown port, driver or shape.
 
     `values`: of the shape's parameters, a plausible size; `span`: the range of the driver in which it was learned; `lag` [s]:
-    None for none. `times`: of TIMES; behind the rotor only. `form`: the lag of the channel that a rate's port bends, 1 inner, 2
-    outer. `scales`: of the rig, for the bounds.
+    None for none. `times`: of TIMES; behind the rotor only. `form`: the lag of the channel that a rate's port changes, 1 inner,
+    2 outer. `scales`: of the rig, for the bounds.
     """
     place, cause, look = PORTS[port], DRIVERS[driver], SHAPES[shape]
     sizes = Sizes(place.unit, cause.unit, place.limit * scales.absolute(1.0, place.scale), *span)

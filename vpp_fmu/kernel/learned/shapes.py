@@ -26,7 +26,7 @@ TURN = 6.283185307179586
 
 @dataclass(frozen=True)
 class Sizes:
-    """What declares a shape's parameters: units of term and driver, the largest term, the driver's range."""
+    """Data for the declaration of a shape's parameters: units of term and driver, the largest term, the driver's range."""
 
     unit: str
     driver_unit: str
@@ -36,22 +36,22 @@ class Sizes:
 
     @property
     def span(self) -> float:
-        """Of the driver's range."""
+        """Width of the driver's range."""
         return self.high - self.low
 
     def gain(self, name: str, text: str, power: int = 0) -> Parameter:
-        """A size: the term, over a power of the driver."""
+        """A parameter for the size of the term, per power of the driver."""
         unit, limit = self.unit, self.limit
         for _ in range(power):
             unit, limit = _per(unit, self.driver_unit), 3.0 * limit / self.span
         return Parameter(name, unit, 0.0, -limit, limit, text, nominal=0.1 * limit)
 
     def level(self, name: str, at: float, text: str) -> Parameter:
-        """A value of the driver."""
+        """A parameter that is a value of the driver."""
         return Parameter(name, self.driver_unit, at, self.low, self.high, text, nominal=0.1 * self.span)
 
     def width(self, name: str, at: float, text: str, share: float = 0.5) -> Parameter:
-        """A distance along the driver."""
+        """A parameter that is a distance along the driver."""
         return Parameter(name, self.driver_unit, at, 1e-4 * self.span, share * self.span, text, nominal=0.1 * self.span)
 
 
@@ -68,8 +68,8 @@ class Shape:
     dt)`: (f, its next states).
 
     `off(values)`: the parameters that switch it off at 0; `memory`: its states by name, each (unit, "" for the driver's; what
-    it is; its start from the settled driver: start(ops, p, v)). `driven`: it has a driver; else it goes
-    by time alone.
+    it is; its start from the settled driver: start(ops, p, v)). `driven`: it has a driver; else it depends
+    on time only.
     """
 
     name: str
@@ -82,7 +82,7 @@ class Shape:
 
 
 def knots(names: Iterable[str]) -> int:
-    """Of a curve with parameters of these names."""
+    """Number of knots of a curve with parameters of these names."""
     return sum(name.startswith("at_") for name in names)
 
 

@@ -1,4 +1,4 @@
-"""Information of the readings: distance of the operating point, and the filter's update by one sample."""
+"""Distance of the operating point, and the filter's update by one sample."""
 
 from collections.abc import Mapping, Sequence
 from math import log
@@ -25,11 +25,11 @@ from vpp_fmu.kernel.types import Effect, State
 
 
 def motion() -> Effect:
-    """Distance of the operating point, the decaying remainder of its moves, and the model error from them."""
+    """Distance of the operating point, decaying sums of its moves, and the model error that they cause."""
 
     def taken(ops, s, x, p, dt):
         known, at = s.noise_model, s.at
-        # A point that moves within half a place covers no distance: the follower has a dead band.
+        # Moves within half of PLACE cover no distance: the reference point follows with a dead band.
         dw, db = at.w - x.w_place, at.b - x.b_place
         away = ops.sqrt(dw * dw + db * db)
         gone = ops.maximum(away - 0.5 * PLACE, 0.0)
@@ -37,15 +37,15 @@ def motion() -> Effect:
         halved = ops.exp(dt * (log(HALVES) / BLOCK))
         moved = halved * x.move + _path(ops, at, (x.w, x.b), (at.w, at.b))
         turned = halved * x.turned + ops.abs(s.predicted_speed - x.predicted)
-        # Whoever is late is so from the beginning of a move on: what is still to come of it counts as well.
+        # A late model has an error from the beginning of a move, so the rest of the move counts as well.
         move = moved + _path(ops, at, (at.w, at.b), s.commanded)
 
-        # A block's mean of first-order noise has a share of its variance; what the model is off in a move is known by blocks.
+        # The mean of first-order noise over a block has a share of its variance; the model error in a move is that of blocks.
         share = known.slow_time / BLOCK
         averaged = 2.0 * share * (1.0 - share * (1.0 - ops.exp(-1.0 / share)))
         on_the_way = (known.moving * known.moving / averaged + ON_THE_WAY * ON_THE_WAY) * move * move
         fading, staying = known.slow * known.slow + on_the_way, known.steady * known.steady
-        # What a model's speed is off lasts as well: as white noise of a sample it is that much more.
+        # The error of the model's speed is correlated in time: equivalent white noise has a larger variance.
         off = known.speed_error * known.speed_error + (SPEED_ON_THE_WAY * turned) * (SPEED_ON_THE_WAY * turned)
         said = {
             "moved": gone,
@@ -81,7 +81,7 @@ def _path(ops: Any, at: Any, start: Sequence, end: Sequence) -> Any:
 
 
 def innovation(forgotten: Sequence[bool]) -> Effect:
-    """The filter's update by one sample; of each parameter, whether what is known of it is forgotten."""
+    """The filter's update by one sample. `forgotten`: of each parameter, whether its information decays with the distance."""
     m = len(forgotten)
 
     def taken(ops, s, x, p, dt):
@@ -100,7 +100,7 @@ def innovation(forgotten: Sequence[bool]) -> Effect:
         speed = None
         if any(d is not None for d in s.speed_slopes):
             speed, learned, delta = _by_speed(ops, s, x, learned, delta)
-        # As the operating point goes on, and as far as a change of it would show.
+        # Forgetting: with the distance, and as far as a change of the parameter would be visible.
         wider = {}
         for i, d in enumerate(s.thrust_slopes):
             if forgotten[i] and d is not None:
@@ -118,7 +118,7 @@ def innovation(forgotten: Sequence[bool]) -> Effect:
 
 
 def _faded(s: Any, m: int) -> tuple[list, dict]:
-    """(estimates of the noises, covariance) a sample on: what fades does, and other such noise comes in its place."""
+    """(estimates of the noises, covariance) a sample later: decayed, with new noise that keeps the stationary variance."""
     P, noises = dict(s.P), list(s.noises)
     for k, (a, variance) in enumerate(zip(s.keeps, s.stationary, strict=True)):
         noises[k] = a * noises[k]
@@ -130,7 +130,7 @@ def _faded(s: Any, m: int) -> tuple[list, dict]:
 
 
 def _by_speed(ops: Any, s: Any, x: Any, P: Mapping, delta: Sequence) -> tuple[SimpleNamespace, dict, list]:
-    """(innovation of the speed, covariance, update) behind a reading of the speed, where it is a new one."""
+    """(innovation of the speed, covariance, update) after a reading of the speed, if its value is new."""
     Ph = times(P, (*s.speed_slopes, *[None] * len(s.noises)))
     variance = dot(s.speed_slopes, Ph) + s.lasting
     limit = OUTLIER * ops.sqrt(variance)

@@ -14,9 +14,9 @@ DAILY = ("sensor_gain.gain", "pitch_offset.offset", "sensor_drift.offset")
 """Adapted by default, with each channel's slower lag: the thrust's gain, the pitch's offset, the reading's offset."""
 
 MEMORY = 20.0
-"""Scales of the map that the operating point goes. Random steps over the whole of it make one in 9 s, of which 0.2 counts, as
-far as a change of a lag shows: 15 min. Over a record of L exponential forgetting costs (L/2T) coth(L/2T) of the variance,
-8 % at L = T; of the lags' standard deviation over 15 min it costs 9 %."""
+"""Distance of the operating point, in scales of the map. Random steps over the whole map cover one in 9 s, of which 0.2 counts
+for a lag: 20 are 15 min. Over a record of length L exponential forgetting in T multiplies the variance by (L/2T) coth(L/2T),
+1.08 at L = T; it increases the lags' standard deviation over 15 min by 9 %."""
 
 
 def adapted_by_default(values: Mapping[str, float]) -> tuple[str, ...]:
@@ -41,8 +41,8 @@ def twin(plant: Model, adapted: Sequence[str], sample_time: float = SAMPLE_TIME)
     none of this name).
 
     Its parameters are the plant's, under their names, and its own. Commands are those that act from the sample on, readings
-    are those of that time. Commands that the plant delays pass a Pade dead time: a sampled law has no delay lines. What
-    the plant's forms are good for in one step decides how many it takes in a sample, at most `sample_time` where that matters.
+    are those of that time. Commands that the plant delays pass a Pade dead time: a sampled law has no delay lines. If
+    the plant has a largest step, `sample_time` determines its number of steps per sample, and so the longest sample time.
     """
     adapted = tuple(adapted)
     own = {p.name: p for p in plant.parameters}
@@ -188,7 +188,7 @@ def update(parts: Sequence[Parameter]) -> Effect:
 
     def taken(ops, s, x, p, dt):
         learns, opens = s.learns > 0.5, s.opens > 0.5
-        back = s.starts + s.returns > 0.5  # to before what is, or was not, one of these parameters
+        back = s.starts + s.returns > 0.5  # to the values before a change, or before an unsuccessful adaptation
         found, theta = {}, []
         for i, q in enumerate(parts):
             low, high = (q.minimum - s.start_values[i]) / s.change[i], (q.maximum - s.start_values[i]) / s.change[i]
@@ -199,19 +199,19 @@ def update(parts: Sequence[Parameter]) -> Effect:
             new = ops.where(learns, noise + s.delta[m + k], noise)
             found[f"next.noise.{k}"] = ops.where(back, s.kept[m + k - 2], new) if k > 1 else new
 
-        # What is known stays below what is known of a plausible change, whose variance is 1.
+        # Variances are at most that of a plausible change, 1.
         shrinks = [1.0 / ops.sqrt(ops.maximum(s.learned[i, i], 1.0)) for i in range(m)]
         for i, j in s.learned:
             bounded = s.learned[i, j]
             for k in (i, j):
                 bounded = bounded * shrinks[k] if k < m else bounded
-            # After an alarm only the model's error over the map is known as before.
+            # After an alarm only the model's error over the map keeps its covariance.
             unknown = s.P[i, j]
             if i < m + 2:
                 unknown = (1.0 if i < m else s.stationary[i - m]) if i == j else 0.0
             found[f"next.P.{i}.{j}"] = ops.where(opens, unknown, ops.where(learns, bounded, s.P[i, j]))
 
-        # The plant's states are where these parameters would have taken them, to first order: the filter's own correction.
+        # The filter corrects the plant's states to first order: they become those of the updated parameters.
         moved = [theta[i] - s.theta[i] for i in range(m)]
         for name, state in s.plant_states.items():
             terms = [d * by for d, by in zip(state.tangents, moved, strict=True) if d is not None]

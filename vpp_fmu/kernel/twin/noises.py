@@ -6,34 +6,34 @@ from math import sqrt
 from typing import Any
 
 PLACE = 0.2
-"""Of the scales of speed and pitch: so far apart, errors of a thrust map have little to do with each other, as
-`identification.assessment.model_error` counts them."""
+"""Correlation length of the errors of a thrust map, as a share of the scales of speed and pitch, as in
+`identification.assessment.model_error`."""
 
 BLOCK, HALVES = 0.5, 0.5
-"""Time over which the model's error was measured, and half-life of the error after a move, s: likewise."""
+"""Time over which residuals are averaged, s, and share of a move that counts in the next such block: as there."""
 
 NODES = (1.0 / 3.0, 2.0 / 3.0, 1.0), (0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0)
-"""Normalised speeds and pitches of a grid over the map, between which the model's error is interpolated; beyond, it stays."""
+"""Normalised speeds and pitches of a grid over the map, between which the model's error is interpolated; constant beyond."""
 
 AT_NODES = tuple(f"map_error_{i}_{j}" for i, _ in enumerate(NODES[0]) for j, _ in enumerate(NODES[1]))
 """States of the error at the nodes, speed by speed."""
 
 BETWEEN = 0.4
-"""Share of the model's error over the map that such an interpolation leaves, standard deviation: the largest of twelve emulated
-rigs, each identified, whose error at rest was fitted by it; 0.11 to 0.39."""
+"""Standard deviation of the interpolation's error, as a share of the model's error over the map: the largest of twelve
+emulated, identified rigs, whose error at rest was interpolated; 0.11 to 0.39."""
 
 NODE = 1.5 * sqrt(1.0 - BETWEEN * BETWEEN)
-"""Standard deviation at a node for one over the map: the mean square of a straight line's two weights is 2/3 of 1."""
+"""Standard deviation at a node, if it is 1 over the map: the mean sum of squares of two linear weights is 2/3."""
 
 ON_THE_WAY, SPEED_ON_THE_WAY = 0.08, 0.06
-"""Of a move of thrust and of speed, what a model that is right about its end is off on the way, standard deviation: a motor
-that brakes, an actuator at its fastest are far from any lag. Of twelve emulated rigs, each identified, under random steps and
-under the controller: of thrust 0.03 to 0.15, 0.075 the root of the mean square; of speed 0.02 to 0.06. Campaigns alone often
-show none of it."""
+"""Standard deviation of the model's error during a move, as a share of the move of thrust and of speed, if its end is predicted
+correctly: a braking motor or an actuator at its rate limit is far from any lag. On twelve emulated, identified rigs under
+random steps and under the controller: of thrust 0.03 to 0.15, root mean square 0.075; of speed 0.02 to 0.06. Campaigns alone
+often do not show it."""
 
 TOLERATED = 2.5
-"""Standard deviations of the model's error on the way that half of a change which is watched for must exceed to count: a sum of
-log-likelihood ratios decreases while the change is below half of the assumed one, and one move in 80 is further off."""
+"""Half of a monitored change counts if it exceeds this many standard deviations of the model's error during a move. A sum of
+log-likelihood ratios decreases while the change is below half of the assumed one; one move in 80 has a larger error."""
 
 OUTLIER = 4.0
 """Standard deviations beyond which a reading's influence is constant (Huber): one normal reading in 16 000."""
@@ -58,13 +58,13 @@ def times(P: Mapping, g: Sequence) -> list:
 
 
 def dot(g: Sequence, x: Sequence) -> Any:
-    """g x, over what g has; None in g is 0."""
+    """Scalar product g x, over the length of g; None in g is 0."""
     terms = [b * a for a, b in zip(g, x, strict=False) if a is not None]
     return sum(terms[1:], terms[0]) if terms else 0.0
 
 
 def weights(ops: Any, w: Any, b: Any) -> list:
-    """Of each node of the grid, speed by speed, at a normalised speed and pitch; they add up to 1."""
+    """Weight of each node of the grid, speed by speed, at a normalised speed and pitch; their sum is 1."""
     by_speed, by_pitch = (_hats(ops, at, nodes) for at, nodes in zip((w, b), NODES, strict=True))
     return [x * y for x in by_speed for y in by_pitch]
 

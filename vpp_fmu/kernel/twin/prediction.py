@@ -14,10 +14,10 @@ from vpp_fmu.kernel.twin.noises import nothing
 from vpp_fmu.kernel.types import Effect, Model, State, start, step
 
 SAMPLE_TIME = 0.004
-"""The rig's tick, s."""
+"""The rig's sampling period, s."""
 
 BROUGHT = ("sensor_gain", "pitch_offset", "sensor_drift")
-"""Effects of every twin: those that differ between two days of a rig, and that its identification does not have."""
+"""Effects of every twin: they differ from day to day, and the identification of a rig does not have them."""
 
 COEFFICIENTS = tuple(p.name for p in THRUST_MAP.parameters)
 
@@ -46,7 +46,7 @@ def _held_back(e: Effect) -> Effect:
 
 
 class _Plant:
-    """The plant on dual numbers: its states and which of their derivatives are none by structure."""
+    """The plant on dual numbers: its states, and which of their derivatives are structurally zero."""
 
     def __init__(self, plant: Model, adapted: tuple[str, ...], pieces: int):
         self.model, self.adapted, self.pieces = _sampled(plant), adapted, pieces
@@ -57,7 +57,7 @@ class _Plant:
         self._settled: tuple = (None, None, {})
 
     def values(self, duals: Duals, s: Any, p: Any) -> dict[str, Dual]:
-        """All parameters, with the adapted ones where they are now, inside their bounds."""
+        """All parameters; the adapted ones have their present values, within their bounds."""
         found = {name: duals.constant(getattr(p, name)) for name in self._own}
         for i, name in enumerate(self.adapted):
             q = self._own[name]
@@ -66,11 +66,11 @@ class _Plant:
         return found
 
     def inputs(self, duals: Duals, value_of: Callable[[str], Any], dt: Any) -> dict[str, Dual]:
-        """Commands and what is measured, by name; a clock has the sample's time."""
+        """Commands and measured inputs, by name; a clock has the length of the sample, `dt`."""
         return {u.name: duals.constant(value_of(u.name)) for u in self.measured} | {u: duals.constant(dt) for u in self._clocks}
 
     def settled(self, ops: Any, s: Any, p: Any) -> dict[str, Dual]:
-        """The states settled on the inputs. A start asks for one state at a time: the last answer is kept."""
+        """The states settled on the inputs. A start computes one state at a time, so the last result is kept."""
         if self._settled[0] is not s or self._settled[1] is not p:
             duals = Duals(ops, len(self.adapted))
             inputs = self.inputs(duals, lambda name: getattr(s, name), 0.0)
@@ -91,7 +91,7 @@ class _Plant:
         return signals, states, known
 
     def _structure(self) -> dict[str, tuple[str, ...]]:
-        """On which adapted parameters each state depends: what a start and as many steps as it takes make of it."""
+        """The adapted parameters on which each state depends: of a start, then steps until no dependence is added."""
         m = len(self.adapted)
         duals, defaults = Duals(NUMBERS, m), self.model.values()
         asked = SimpleNamespace(change=[1.0] * m, theta=[0.0] * m)

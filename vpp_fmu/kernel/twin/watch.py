@@ -1,7 +1,8 @@
 """Test whether a parameter explains the readings: cumulative sums of log-likelihood ratios, and the action after an alarm.
 
-Of each parameter that is watched, a change up and one down by its plausible size, against none; and of none, twice the variance
-of the innovations. After an alarm the parameters follow, and Wald's test of the latter says whether they explain it.
+For each monitored parameter, two sums test a plausible change up and down against no change. One more sum tests twice the
+variance of the innovations. After an alarm the parameters adapt, and Wald's test of this last ratio decides whether they
+explain the readings.
 """
 
 from collections.abc import Iterable, Sequence
@@ -20,24 +21,24 @@ NOISES = "fading", "between", "map"
 WATCHING, ADAPTING, STOPPED = 0.0, 1.0, 2.0
 
 SUSPECT = log(100.0)
-"""Threshold of a log-likelihood sum: without a change one in a hundred exceeds it (Ville, 1939). Information since the largest
-sum was below it may come from a change."""
+"""Threshold of a log-likelihood sum: without a change one in a hundred exceeds it (Ville, 1939). While the largest sum is above
+it, the readings may come from a change, and the estimates from before are kept."""
 
 
 def threshold(false_alarms: float, count: int, sample_time: float) -> float:
-    """Of `count` log-likelihood sums at which they alarm no more than `false_alarms` times an hour: a sum runs e^threshold
-    samples on average, at least (Lorden, Annals of Mathematical Statistics 42, 1971)."""
+    """Threshold of `count` log-likelihood sums for at most `false_alarms` false alarms an hour: a sum takes at least
+    e^threshold samples on average (Lorden, Annals of Mathematical Statistics 42, 1971)."""
     return log(count * 3600.0 / (false_alarms * sample_time))
 
 
 def watched(plant: Model, adapted: Sequence[str]) -> tuple[str, ...]:
-    """Parameters that a twin monitors for changes: those with an effect on static outputs. A lag adapts without monitoring: one
-    half as slow again has an error of 0.5 / e = 0.18 of a move, where a right model has 0.15."""
+    """Parameters that a twin monitors for changes: those with an effect on static outputs. A lag adapts without monitoring: if
+    it is 1.5 times as slow, the error is 0.5 / e = 0.18 of a move, while a correct model already has 0.15."""
     return tuple(name for name, one in zip(adapted, settled_ones(plant, tuple(adapted)), strict=True) if one)
 
 
 def sums(count: int) -> int:
-    """Number of sums for changes of `count` parameters: two for each, and one for none."""
+    """Number of sums for changes of `count` parameters: two for each, and one for the variance of the innovations."""
     return 2 * count + 1
 
 
@@ -60,7 +61,7 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
                     ahead[f"absorbed.{name}.{way}.{NOISES[k]}"] = ops.where(height > 0.0, after, 0.0)
             found.append(ops.maximum(*heights))
 
-        # Ordinary innovations against such of twice the variance.
+        # Innovations with twice the predicted variance against those with the predicted one.
         unlike = s.standing * (0.25 * s.pulls * s.pulls / s.S - 0.5 * log(2.0))
         nothing_else = watching * ops.maximum(x.unlike + unlike, 0.0)
         largest = nothing_else
@@ -73,7 +74,7 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
         for i, height in zip(places, found, strict=True):
             points, best = ops.where(height > best, float(i + 1), points), ops.maximum(height, best)
 
-        # After an alarm: Wald's test of the same ratio, once as many places were seen as there are parameters to tell apart.
+        # After an alarm: Wald's test of the same ratio. It accepts only after a place for each parameter.
         adapting = ops.where(x.mode > 0.5, ops.where(x.mode < 1.5, 1.0, 0.0), 0.0)
         doubt = adapting * ops.maximum(x.doubt + unlike, -p.threshold)
         seen = adapting * (x.seen + s.moved)
@@ -152,13 +153,13 @@ def _now(s: Any) -> list:
 
 
 def _ratio(s: Any, x: Any, i: int, sign: float, name: str) -> tuple[Any, Any, list]:
-    """(what a sample adds to the log-likelihood ratio of a change of theta_i by `sign`, what it makes of the innovation, what
-    the noises' estimates have of it already).
+    """(increment of the log-likelihood ratio of a change of theta_i by `sign`, effect of the change on the innovation, parts of
+    it that the noises' estimates have already absorbed).
 
-    The ratio is of normal innovations; what the estimates take up of a change is none of it. A power of it below 1 bears
-    innovations that are not independent, and is no larger on average (Jensen).
+    The ratio is that of normal innovations, without the absorbed part of the change. Its power below 1 allows for dependent
+    innovations, and is not larger on average (Jensen).
     """
-    keeps = (*s.keeps, s.keeps[1])  # elsewhere the map takes up anew
+    keeps = (*s.keeps, s.keeps[1])  # at another place the map has not absorbed the change yet
     absorbed = [a * getattr(x, f"absorbed.{name}.{noise}") for noise, a in zip(NOISES, keeps, strict=True)]
     more, shape, by_thrust = 0.0, None, s.thrust_slopes[i]
     if by_thrust is not None:
