@@ -13,7 +13,7 @@ from dataclasses import fields
 from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
 
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, near
 from vpp_fmu.export.checks import check_traced
 from vpp_fmu.files import read_text
 from vpp_fmu.invariants import Broken, Trial, declared
@@ -35,6 +35,20 @@ def library_with(paths: Iterable[str | os.PathLike], library: Iterable[Effect] =
     for path in paths:
         library = _with(path, _run(path), tuple(library))
     return library if isinstance(library, tuple) else tuple(library)
+
+
+def named(
+    library: tuple[Effect, ...], names: Iterable[str] | None, kept: Iterable[str], where: str, field: str
+) -> tuple[Effect, ...]:
+    """The effects of a library that are always on, those among `names` (None: all), and those `kept` for a given model.
+    BadInput, from `where` and its `field`, for unknown names."""
+    if names is None:
+        return library
+    chosen, known = list(names), [e.name for e in library if e.off is not None]
+    if unknown := [name for name in chosen if name not in known]:
+        allowed = f"names, separated by commas, of {', '.join(known)}{near(unknown[0], known)}"
+        raise BadInput(where, field, ", ".join(unknown) or "none", allowed)
+    return tuple(e for e in library if e.off is None or e.name in {*chosen, *kept})
 
 
 def _loaded(entry: EntryPoint) -> Mapping:

@@ -17,7 +17,9 @@ from identification.tune.search import Search
 from identification.tune.verdict import Verdict, verdict
 from vpp_fmu.commands import idle
 from vpp_fmu.kernel.controller import CONTROLLER, speed_alone
-from vpp_fmu.kernel.measurement import MEASUREMENT
+from vpp_fmu.kernel.effects.thrust_reading import LONGEST
+from vpp_fmu.kernel.measurement import CONVERSIONS, MEASUREMENT, RESOLUTION
+from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native.closed_loop import Course
 from vpp_fmu.parameters import ParameterSet
@@ -37,6 +39,14 @@ HARDEST = 12
 
 JUDGED = 200
 """Hold-out plants on which robust gains are evaluated; the search uses none of them."""
+
+
+def chain_of(parameters: ParameterSet, period: float) -> dict[str, float]:
+    """The rig's measurement chain for a controller with a sample time `period` [s]: delay of its converter, at most the longest
+    possible one, and step of its converter scaled to the thrust of the plant."""
+    delay = min(1.0 / CONVERSIONS / period, float(LONGEST))
+    scale = parameters.values["thrust_scale"] / PAPER.thrust_scale
+    return {"time_constant": 0.0, "delay": delay, "resolution": RESOLUTION * scale}
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from identification.power.model import PowerModel
 from identification.tune.controllers import controllers, rig_controller
 from identification.tune.learn import learn as learned
 from identification.tune.profile import rig_profile
-from identification.tune.tune import Task
+from identification.tune.tune import Task, chain_of
 from identification.tune.tune import tune as tuned
 from vpp_fmu.app.api.objects import PathLike, as_campaign, as_gains, as_parameters, as_record, changed
 from vpp_fmu.app.api.results import (
@@ -43,11 +43,8 @@ from vpp_fmu.campaign import Campaign
 from vpp_fmu.errors import BadInput
 from vpp_fmu.export.description import AUTHOR
 from vpp_fmu.files import OutputFolder
-from vpp_fmu.kernel.measurement import CONVERSIONS, RESOLUTION
-from vpp_fmu.kernel.scales import PAPER
-from vpp_fmu.kernel.types import Effect
 from vpp_fmu.loop import run
-from vpp_fmu.own_effects import library_with
+from vpp_fmu.own_effects import library_with, named
 from vpp_fmu.parameters import ParameterSet, beside, parameters_file
 from vpp_fmu.plants import USUAL_STEP, Controller, FmuController, FmuPlant, KernelController, KernelPlant, Plant
 from vpp_fmu.policy import Policy, read_policy
@@ -129,7 +126,7 @@ def diagnose(
     needed = ("time", "omega_ref", "beta_ref", "thrust")
     found = diagnosing.diagnose(
         as_campaign(campaign),
-        _chosen(library, effects, given.model.optional if given else ()),
+        named(library, effects, given.model.optional if given else (), "diagnose", "effects"),
         workers,
         seed,
         given=given,
@@ -140,16 +137,6 @@ def diagnose(
         budget=budget,
     )
     return DiagnoseResult(found)
-
-
-def _chosen(library: tuple[Effect, ...], names: Iterable[str] | None, kept: tuple[str, ...]) -> tuple[Effect, ...]:
-    """The candidate effects: all, or those named, and those of the model."""
-    if names is None:
-        return library
-    chosen, known = list(names), [e.name for e in library if e.off is not None]
-    if unknown := [name for name in chosen if name not in known]:
-        raise BadInput("diagnose", "effects", ", ".join(unknown), f"any of {', '.join(known)}")
-    return tuple(e for e in library if e.off is None or e.name in chosen or e.name in kept)
 
 
 def plan(
@@ -224,7 +211,6 @@ def tune(
         raise BadInput("tune", "robust", robust, "None, worst or mean")
     own = controllers(held, None if gains is None else as_gains(gains), source="gains")
     period = next(iter(own.settings.values()))["sample_time"]
-    resolution = RESOLUTION / PAPER.thrust_scale * held.values["thrust_scale"]
     wanted = rig_profile(held, own.settings) if profile is None else as_record(profile, ("time", "thrust_set"))
     if wanted.time[-1] < 10.0 * period:
         raise BadInput(wanted.source, "time", f"{wanted.time[-1]:g} s", f"{10.0 * period:g} s or more")
@@ -232,7 +218,7 @@ def tune(
         parameters=held,
         profile=wanted,
         assumed=tuple(assume or ()),
-        chain={"time_constant": 0.0, "delay": 1.0 / CONVERSIONS / period, "resolution": resolution},
+        chain=chain_of(held, period),
         noise_std=noise,
         reference=own.reference,
         robust=robust,

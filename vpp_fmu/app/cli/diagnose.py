@@ -23,12 +23,11 @@ from vpp_fmu.app.report.pages.fleet import Entry, as_csv, as_parquet, compared, 
 from vpp_fmu.app.report.pages.power import power_line
 from vpp_fmu.app.report.summary import identification_of, summary
 from vpp_fmu.campaign import read_campaign
-from vpp_fmu.errors import BadInput, VppError, near
+from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import plant
-from vpp_fmu.kernel.types import Effect
 from vpp_fmu.outputs import OutputSet
-from vpp_fmu.own_effects import library_with
+from vpp_fmu.own_effects import library_with, named
 from vpp_fmu.parameters import parameters_file, read_parameters, to_json, to_ssv
 from vpp_fmu.record import write_record
 from vpp_fmu.structured import as_json
@@ -88,7 +87,8 @@ def _model(options) -> dict:
     """The options common to all campaigns, as arguments of `diagnose`. BadInput."""
     whole = library_with(options.effects_from)
     given = read_parameters(options.parameters, lambda names: plant(names, whole)) if options.parameters else None
-    library = _library(options.effects, given.model.optional if given else (), whole)
+    asked = None if options.effects is None else [name for part in options.effects.split(",") if (name := part.strip())] or [""]
+    library = named(whole, asked, given.model.optional if given else (), "command line", "--effects")
     names = ("seed", "smallest", "smallest_speed", "accept", "budget")
     return {"library": library, "given": given, **{name: getattr(options, name) for name in names}}
 
@@ -147,19 +147,6 @@ def _names(campaigns: Sequence[Path]) -> list[str]:
         free = (name for name in (own, *(f"{own}-{k}" for k in range(2, len(campaigns) + 2))) if name not in found)
         found.append(next(free))
     return found
-
-
-def _library(names: str | None, kept: tuple[str, ...], whole: tuple[Effect, ...]) -> tuple[Effect, ...]:
-    """The candidate effects of a library: all, or those named, and those of the model."""
-    if names is None:
-        return whole
-    chosen = [n.strip() for n in names.split(",") if n.strip()]
-    known = [e.name for e in whole if e.off is not None]
-    unknown = [n for n in chosen if n not in known]
-    if unknown or not chosen:
-        allowed = f"names, separated by commas, of {', '.join(known)}{near(unknown[0], known) if unknown else ''}"
-        raise BadInput("command line", "--effects", ", ".join(unknown) or "none", allowed)
-    return tuple(e for e in whole if e.off is None or e.name in chosen or e.name in kept)
 
 
 def write_diagnosis(folder: OutputFolder, found: Diagnosis, given: str | None = None) -> None:

@@ -14,7 +14,7 @@ from identification.assessment.information import read_noise
 from identification.tune.controllers import controllers
 from identification.tune.learn import Learned, learn, random_steps
 from identification.tune.profile import rig_profile
-from identification.tune.tune import Task, tune
+from identification.tune.tune import Task, chain_of, tune
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.knowledge import knowledge_of
 from vpp_fmu.app.cli.options import SEED, Number, whole
@@ -22,9 +22,7 @@ from vpp_fmu.app.cli.output import add_effects_from, add_output, written
 from vpp_fmu.app.report.pages.learning import headline, key_figures, learning_page
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
-from vpp_fmu.kernel.measurement import CONVERSIONS, RESOLUTION
 from vpp_fmu.kernel.plant import plant
-from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.own_effects import library_with
 from vpp_fmu.parameters import ParameterSet, parameters_file, read_parameters
@@ -105,11 +103,10 @@ def task_of(
     given, source = gains
     own = controllers(parameters, given, source=source or "gains")
     name, settings = next(iter(own.settings.items()))
-    resolution = RESOLUTION / PAPER.thrust_scale * parameters.values["thrust_scale"]
     task = Task(
         parameters=parameters,
         profile=rig_profile(parameters, own.settings),
-        chain={"delay": min(1.0 / CONVERSIONS / settings["sample_time"], 8.0), "resolution": resolution},
+        chain=chain_of(parameters, settings["sample_time"]),
         reference=own.reference,
         lowered=own.scaled,
         **known,

@@ -16,7 +16,7 @@ from identification.tune.controllers import POWERS, controllers
 from identification.tune.objective import ALPHA
 from identification.tune.profile import common_reach, rig_profile
 from identification.tune.summary import NAMES, change_rows, headline, key_figures, margin_rows, summary
-from identification.tune.tune import Task, Tuning, tune
+from identification.tune.tune import Task, Tuning, chain_of, tune
 from identification.tune.verdict import UNITS
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.knowledge import knowledge_of
@@ -28,9 +28,8 @@ from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.effects.dual_pid import ALLOCATED, ALLOCATION
 from vpp_fmu.kernel.effects.thrust_reading import LONGEST
-from vpp_fmu.kernel.measurement import CONVERSIONS, RESOLUTION
+from vpp_fmu.kernel.measurement import CONVERSIONS
 from vpp_fmu.kernel.plant import plant
-from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.own_effects import library_with
 from vpp_fmu.parameters import ParameterSet, beside, parameters_file, read_parameters, to_json
@@ -186,15 +185,15 @@ def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping
     profile = read_profile(options.profile) if options.profile else rig_profile(parameters, starts)
     if profile.time[-1] < 10.0 * period:
         raise BadInput(options.profile, "time", f"{profile.time[-1]:g} s", f"{10.0 * period:g} s or more")
-    resolution = RESOLUTION / PAPER.thrust_scale * parameters.values["thrust_scale"]
+    chain = chain_of(parameters, period) | {"time_constant": options.lag, "delay": options.delay / period}
     if options.resolution is not None:
-        resolution = options.resolution
+        chain["resolution"] = options.resolution
     task = Task(
         parameters=parameters,
         effects_from=tuple(options.effects_from),
         profile=profile,
         assumed=tuple(assumed),
-        chain={"time_constant": options.lag, "delay": options.delay / period, "resolution": resolution},
+        chain=chain,
         noise_std=_noise(options, known_in),
         alpha=options.alpha,
         overshoot=options.overshoot / 100.0,

@@ -13,10 +13,8 @@ import numpy as np
 
 from identification.tune.controllers import controllers
 from identification.tune.operating import operating_points
-from identification.tune.tune import Task, tune
+from identification.tune.tune import Task, chain_of, tune
 from vpp_fmu.kernel.controller import CONTROLLER
-from vpp_fmu.kernel.measurement import CONVERSIONS, RESOLUTION
-from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 
@@ -43,8 +41,7 @@ COSTLIER = 1.5
 
 def task(parameters: ParameterSet, profile: Record, noise: float, period: float, seed: int) -> Task:
     """The tuning task: the model with the rig's measurement chain, `noise` [N] of a reading."""
-    resolution = RESOLUTION / PAPER.thrust_scale * parameters.values["thrust_scale"]
-    chain = {"time_constant": 0.0, "delay": 1.0 / CONVERSIONS / period, "resolution": resolution}
+    chain = chain_of(parameters, period)
     return Task(parameters, profile, chain=chain, noise_std=noise, reference="what flies", seed=seed)
 
 
