@@ -182,7 +182,7 @@ def test_sizes_stand_over_their_dates_with_their_intervals():
     trend = page.figures[1].data[0]
     assert list(trend.x) == ["2026-03-01", "2026-03-08"]
     assert list(trend.y) == [1.0, 2.0]
-    assert [math.isclose(half, 0.196) for half in trend.error_y.array] == [True, True]
+    assert [math.isclose(half, 0.196, rel_tol=1e-4) for half in trend.error_y.array] == [True, True]
     assert "The thrust error decreases in 2 of 2 campaigns" in page.figures[0].layout.title.text
     assert "nothing there" in page.html()
     assert as_csv(entries).count("\n") == 4

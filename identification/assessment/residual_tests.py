@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identification.fit.uncertainty import NORMAL_95
 from vpp_fmu.record import Record
 
 STEP = 0.02
@@ -12,8 +13,6 @@ STEP = 0.02
 
 LONGEST = 2.0
 """Longest lag, s."""
-
-NORMAL_95 = 1.959963984540054
 
 
 @dataclass(frozen=True)

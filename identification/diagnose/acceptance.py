@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from identification.diagnose.crossval import HeldOut, cross_validated
+from identification.diagnose.crossval import HeldOut, cross_validated, rms
 from identification.diagnose.judgement import (
     ACCURACY,
     SMALLEST,
@@ -17,11 +17,9 @@ from identification.diagnose.judgement import (
     refusals,
 )
 from identification.diagnose.lack_of_fit import LackOfFit, lack_of_fit
-from identification.diagnose.score_test import mean_powers, noise_levels
+from identification.diagnose.score_test import mean_powers, noise_levels, predicted_rows
 from identification.diagnose.search.fits import Fit, Searcher
-from identification.diagnose.search.refits import (
-    evidence_over,
-)
+from identification.diagnose.search.refits import evidence_over
 from identification.fit.bands import starts
 from vpp_fmu.record import Record
 
@@ -30,7 +28,8 @@ class Judge:
     """Compares a set of effects with the set without one of them, which may be the `base`.
 
     `smallest`: minimum sizes of interest. Defaults: for the thrust, SMALLEST of the slow noise power, at least ACCURACY of the
-    largest thrust; for the speed, the sensor's uncertainty. `runs`: step responses, which no fit of a diagnosis uses.
+    largest thrust; for the speed, the sensor's uncertainty. `runs`: step responses. No fit of a diagnosis uses them, except for
+    their settled ends as steady points, if there are no others.
     """
 
     def __init__(self, searcher: Searcher, base: Fit, smallest: Smallest, runs: Sequence[Record]):
@@ -120,19 +119,11 @@ class Judge:
             thrust.append(e.slow_thrust(change[:, 0]))
             if len(e.omega_time):
                 speed.append(np.concatenate([t.shows(change[:, 1]) for t in e.tachometers]))
-        size, least = _rms(thrust), self.least()
+        size, least = rms(thrust), self.least()
         if common:
             floor = max(e.noise.floor for e in self.searcher.experiments)
-            return _rms(rows), float(np.sqrt(common)) * floor, _rms(rows) ** 2 >= common * floor**2
-        return size, least, size >= least or (bool(speed) and _rms(speed) >= self.least_speed())
-
-
-def predicted_rows(fit: Fit, experiment) -> np.ndarray:
-    return fit.problem.simulator.simulate(fit.values, *experiment.record.run)
-
-
-def _rms(parts: Sequence[np.ndarray]) -> float:
-    return float(np.sqrt(np.nanmean(np.concatenate(parts) ** 2)))
+            return rms(rows), float(np.sqrt(common)) * floor, rms(rows) ** 2 >= common * floor**2
+        return size, least, size >= least or (bool(speed) and rms(speed) >= self.least_speed())
 
 
 def gains_in_bands(fits: Sequence[Fit], channel: str) -> tuple[np.ndarray, np.ndarray]:

@@ -44,12 +44,12 @@ class HeldOut:
     @property
     def rmse_thrust(self) -> float:
         """N, over the rows, not averaged or whitened."""
-        return _rms(self.thrust)
+        return rms(self.thrust)
 
     @property
     def rmse_omega(self) -> float | None:
         """rpm, over the rows at which the tachometer renewed; None where speed was not measured."""
-        return _rms(self.omega) if sum(map(len, self.omega)) else None
+        return rms(self.omega) if sum(map(len, self.omega)) else None
 
 
 def folds(time: np.ndarray, seconds: float) -> np.ndarray:
@@ -196,5 +196,6 @@ def _errors(
     return tuple(thrust), tuple(omega)
 
 
-def _rms(parts: tuple[np.ndarray, ...]) -> float:
+def rms(parts: Sequence[np.ndarray]) -> float:
+    """Root mean square of the finite numbers of all parts."""
     return float(np.sqrt(np.nanmean(np.concatenate(parts) ** 2)))

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from plotly import graph_objects as go
 
+from identification.fit.uncertainty import NORMAL_95
 from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import CELLS, add_envelope, add_line, add_points, figure, heatmap
 from vpp_fmu.digits import number
@@ -38,7 +39,7 @@ def map_section(
     `points`: (command, thrust [N]) as measured, each (k,).
     """
     fig = figure(title, 440, label, "thrust [N]")
-    add_envelope(fig, at, thrust - 1.96 * std, thrust + 1.96 * std, "95 % interval of the map", style.NOISE)
+    add_envelope(fig, at, thrust - NORMAL_95 * std, thrust + NORMAL_95 * std, "95 % interval of the map", style.NOISE)
     add_line(fig, at, thrust, "fitted", style.AFTER)
     hover = f"%{{y:{style.SHOWN}}} N at %{{x:{style.SHOWN}}}<extra></extra>"
     add_points(fig, *points, "measured", style.MEASURED, 7, hovertemplate=hover)

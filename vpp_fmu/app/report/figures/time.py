@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 from plotly import graph_objects as go
 
+from identification.fit.uncertainty import NORMAL_95
 from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import add_band, add_envelope, add_line, axis, figure, panels, places, to_the_eye
 from vpp_fmu.digits import number
@@ -17,7 +18,6 @@ COMMANDS = {"omega_ref": "omega", "beta_ref": "beta"}
 Columns = Record | Mapping[str, np.ndarray]
 """Arrays (n,) by column name."""
 
-_NORMAL_95 = 1.959963984540054
 
 _HELD = "hv"
 """Line shape of commands, which are held until the next one."""
@@ -66,7 +66,7 @@ def measured_against_predicted(
     kept = places([measured, *predictions.values(), *residuals.values(), *beside])
     time = time[kept]
     if band is not None:
-        reach, middle = _NORMAL_95 * np.asarray(band)[kept], np.asarray(next(iter(predictions.values())))[kept]
+        reach, middle = NORMAL_95 * np.asarray(band)[kept], np.asarray(next(iter(predictions.values())))[kept]
         for panel, centre in ((0, middle), (1, 0.0 * middle)):
             add_envelope(fig, time, centre - reach, centre + reach, "95 % of readings expected", style.BAND, panel)
     add_line(fig, time, measured[kept], "measured", style.MEASURED, 1, 0)

@@ -10,6 +10,7 @@ from identification.diagnose.judgement import ALPHA, MIN_EVIDENCE
 from identification.diagnose.learned.description import sentence as described
 from identification.diagnose.search.refits import CandidateFit
 from identification.fit.noise import blocks
+from identification.fit.uncertainty import NORMAL_95
 from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures.parameters import FAILED, PASSED, TAKEN, Bar, evidence_bars, overlap_heatmap, parameter_change
 from vpp_fmu.app.report.figures.residual import residual_by_section
@@ -212,7 +213,7 @@ def _known(parameter: Mapping, ends: Sequence[float] | None) -> str:
         return UNIDENTIFIABLE
     if parameter["std"] == 0.0:
         return "on its bound"
-    half = 1.96 * parameter["std"]
+    half = NORMAL_95 * parameter["std"]
     return f"95 %: {interval(parameter['value'] - half, parameter['value'] + half, unit)}"
 
 
@@ -452,7 +453,7 @@ def add_shift(page: Page, found: Diagnosis) -> None:
         if {first, second} <= set(names) and (before[first] < before[second]) != (after[first] < after[second]):
             before[first], before[second] = before[second], before[first]
     before, after = (np.array(list(values.values())) for values in (before, after))
-    reach = 1.96 * np.array([shift[n]["std"] or np.nan for n in names], float)
+    reach = NORMAL_95 * np.array([shift[n]["std"] or np.nan for n in names], float)
     k = int(np.argmax(np.abs(before - after) / np.maximum(np.abs(after), 1e-9)))
     names = labelled(names, found.final.problem.model.parameters)
     title = f"Without the effect {names[k]} is biased to {number(before[k])}; with it, it is {number(after[k])}"

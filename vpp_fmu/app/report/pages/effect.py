@@ -8,6 +8,7 @@ from identification.diagnose.learned.description import FILE, rival_words, sente
 from identification.diagnose.learned.laws import curve_of
 from identification.diagnose.search.fits import Fit
 from identification.fit.noise import blocks
+from identification.fit.uncertainty import NORMAL_95
 from vpp_fmu.app.report.figures.map import behind_against_before, reached_against_commanded
 from vpp_fmu.app.report.figures.parameters import learned_curve
 from vpp_fmu.app.report.figures.time import stacked
@@ -157,7 +158,7 @@ def add_learned(page: Page, found: Diagnosis) -> None:
             lines[f"law: {term.lead.shape}"] = fine, law(term, fine) + level
         title = f"The term at {port.words} over {driver.words}, as learned"
         figure = learned_curve(
-            at, f, 1.96 * std, lines, data(found), title, (driver.words, driver.unit), (port.words, port.unit)
+            at, f, NORMAL_95 * std, lines, data(found), title, (driver.words, driver.unit), (port.words, port.unit)
         )
         page.figure(figure, "Band: 95 % at each knot. Below: histogram of the fitted records. Constant beyond both ends.")
     own = [(p, term.effect.full(p.name)) for p in term.effect.parameters if p.name in term.values]

@@ -11,6 +11,7 @@ import numpy as np
 from plotly import graph_objects as go
 
 from identification.diagnose.diagnose import Diagnosis
+from identification.fit.uncertainty import NORMAL_95
 from identification.static.static_map import TERMS, design
 from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import add_points, figure
@@ -218,7 +219,7 @@ def _farthest(name: str, own: Sequence[Entry]) -> str:
     middle, of = (float(values[0]), own[0].name) if len(own) == 2 else (float(np.median(values)), "the median")
     far = np.abs(values - middle)
     k = int(np.argmax(far))
-    if middle == 0.0 or far[k] <= 1.96 * (own[k].sizes[name][1] or 0.0):
+    if middle == 0.0 or far[k] <= NORMAL_95 * (own[k].sizes[name][1] or 0.0):
         return ""
     way = "below" if abs(values[k]) < abs(middle) else "above"
     return f"{titled(name)}: {own[k].name} is {100.0 * far[k] / abs(middle):.1f} % {way} {of}"
@@ -256,7 +257,7 @@ def _add_size(page: Page, name: str, having: Sequence[Entry]) -> None:
         x=[e.date for e in own] if dated else names,
         y=values,
         mode="lines+markers" if dated else "markers",
-        error_y={"type": "data", "array": [1.96 * (e.sizes[name][1] or 0.0) for e in own]},
+        error_y={"type": "data", "array": [NORMAL_95 * (e.sizes[name][1] or 0.0) for e in own]},
         text=names,
         line={"color": style.AFTER, "width": 1},
         marker={"size": 8},
