@@ -185,7 +185,7 @@ def attempts(folder: Path, part: str) -> list[Path]:
 
 
 def forget(folder: Path, part: str) -> None:
-    """Start a part anew."""
+    """Delete a part's logs, so that it starts again."""
     for log in attempts(folder, part):
         log.unlink(missing_ok=True)
         events_of(log).unlink()

@@ -45,7 +45,7 @@ class Revolution(NamedTuple):
 
     @property
     def omega(self) -> float:
-        """Mean speed over the last whole revolution [rpm]; 0 where there is none."""
+        """Mean speed over the last whole revolution [rpm]; 0 if there is none."""
         return 60.0 / self.period
 
 

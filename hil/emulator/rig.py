@@ -211,7 +211,7 @@ class _Output:
 
 
 def second_chip(calibration: Calibration, at: Path) -> tuple[int, Path] | None:
-    """Address and file of the second ADC, where the calibration has one."""
+    """Address and file of the second ADC, if the calibration has one."""
     return (calibration.supply_address, at / SECOND) if calibration.supply else None
 
 

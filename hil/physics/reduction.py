@@ -8,7 +8,7 @@ zeros and the coupling K_beta, two lags a channel remain (eqs. 13 to 15). Differ
 - Signs. The text defines e = omega - omega_ref and adds k_P e to the current: with positive gains the printed matrix has the
   entries (K_P - 1) / tau and +K_I / tau, and is unstable for any K_I > 0 (here: a pole at +4 rad/s). The relations of the
   two-lag form hold for the opposite sign. `state_space` subtracts; `printed=True` gives the text's.
-- Linearising -Q_a gives -C_Q^beta: K_beta is negative where more pitch takes more torque. The text has +C_Q^beta.
+- Linearising -Q_a gives -C_Q^beta: K_beta is negative if more pitch needs more torque. The text has +C_Q^beta.
 - The PI's zero at k_I / k_P = 20 rad/s, for any motor and load, is not far outside the loop's bandwidth: the poles lie at 5 to
   11 rad/s, as a complex pair at most points. Without the zero the step response is off by 0.13 to 0.15 of the step. `two_lags`
   is the text's relation. `two_lags_with_zero` keeps the response up to s^2, as a fit to steps does, and is off by 0.03 to 0.05:

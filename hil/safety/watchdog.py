@@ -33,7 +33,7 @@ AFTER_END = 0.25
 
 
 def main(page: int, report: int, silence: float, grace: float, lifted: list[str], outputs: list[tuple[int, bytes]]) -> int:
-    """Watch until goodbye (returns 0) or until the loop is gone (returns 1)."""
+    """Watch until goodbye (returns 0) or until the loop is gone (returns 1); 2: an output refused the first idle pulse."""
     loop, ended = os.getppid(), False
     _not_for_the_oom_killer()
     numbers = memoryview(mmap.mmap(page, 8 * len(SLOTS))).cast("d")
@@ -120,7 +120,7 @@ def _not_for_the_oom_killer() -> None:
 
 
 def _real_time() -> bool:
-    """Whether SCHED_FIFO was granted; memory is locked where that is allowed."""
+    """Whether SCHED_FIFO was granted; memory is locked if that is allowed."""
     ctypes.CDLL(None).mlockall(1)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
