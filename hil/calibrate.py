@@ -178,7 +178,7 @@ def line(forces: Sequence[float], counts: Sequence[float]) -> LoadCell:
 
 def weighed(bench: Bench, guide: Guide, masses: Sequence[float], with_thrust: bool) -> LoadCell:
     """The load cell's line from `masses` (n,) [kg], hung in rising and then in falling order. `with_thrust`: whether they pull
-    in the direction of thrust. Then a push in that of thrust must read positive. CalibrationRefused, TareRefused."""
+    in the direction of thrust. At the end a push along the thrust must read positive. CalibrationRefused, TareRefused."""
     sign, forces, counts = 1.0 if with_thrust else -1.0, [], []
     for mass in (*masses, *reversed(masses[:-1])):
         guide.do(f"hang {mass:g} kg on the thrust's axis and wait until it is still" if mass else "take all weights off")

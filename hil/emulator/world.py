@@ -11,7 +11,7 @@ from hil.emulator.stepper import Stepper
 from vpp_fmu.kernel.types import Model
 
 STEP = 0.001
-"""Step of the physics, s, its largest; thrust and the mark's passes are interpolated linearly within it."""
+"""Step, s, the largest that the physics allows; thrust and the mark's passes are interpolated linearly within it."""
 
 AMBIENT, HEATS, WARMS = 20.0, 0.15, 60.0
 """The motor's temperature (chosen): room temperature [degC], final rise above it per A^2 [degC], time constant [s]."""
