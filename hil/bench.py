@@ -20,14 +20,14 @@ ESC, LAC = 0, 1
 """Outputs of the PWM chip (GPIO 12 and 13, hil/README.md)."""
 
 ESC_BOOT = 4.0
-"""Time from an ESC's supply to its ready tone with the idle pulse on, s."""
+"""Time from an ESC's power-up at the idle pulse to its ready tone, s."""
 
 
 @dataclass
 class Bench:
-    """Devices that are ready to use. `emulated` in whatever way; `lock`: the descriptor of the rig's lock; `ends`: what has to
-    end with them, in reverse order; `esc_boot` [s]: from the ESC's supply to its readiness; `hand`: pulls an emulated stand
-    by so many N, thrust positive; `supply`: what is read of it, where anything is."""
+    """Devices that are ready to use. `emulated`: how, empty for the real rig; `lock`: descriptor of the rig's lock; `ends`:
+    clean-up calls, in reverse order; `esc_boot` [s]: from the ESC's power-up to its readiness; `hand`: sets the force [N] on an
+    emulated stand, thrust positive; `supply`: sensors of the motor's supply, None if none are wired."""
 
     clock: Clock
     calibration: Calibration
@@ -110,13 +110,13 @@ def real_bench(calibration: Calibration, wiring: Wiring) -> Bench:
 
 
 def adc(calibration: Calibration, bus: int | str, clock: Clock, address: int = 0x48) -> Ads1115:
-    """The load cell's ADC as the calibration wants it."""
+    """The load cell's ADC with the calibration's channel, range and rate."""
     c = calibration
     return Ads1115(bus, address, c.channel, c.full_scale, c.rate, clock=clock)
 
 
 def supply(calibration: Calibration, bus: int | str, clock: Clock) -> Supply | None:
-    """What the calibration says that is wired of the motor's supply."""
+    """The sensors of the motor's supply in the calibration; None if it has none."""
     if not calibration.supply:
         return None
     return Supply(bus, calibration.supply_address, calibration.supply, clock=clock)
@@ -131,10 +131,10 @@ def check_limits(path: str, calibration: Calibration, beta_min: float, beta_max:
 
 
 def locked(chip: Path) -> int:
-    """An exclusive lock on the rig whose outputs are those of the PWM chip in the folder `chip`; the descriptor that holds it.
+    """Take an exclusive lock on the rig with the PWM chip in the folder `chip`; returns the descriptor that holds it.
 
-    It ends when the last process that has the descriptor ends or closes it, however that comes about: no file is left behind.
-    DeviceFault NOT_READY names who has it.
+    The kernel releases it when the last process with the descriptor closes it or ends, also by a crash: no file is left behind.
+    DeviceFault NOT_READY names the process that holds it.
     """
     descriptor = os.open(chip.resolve(), os.O_RDONLY | os.O_DIRECTORY)
     try:
@@ -147,7 +147,7 @@ def locked(chip: Path) -> int:
 
 
 def _holder(at: os.stat_result) -> str:
-    """Who has a lock on the file, in words; the kernel lists them."""
+    """The process that holds a lock on the file, in words, from the kernel's list."""
     wanted = f"{os.major(at.st_dev):02x}:{os.minor(at.st_dev):02x}:{at.st_ino}"
     try:
         for line in Path("/proc/locks").read_text().splitlines():

@@ -1,7 +1,7 @@
-"""Measuring a rig's calibration: weights on the load cell, pulses to the pitch, the pulse at which the motor starts.
+"""Measure a rig's calibration: load cell by weights, blade pitch against pulse, throttle pulse at which the motor starts.
 
-Only the last one turns the motor, without a propeller. A `Guide` asks a person for actions and readings; on the emulated rig an
-emulated hand acts.
+Only the last part turns the motor, without a propeller. A `Guide` asks a person for actions and readings; on the emulated rig
+an emulated hand acts.
 """
 
 import contextlib
@@ -27,12 +27,12 @@ PARTS = ("load_cell", "pitch", "esc")
 MASSES = (0.0, 0.5, 1.0, 1.5)
 """kg."""
 FRICTION = 0.05
-"""N of residual above which friction is looked for (hil/README.md)."""
+"""Residual or hysteresis, N, above which friction is suspected (hil/README.md)."""
 BARE = "bare"
 G = 9.80665
-"""m/s^2, standard gravity; on the ground it is 0.26 % less to 0.27 % more."""
+"""Standard gravity, m/s^2; on the ground it is 0.26 % less to 0.27 % more."""
 READINGS = 1000
-"""Of the load cell at each weight: 4 s."""
+"""Readings of the load cell at each weight: 4 s."""
 TRIES = 3
 PUSH = 2.0
 """Force of the emulated hand for a light press, N."""
@@ -43,7 +43,7 @@ SETTLES = 2.0
 STEP, HOLD, HIGHEST = 5e-6, 0.4, 200e-6
 """Increment of the throttle's pulse, its interval, and its largest total, an eighth of the usual range; s."""
 MARGIN = 20e-6
-"""s by which the idle pulse lies below the one at which the motor started."""
+"""Distance of the idle pulse below the pulse at which the motor started, s."""
 TURNS = 2
 """Passes of the mark that count as turning."""
 
@@ -62,18 +62,18 @@ class Guide(Protocol):
         """Ask for a reading."""
 
     def choice(self, what: str, words: Sequence[str]) -> str:
-        """One of some words."""
+        """Ask for one of `words`."""
 
     def numbers(
         self, what: str, default: Sequence[float], good: Callable[[Sequence[float]], bool], allowed: str
     ) -> tuple[float, ...]:
-        """Numbers that are `good`; `allowed` says so in words."""
+        """Ask for numbers that satisfy `good`; `allowed` describes them in words."""
 
 
 @dataclass(frozen=True)
 class LoadCell:
-    """The line of `counts` (n,) over `forces` (n,) [N], thrust positive: `newton_per_count` with its standard deviation,
-    `zero` [counts]; `residuals` (n,) [N]; `hysteresis` [N], the largest difference of two readings under the same weight."""
+    """Straight line of `counts` (n,) against `forces` (n,) [N], thrust positive: `newton_per_count`, its standard deviation
+    `std`, `zero` [counts]; `residuals` (n,) [N]; `hysteresis` [N], the largest difference of readings under the same weight."""
 
     forces: tuple[float, ...]
     counts: tuple[float, ...]
@@ -84,7 +84,7 @@ class LoadCell:
     hysteresis: float
 
     def said(self) -> str:
-        """The line, and how straight it is."""
+        """The line and its residuals in words."""
         worst = max(map(abs, self.residuals))
         friction = ": look for friction" if max(worst, self.hysteresis) > FRICTION else ""
         return (
@@ -96,7 +96,7 @@ class LoadCell:
 @dataclass(frozen=True)
 class PitchTable:
     """Blade pitch [deg] at `pulses` (n,) [s]: `up` (n,) with rising pulses, `down` (n,) with falling ones, `pitches` (n,) their
-    mean, which the table takes; `play` [deg], the largest difference."""
+    mean, used in the table; `play` [deg], the largest difference."""
 
     pulses: tuple[float, ...]
     up: tuple[float, ...]
@@ -113,8 +113,8 @@ class PitchTable:
 
 @dataclass(frozen=True)
 class Measured:
-    """What was measured; None: nothing. `throttle`: pulses [s] at which the motor starts, and
-    the longest that the ESC was taught."""
+    """Measured parts; None if not measured. `throttle`: the pulse [s] at which the motor starts, and the longest pulse that the
+    ESC was taught."""
 
     cell: LoadCell | None = None
     pitch: PitchTable | None = None
@@ -124,7 +124,7 @@ class Measured:
 def measured(
     bench: Bench, guide: Guide, parts: Sequence[str], report: Path, supervised: bool, say: Callable[[str], None]
 ) -> Measured:
-    """The `parts` of PARTS, one after the other, each said in a line; `report`, `supervised` as in `started`."""
+    """Measure the `parts` of PARTS in turn, and print a line for each; `report`, `supervised` as in `started`."""
     before, cell, pitch, throttle = bench.calibration, None, None, None
     if "load_cell" in parts or "pitch" in parts:
         guide.do("press the emergency stop: the ESC has no supply, and the rotor is at rest")
@@ -158,8 +158,8 @@ def _rise(values: Sequence[float]) -> bool:
 
 
 def line(forces: Sequence[float], counts: Sequence[float]) -> LoadCell:
-    """The load cell's line by least squares: counts = zero + force / newton_per_count; forces (n,) [N] are known, counts (n,)
-    are read. CalibrationRefused: no slope, or fewer than two forces."""
+    """Fit the load cell's line by least squares: counts = zero + force / newton_per_count, for known forces (n,) [N] and read
+    counts (n,). CalibrationRefused: no significant slope, fewer than three readings, or fewer than two forces."""
     x, y = np.asarray(forces, float), np.asarray(counts, float)
     if np.ptp(x) == 0.0 or len(x) < 3:
         found = f"{len(x)} readings under {len(set(x.tolist()))} weights"
@@ -177,8 +177,8 @@ def line(forces: Sequence[float], counts: Sequence[float]) -> LoadCell:
 
 
 def weighed(bench: Bench, guide: Guide, masses: Sequence[float], with_thrust: bool) -> LoadCell:
-    """The load cell's line from `masses` (n,) [kg], hung rising and then falling; they pull with the thrust or against it. A
-    push the way the thrust pushes must then read as thrust. CalibrationRefused, TareRefused."""
+    """The load cell's line from `masses` (n,) [kg], hung in rising and then in falling order. `with_thrust`: whether they pull
+    in the direction of thrust. At the end a push along the thrust must read positive. CalibrationRefused, TareRefused."""
     sign, forces, counts = 1.0 if with_thrust else -1.0, [], []
     for mass in (*masses, *reversed(masses[:-1])):
         guide.do(f"hang {mass:g} kg on the thrust's axis and wait until it is still" if mass else "take all weights off")
@@ -232,15 +232,15 @@ def pitched(bench: Bench, guide: Guide, pulses: Sequence[float]) -> PitchTable:
 
 
 def started(bench: Bench, report: Path, supervised: bool) -> float:
-    """The ESC's pulse [s] at which the bare motor begins to turn, as it rises slowly from the idle pulse; then the idle pulse.
+    """Raise the ESC's pulse slowly from idle until the bare motor turns; returns that pulse [s] and sets the idle pulse again.
 
-    `supervised`: in real time, a process of its own stops the motor if this one is gone or silent. CalibrationRefused where
-    the motor turns at once, or not at all. DeviceFault."""
+    `supervised`: in real time, a second process stops the motor if this one ends or is silent. CalibrationRefused if the motor
+    turns at once, or not at all. DeviceFault."""
     supervisor = Supervisor(bench.outputs, report, keep=(bench.lock,)) if supervised else None
     idle = bench.calibration.esc_idle
 
     def held(pulse: float, seconds: float) -> int:
-        """Passes of the mark so far, after a time at a pulse."""
+        """Hold a pulse for a time; returns the mark's passes so far."""
         passes = 0
         for _ in _ticks(bench, round(seconds / PERIOD)):
             fault = supervisor.beat() if supervisor else None
@@ -274,8 +274,8 @@ def started(bench: Bench, report: Path, supervised: bool) -> float:
 
 
 def adopted(before: Calibration, measured: Measured, who: str, when: str) -> Calibration:
-    """The calibration with the measured parts, by whom and when in its source. The pitch limits of a run stay if the new table
-    contains them."""
+    """The calibration with the measured parts; `who` and `when` go into its source. The pitch limits of a run are clipped to
+    the new table."""
     cell, pitch, throttle = measured.cell, measured.pitch, measured.throttle
     own = {"who": who, "when": when, "how": "vpp hil calibrate"}
     source = {key: value for key, value in before.source.items() if key not in ("who", "when")}

@@ -1,4 +1,4 @@
-"""The rig's calibration: raw numbers to newtons and degrees and back; read from a file, checked, its hash in every record."""
+"""The rig's calibration: converts counts and pulses to newtons and degrees and back. Its hash is in every record."""
 
 import hashlib
 import json
@@ -28,9 +28,9 @@ RATES = (475, 860)
 class Calibration:
     """The rig's calibration. `zero`: counts without load at the calibration; the tare before each run is near it.
 
-    `pulses` [s], increasing, and `pitches` [deg], falling or rising, are the table of blade pitch against the LAC's pulse;
-    between its points it is straight. `rest_pitch` is where the blades idle. `supply`: what of voltage, current, temperature
-    and torque is wired to a second ADC at `supply_address`. `source`: who, when, how.
+    `pulses` [s], increasing, and `pitches` [deg], falling or rising, are the table of blade pitch against the LAC's pulse,
+    interpolated linearly. `rest_pitch` [deg]: pitch at idle. `supply`: which of voltage, current, temperature and torque are
+    wired to a second ADC at `supply_address`. `source`: who, when, how.
     """
 
     newton_per_count: float
@@ -73,7 +73,7 @@ class Calibration:
         return self.esc_idle + throttle * (self.esc_max - self.esc_idle)
 
     def throttle(self, pulse: float) -> float:
-        """The throttle at an ESC's pulse [s], as `esc_pulse`; an ESC takes less than idle as 0, more than its maximum as 1."""
+        """The throttle at an ESC's pulse [s], the inverse of `esc_pulse`; an ESC limits it to 0 to 1."""
         return min(max((pulse - self.esc_idle) / (self.esc_max - self.esc_idle), 0.0), 1.0)
 
     def lac_pulse(self, beta: float) -> float:
@@ -83,12 +83,12 @@ class Calibration:
         return _between(self.pitches, self.pulses, beta)
 
     def pitch(self, pulse: float) -> float:
-        """The blade pitch [deg] at a LAC's pulse [s], as `lac_pulse`; beyond the table's ends the rod is at its stops."""
+        """The blade pitch [deg] at a LAC's pulse [s], inverse of `lac_pulse`; beyond the table's ends it is constant."""
         return _between(self.pulses, self.pitches, min(max(pulse, self.pulses[0]), self.pulses[-1]))
 
 
 def _between(x: Sequence[float], y: Sequence[float], at: float) -> float:
-    """y at `at` on the straight lines between the points (x, y); x rises or falls, and spans `at`."""
+    """Linear interpolation of the points (x, y) at `at`; x is monotonic and spans `at`."""
     if x[0] > x[-1]:
         x, y = x[::-1], y[::-1]
     k = min(max(bisect_right(x, at), 1), len(x) - 1)
@@ -114,7 +114,7 @@ _NUMBERS = {
         "rest": ("rest_pitch", _PITCH),
     },
 }
-"""Section and name in the file: the attribute and what it may be."""
+"""By section and name in the file: the attribute, and its unit and range."""
 _CHOICES = {"channel": tuple(INPUTS), "full_scale": tuple(FULL_SCALES), "rate": RATES}
 _TABLE = {"pulse": ("pulses", _PULSE), "pitch": ("pitches", _PITCH)}
 

@@ -1,7 +1,7 @@
 """A measuring campaign on the rig: the paper's static map and steps, and records for fine-tuning and validation.
 
-Each part is a separate run: tare, arm, run, ramp down. A row holds the samples of its time, and the command that acts from then
-on; `omega` is the tachometer's held value.
+Each part is a separate run: tare, arm, run, ramp down. A row holds the readings at its time, and the commands that act from
+then on; `omega` is the tachometer's held value.
 """
 
 import math
@@ -22,16 +22,16 @@ from vpp_fmu.rig import Rig as Ranges
 PARTS = ("static", "steps", "open_loop", "repeat", "validation")
 
 APPROACH = 0.25
-"""Distance below the first pitch, as a share of the range, from which one step leads to it: a dead band may ignore the small
-commands of the spin-up's ramp, and the position within any play is unknown after it. 5 of 20 deg."""
+"""Size of the step up to a record's first pitch, as a share of the range: 5 of 20 deg. It is needed because a dead band may
+ignore the small commands of the spin-up's ramp, and the position within any play is unknown after it."""
 
 
 @dataclass(frozen=True)
 class Plan:
     """Size of a campaign. Defaults are the paper's: 10 x 10 points, 3 s to settle, 5000 samples each; steps of 5 s + 5 s.
 
-    `points` a side of the grid; `settle` s; `samples` a point; `levels` of the other command for the steps; `before`, `after`
-    [s] of a step that are recorded; `section` s of the three of the open loop; `validation` s. `seed`: of the sequences.
+    `points` per side of the grid; `settle` [s]; `samples` per point; `levels` of the constant command during steps; recorded
+    times `before` and `after` a step [s]; each of three open-loop `section`s [s]; `validation` [s]; `seed` of the sequences.
     """
 
     points: int = 10
@@ -53,8 +53,8 @@ def plan_for(rig: Ranges) -> Plan:
 
 
 def steep(limits: Limits, rig: Ranges = PAPERS) -> Limits:
-    """The limits of a campaign: as they are, but that a command may run through its range in one tick where the rig allows
-    steps. What slews the rotor is its own speed loop, and an identification reads no ramp of commands as a step."""
+    """The limits of a campaign: a command may cross its range in one tick, unless the rig declares a slew rate. An
+    identification needs steps and not ramps of commands; the speed loop limits the rotor's acceleration."""
     omega, beta = limits.omega_max - limits.omega_min, limits.beta_max - limits.beta_min
     slews = {
         "omega_slew": max(limits.omega_slew, omega / PERIOD) if math.isinf(rig.speed_slew) else limits.omega_slew,
@@ -64,8 +64,8 @@ def steep(limits: Limits, rig: Ranges = PAPERS) -> Limits:
 
 
 def within(rig: Ranges, limits: Limits, freely: Limits) -> Ranges:
-    """The rig as far as its limits let it go; slews where these are below what they would be `freely`. A campaign that asked
-    for more would measure what it was not asked for. BadInput where the two have nothing in common."""
+    """The rig's ranges within the limits; slew rates too, if they are below those of `freely`, the limits without a limits
+    file. Commands beyond the limits would be cut. BadInput if a range becomes empty."""
     found = {
         "speed": (max(rig.speed[0], limits.omega_min), min(rig.speed[1], limits.omega_max)),
         "pitch": (max(rig.pitch[0], limits.beta_min), min(rig.pitch[1], limits.beta_max)),
@@ -83,8 +83,8 @@ def within(rig: Ranges, limits: Limits, freely: Limits) -> Ranges:
 
 
 def limits_for(allowed: Ranges, where: str, file: str | None = None, steps: bool = False) -> tuple[Limits, Ranges]:
-    """(limits outside the controller, the rig as far as they let it go). `where`: the file that `allowed` comes from. `file`:
-    of limits. `steps`: commands may jump where the rig allows it. BadInput."""
+    """(limits outside the controller, the rig's ranges within them). `where`: the file that `allowed` comes from. `file`: of
+    limits. `steps`: commands may jump if the rig declares no slew rate. BadInput."""
     freely = limits_of(allowed, where)
     freely = steep(freely, allowed) if steps else freely
     limits = read_limits(file, allowed, freely) if file else freely
@@ -123,7 +123,7 @@ def measure(
 
 
 STATIC = ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")
-"""Columns of static.csv; behind them those of POWER that were read."""
+"""Columns of static.csv; then those of POWER that were read."""
 
 POWER = ("voltage", "current", "torque")
 
@@ -131,8 +131,8 @@ POWER = ("voltage", "current", "torque")
 def static_map(
     rig: Rig, grid: Sequence[tuple[float, float]], settle: float, samples: int, progress, have: Sequence[Sequence[float]] = ()
 ) -> Record:
-    """Means over `samples` readings at each point of the grid, after `settle` s; behind the rows that `have` holds. Each point
-    is kept beside the log as soon as it is known."""
+    """Means over `samples` readings at each point of the grid, after `settle` s; continues after the rows in `have`. Each point
+    goes to the log's events as soon as it is measured."""
     rows, names = [tuple(row) for row in have], powered(rig.supply)
     rig.start(*grid[max(len(rows) - 1, 0)])  # the point before, from which the next one is approached
     for k, point in list(enumerate(grid))[len(rows) :]:
@@ -153,17 +153,17 @@ def static_map(
 
 
 def powered(supply: Iterable[str]) -> tuple[str, ...]:
-    """Columns of power in static.csv, by what is wired."""
+    """Columns of POWER in static.csv: those that are wired."""
     return tuple(name for name in POWER if name in supply)
 
 
 def static_record(rows: Sequence[Sequence[float]], power: Sequence[str] = ()) -> Record:
-    """Rows of points as static.csv holds them, with columns of `power`."""
+    """The content of static.csv from rows of points, with columns of `power`."""
     return Record(dict(zip((*STATIC, *power), np.array(rows, float).T, strict=True)), "static")
 
 
 def step_responses(rig: Rig, steps: Sequence[Step], plan: Plan, progress, have: Sequence[Record] = ()) -> Record:
-    """One step per run, numbered by `run`; each starts settled, its time from 0; after the steps in `have`."""
+    """One step per run, numbered by `run`, each from a settled state at time 0; continues after the steps in `have`."""
     parts = list(have)
     rig.start(*steps[min(len(parts), len(steps) - 1)].before)
     for k, one in list(enumerate(steps))[len(parts) :]:
@@ -178,14 +178,14 @@ def step_responses(rig: Rig, steps: Sequence[Step], plan: Plan, progress, have: 
 
 
 def steps_record(parts: Sequence[Record]) -> Record:
-    """Steps as steps.csv holds them."""
+    """The content of steps.csv from one record per step."""
     parts = [part.with_columns(run=np.full(len(part), float(k))) for k, part in enumerate(parts)]
     names = ("run", "time", "omega_ref", "beta_ref", "omega", "thrust")
     return Record({name: np.concatenate([part[name] for part in parts]) for name in names}, "steps")
 
 
 def follow(rig: Rig, orders: Record, settle: float, progress) -> Record:
-    """A record of commands at the loop's own times, settled for `settle` s on the first."""
+    """Apply a record of commands, one row a tick, after `settle` s at the first."""
     targets = np.column_stack([orders["omega_ref"], orders["beta_ref"]])
     omega, beta = targets[0].tolist()
     rig.start(omega, beta)
@@ -199,7 +199,7 @@ def follow(rig: Rig, orders: Record, settle: float, progress) -> Record:
 
 
 def recorded(rig: Rig, targets: np.ndarray, progress: Callable[[float], None] = lambda share: None) -> Record:
-    """A record of the rig under commands (rows, 2), from time 0. Missed slots have the command only."""
+    """Record the rig under the commands `targets` (rows, 2) [rpm, deg], from time 0. In missed slots the readings are NaN."""
     count, first = len(targets), rig.ticks.slot
     rig.keep(record={"first": first, "count": count})
     rows, k = np.full((count, 4), np.nan), 0

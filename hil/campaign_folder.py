@@ -1,4 +1,4 @@
-"""A campaign's folder: a file a part, measured one after the other, and resumed from the logs of parts that ended early."""
+"""A campaign's folder: one file per part, measured in turn; a part that ended early is resumed from its logs."""
 
 import json
 import sys
@@ -26,15 +26,15 @@ from vpp_fmu.record import Record, read_record, write_record
 from vpp_fmu.structured import as_json, read_object
 
 PARTIAL = ".partial.csv"
-"""What is measured of a part that did not come to its end: no name that a campaign's reader takes."""
+"""Suffix of an incomplete part's data; readers of campaigns ignore such files."""
 
 SAME = ("plan", "rig", "hidden", "physics", "seed", "limits", "allowed", "calibration")
-"""Of hil.json: what must be as it was where a campaign goes on."""
+"""Entries of hil.json that must be unchanged to resume a campaign."""
 
 
 @dataclass(frozen=True, eq=False)
 class Measuring:
-    """A campaign: which parts of which plan on which rig; `commands`: instead, the record to follow."""
+    """A campaign: the rig, the plan and its parts; or instead `commands`, a record to apply."""
 
     setup: Setup
     plan: Plan
@@ -43,7 +43,7 @@ class Measuring:
     parquet: bool = False
 
     def begin(self, folder: Path, begun: dict, resume: bool) -> dict:
-        """What hil.json says before the first part; with `resume` what it said, if the campaign is the same. BadInput."""
+        """Content of hil.json before the first part; with `resume` the previous one, if the campaign is the same. BadInput."""
         path = folder / "hil.json"
         content = json.loads(as_json(begun | {"plan": asdict(self.plan), "parts": {}}))
         before = read_object(path) if path.exists() else {}
@@ -64,8 +64,8 @@ class Measuring:
         return before | {"resumed": [*before.get("resumed", []), content["begun"]]}
 
     def run(self, folder: OutputFolder, content: dict, page: OperatorPage | None, say: Callable[[str], None]) -> dict:
-        """The parts that are wanted and not there yet, one after the other; returns the content of hil.json. What ended one
-        before its time is raised."""
+        """Measure the wanted parts that are not complete yet, in turn; returns the content of hil.json. The error that ended a
+        part early is raised."""
         allowed = self.setup.allowed
         parts = ("record",) if self.commands else tuple(part for part in self.parts if part in parts_for(allowed))
         if not self.commands and len(parts) < len(self.parts):
@@ -102,7 +102,7 @@ class Measuring:
         """One part on the rig: (session, record, None), or (session, None, why it ended early)."""
         setup, record, ended = self._again(part), None, None
         have = measured_so_far(folder, part) if part in ("static", "steps") else []
-        in_view = sys.stderr.isatty() and not setup.virtual  # it shows how much is done
+        in_view = sys.stderr.isatty() and not setup.virtual  # the live view shows the progress
         with (
             tqdm(total=100, unit="%", desc=part, disable=True if in_view else None, leave=False) as bar,
             session(setup, folder, log_name(folder, part), page=page) as one,
@@ -110,7 +110,7 @@ class Measuring:
 
             def progress(share):
                 one.rig.show_done(share)
-                if setup.virtual:  # in real time a terminal must not hold the loop
+                if setup.virtual:  # in real time a terminal must not delay the loop
                     bar.update(round(100 * share) - bar.n)
 
             try:
@@ -123,7 +123,7 @@ class Measuring:
         return one, record, ended
 
     def _extent(self, part: str) -> dict:
-        """How much a part is, as the operator's page wants to know it; the length of a record is in its events."""
+        """Size of a part for the operator's page; the length of a record is in its events."""
         if part == "static" and not self.commands:
             speeds, pitches = zip(*grid(self.plan.points, self.setup.allowed), strict=True)
             return {"grid": {"speeds": sorted(set(speeds)), "pitches": sorted(set(pitches))}}
@@ -148,7 +148,7 @@ class Measuring:
 
 
 def _keep(folder: OutputFolder, part: str, power: Sequence[str], say: Callable[[str], None]) -> None:
-    """What was measured of a part that did not come to its end, beside the files that others read."""
+    """Write the data of an incomplete part to its PARTIAL file."""
     have = measured_so_far(folder.path, part)
     record = partial(part, have, power)
     if record is not None:
@@ -159,8 +159,8 @@ def _keep(folder: OutputFolder, part: str, power: Sequence[str], say: Callable[[
 
 
 def commands_of(path: str, limits: Limits) -> Record:
-    """The record to follow, at the loop's own times. BadInput where it asks for what the limits would not let pass: what was
-    measured then would not be what was asked for."""
+    """Read a record of commands and resample it at the loop's times. BadInput if a command is outside the limits, because it
+    would be cut."""
     record = read_record(path)
     ranges = {"omega_ref": (limits.omega_min, limits.omega_max, "rpm"), "beta_ref": (limits.beta_min, limits.beta_max, "deg")}
     for name, (low, high, unit) in ranges.items():
@@ -185,14 +185,14 @@ def attempts(folder: Path, part: str) -> list[Path]:
 
 
 def forget(folder: Path, part: str) -> None:
-    """Start a part anew."""
+    """Delete a part's logs, so that it starts again."""
     for log in attempts(folder, part):
         log.unlink(missing_ok=True)
         events_of(log).unlink()
 
 
 def measured_so_far(folder: Path, part: str) -> list:
-    """Of the static map its rows, of the steps the whole ones, of a record the longest piece from its beginning."""
+    """Data of a part: rows of the static map, complete steps, or the longest beginning of a record."""
     if part == "static":
         return [e["point"] for log in attempts(folder, part) for e in read_events(events_of(log)) if "point" in e]
     found = []
@@ -211,7 +211,7 @@ def measured_so_far(folder: Path, part: str) -> list:
 
 
 def piece(log: Record, first: int, count: int) -> Record:
-    """Rows of a log as `hil.campaign.recorded` gives them: `count` slots from `first` on, as far as the run went."""
+    """Rows of a log in the form of `hil.campaign.recorded`: `count` slots from `first` on, as far as the run went."""
     running = np.isfinite(log["omega_wanted"])
     slots = np.rint(log.time[running] / PERIOD).astype(int) - first
     inside = (slots >= 0) & (slots < count)
@@ -227,7 +227,7 @@ def piece(log: Record, first: int, count: int) -> Record:
 
 
 def partial(part: str, have: list, power: Sequence[str] = ()) -> Record | None:
-    """What was measured as a record, None where that is nothing; `power`: columns of a static map beside the usual ones."""
+    """The measured data as a record, None if there are none; `power`: further columns of a static map."""
     if not have:
         return None
     return static_record(have, power) if part == "static" else steps_record(have) if part == "steps" else have[0]

@@ -23,8 +23,8 @@ class Clock(Protocol):
 class MonotonicClock:
     """The machine's monotonic clock; setting the time of day doesn't move it.
 
-    Sleeps to an absolute time (clock_nanosleep, TIMER_ABSTIME): the duration of the loop's work does not add up, as with
-    relative sleeps. Linux only.
+    Sleeps to an absolute time (clock_nanosleep, TIMER_ABSTIME): unlike with relative sleeps, the duration of the loop's work
+    does not accumulate. Linux only.
     """
 
     def __init__(self):

@@ -33,10 +33,9 @@ COLUMNS = (
     Column("temperature"),
     Column("torque"),
 )
-"""A tick's row, in s, N, rpm, deg: what was sampled at its time; the commands that the controller wants and those that act from
-then on; throttle [1]; bits of `hil.safety.limits.Cut`; the twin's residual [N] and alarm; how late the tick began, how long its
-work took, how many slots were missed before it; what is read of the motor's supply [V, A, degC] and the
-rotor's torque [N.m]."""
+"""A tick's row, in s, N, rpm, deg: readings at its time; the controller's commands, and the limited ones that act from then on;
+throttle [1]; bits of `hil.safety.limits.Cut`; the twin's residual [N] and alarm; the tick's lateness and computing time, and
+the slots missed before it; readings of the motor's supply [V, A, degC] and the rotor's torque [N.m]."""
 
 LEARNED = "twin."
 """Prefix of the adaptive twin's outputs: the last columns, which have values only while a loop is closed."""
@@ -75,10 +74,10 @@ WORDS = {
 
 
 def shown_beside(adapted: Mapping[str, str]) -> tuple[tuple[tuple[str, str, str], ...], dict[str, Sequence[str]]]:
-    """SHOWN and WORDS where an adaptive twin runs beside the rig. `adapted`: units of what it adapts, by name and in its order.
+    """SHOWN and WORDS if an adaptive twin runs with the rig. `adapted`: units of its parameters by name, in its order.
 
-    The line has room for one of them, the first: by default the thrust's gain. The one that is furthest from where it started
-    would be a lag, on a sound rig too: motor and actuator are none.
+    The line has room for the first parameter only, by default the thrust gain. The parameter that changed most would be a lag,
+    even without a fault, because motor and actuator are not exact lags.
     """
     name, unit = next(iter(adapted.items()))
     own = {"adapted": (name, "#7.4g", "" if unit == "1" else unit)}

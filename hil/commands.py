@@ -1,6 +1,6 @@
 """Commands of a campaign, in rpm and deg: the paper's grid and steps (section 3), and sequences for the fine-tuning.
 
-All numbers are shares of the rig's ranges; those in rpm and deg beside them are the paper's.
+All numbers are shares of the rig's ranges; the docstrings give their values in rpm and deg for the paper's rig.
 """
 
 from dataclasses import dataclass, replace
@@ -15,14 +15,14 @@ PAPERS = replace(Rig(), name="the paper's", pitch=(-10.0, 10.0), origin=dict.fro
 """The paper's rig: its static map goes from 2000 to 6000 rpm and from -10 to 10 deg."""
 
 EDGES = (0.05, 0.975), (1.0 / 30.0, 29.0 / 30.0)
-"""Shares of speed, and of the operating region's pitch, between which the open-loop sequences stay, off the edges: 2200 to
-5900 rpm, -4.5 to 9.5 deg."""
+"""Bounds of the open-loop sequences, as shares of the speed and of the operating region's pitch: 2200 to 5900 rpm, -4.5 to
+9.5 deg."""
 
 RESTING = 0.625, 0.6
-"""Constant shares of the channel that does not move: 4500 rpm, 4 deg."""
+"""Values of the constant channel, as shares: 4500 rpm, 4 deg."""
 
-_HOLDS = (0.8, 5.6)  # time scales for which one command is held: 0.4 to 2.8 s
-_SMALLEST, _LARGEST = -1.3, -0.05  # decades of a move's share of the range
+_HOLDS = (0.8, 5.6)  # shortest and longest hold of a command, in time scales: 0.4 to 2.8 s
+_SMALLEST, _LARGEST = -1.3, -0.05  # log10 of a move as a share of the range
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def open_loop(seed: int, section: float, dt: float, rig: Rig = PAPERS) -> Record
 
 
 def validation(seed: int, seconds: float, dt: float, rig: Rig = PAPERS) -> Record:
-    """Both move, with another random sequence than `open_loop`."""
+    """Both channels move, with a different random sequence from `open_loop`."""
     rng, rows = np.random.default_rng([seed, 1]), round(seconds / dt)
     return _record(rig, *(_levels(rng, rows, span, rig, dt) for span in _region(rig)), dt, "validation")
 
@@ -81,8 +81,8 @@ def resampled(commands: Record, dt: float) -> Record:
 
 
 def operating_pitch(rig: Rig) -> tuple[float, float]:
-    """deg: of the pitch range what the model's map is normalised for (0 to 1), where that is half of it or more: blades that
-    stall below are a matter for the static map."""
+    """The part of the pitch range [deg] that the model's map normalises to 0 to 1, if it is at least half of the range; else
+    the whole range. Blades may stall below, which only the static map measures."""
     low, high = (rig.scales.absolute(share, "position") for share in (0.0, 1.0))
     low, high = max(low, rig.pitch[0]), min(high, rig.pitch[1])
     return (low, high) if high - low >= 0.5 * (rig.pitch[1] - rig.pitch[0]) else rig.pitch
@@ -108,7 +108,7 @@ def _points(rig: Rig, targets: list[tuple[float, float]]) -> list[tuple[float, f
 
 
 def _levels(rng: np.random.Generator, rows: int, span: tuple[float, float], rig: Rig, dt: float) -> np.ndarray:
-    """(rows,) from level to level. Small moves are as frequent as large ones: thresholds show in them."""
+    """Random levels (rows,). The logarithm of a move is uniform, because small moves reveal thresholds."""
     low, high = span
     values, now = [], rng.uniform(low, high)
     while len(values) < rows:

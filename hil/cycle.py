@@ -32,12 +32,12 @@ UNLEARNED = (math.nan, math.nan)
 
 
 class Cycle:
-    """The ticks with all that they touch, and the states that they may change.
+    """The rig's ticks, with their devices, log, checks and safety states.
 
     `wanted`: the controller's set-point [N]. `throttle` [1] and `commands` [rpm, deg] are on the outputs. `residual` [N] and
-    `alarm` are the twin's, for the log. `asked`: why the operator ends the run. `transitions`: (time [s], state, why).
-    `page`: the operator's, whose end is logged and ends nothing. `adapted`: the adaptive twin's outputs for the log, as many as
-    `beside`; `learned`: those in the live view (`Adaptive.shown`).
+    `alarm` are the twin's, for the log. `asked`: why the operator ends the run. `transitions`: (time [s], state, why). `page`:
+    the operator's page; its failure is logged and the run continues. `adapted`: the adaptive twin's `beside` outputs for the
+    log; `learned`: those in the live view (`Adaptive.shown`).
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Cycle:
         self.begin()
 
     def begin(self) -> None:
-        """Forget what must not be carried from one run into the next."""
+        """Reset everything that belongs to one run."""
         self.plausibility, self.sensors = self._judgement(), Sensors(self.bench, self.zero)
         self._supply_limits = SupplyLimits(self.limits)
         self.throttle, self.commands = 0.0, (0.0, self.bench.calibration.rest_pitch)
@@ -73,12 +73,12 @@ class Cycle:
         self._woke, self._driven_since = self.bench.clock.now(), None
 
     def forget(self) -> None:
-        """No adaptive twin says anything any more."""
+        """Clear the adaptive twin's outputs."""
         self.adapted: Sequence[float] = self._nothing
         self.learned = UNLEARNED
 
     def wake(self) -> None:
-        """Before the first tick after a break."""
+        """Request and read the sensors before the first tick after a break."""
         self.sensors.wake(self.bench.clock, self.dt)
         self.ticks.resume()
         self._sense()
@@ -89,9 +89,9 @@ class Cycle:
         return self.dt * (1 + self._tick.missed)
 
     def tick(self, omega_ref: float, beta_ref: float, throttle: float, wanted=NOBODY, cut: Cut = Cut.NONE) -> None:
-        """Put these on the outputs, if the state allows any, until the next tick; read and judge there.
+        """Drive the outputs until the next tick, if the state allows it; then read the sensors and check the readings.
 
-        The commands [rpm, deg] and the throttle act; `wanted` is what the controller asked for, `cut` what the limits took.
+        The commands [rpm, deg] and the throttle act; `wanted`: the controller's commands; `cut`: the limits that changed them.
         """
         self.throttle, self.commands = throttle, (omega_ref, beta_ref)
         self._drive()
@@ -102,14 +102,14 @@ class Cycle:
         self._judge()
 
     def idle(self) -> None:
-        """The idle pulse on both outputs; one that fails must not keep the other from it."""
+        """Set the idle pulse on both outputs, on the second one even if the first one fails."""
         self.throttle, calibration = 0.0, self.bench.calibration
         for channel, pulse in ((self.bench.esc, calibration.esc_idle), (self.bench.lac, calibration.lac_idle)):
             with contextlib.suppress(DeviceFault):
                 channel.set(pulse)
 
     def fault(self, fault: Fault) -> None:
-        """Note a fault, the first time that it shows, and let the states decide."""
+        """Note a fault at its first occurrence, and pass it to the states."""
         if (fault.device, fault.kind) in self._known:
             return
         self._known.add((fault.device, fault.kind))
@@ -122,18 +122,18 @@ class Cycle:
         self.note(str(fault))
 
     def note(self, why: str) -> None:
-        """Keep when the state became what it is."""
+        """Record the present state with its time and reason."""
         self.transitions.append((self.ticks.time, self.states.state.value, why))
         self._log.note({"time": round(self.ticks.time, 9), "state": self.states.state.value, "why": why})
 
     def keep(self, **event) -> None:
-        """Keep something beside the log, for whoever goes on after a crash."""
+        """Write an event to the log's events, which survive a crash."""
         self._log.note({"time": round(self.ticks.time, 9), **event})
 
     def _drive(self) -> None:
         changed = self._changed()
         fault = self.supervisor.beat() if self.supervisor else None
-        if fault or changed:  # what the supervisor has taken to idle is changed, too
+        if fault or changed:  # an output that the supervisor set to idle is changed, too
             self.fault(fault or changed)
         if not self.states.driving:
             self.idle()
@@ -147,7 +147,7 @@ class Cycle:
             self.idle()
 
     def _changed(self) -> Fault | None:
-        """Whether somebody else has written to an output since the last tick. It is taken back to idle, once."""
+        """The fault if another process has written to an output since the last tick. The output is set to idle, once."""
         for channel in (self.bench.esc, self.bench.lac):
             try:
                 channel.verify()
@@ -177,7 +177,7 @@ class Cycle:
             self._keep_counters()
 
     def _keep_counters(self) -> None:
-        """What was healed so far, beside the log, where that is more than before."""
+        """Write the counters of recovered errors to the log's events, if they changed."""
         counted = healed(self.bench.counters)
         if counted != self._counted:
             self._counted = counted
@@ -188,7 +188,7 @@ class Cycle:
             self.fault(fault)
 
     def _judge(self) -> None:
-        """Hold what was read against physics, the clock against its deadlines; and ask whether somebody wants it to end."""
+        """Check the readings, the log, the page and the deadlines, and whether the operator ends the run."""
         sensors = self.sensors
         if sensors.revolution is not None and self.states.state is SafetyState.RUN and not sensors.revolution.closed:
             why = "100 ms without a request" if sensors.revolution.silent else "commanded, or the board has restarted"
@@ -202,7 +202,7 @@ class Cycle:
             if fault:
                 self.fault(fault)
         supply = self.bench.supply
-        if supply and self.states.state is SafetyState.RUN:  # before, the relay holds it off
+        if supply and self.states.state is SafetyState.RUN:  # in earlier states the open relay cuts the supply
             fault = self._supply_limits.check(supply.values, supply.new)
             if fault:
                 self.fault(fault)
@@ -219,7 +219,7 @@ class Cycle:
             self.fault(asked)
 
     def _overdue(self) -> Fault | None:
-        """A tick that came too late, too many that never came, a run that takes too long."""
+        """The fault if a tick is too late, too many ticks were missed, or the run takes too long."""
         limits, late, share = self.limits, self._tick.late, self.ticks.missed_share
         if late > limits.late:
             return Fault("loop", FaultKind.OVERRUN, f"found {1e3 * late:.1f} ms late, expected at most {1e3 * limits.late:g}")

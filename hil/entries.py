@@ -1,4 +1,4 @@
-"""The entries of a JSON file, each checked where it is taken: a wrong one is a BadInput that names it."""
+"""The entries of a JSON file, each checked when it is read; BadInput names a wrong one."""
 
 import json
 import os
@@ -42,7 +42,7 @@ class Entries:
         return BadInput(self._path, self._place(key), found, allowed)
 
     def choice(self, key: str, allowed: Sequence):
-        """An entry that is one of a few; 860.0 is 860."""
+        """An entry that is one of `allowed`; 860.0 counts as 860."""
         found = self._content[key]
         if isinstance(found, bool) or found not in allowed:
             raise self.wrong(key, shown(found), " or ".join(json.dumps(one) for one in allowed))

@@ -1,7 +1,7 @@
 """The live view: the newest row of the loop in the terminal, five times a second, drawn by a process of its own.
 
-A terminal may take its time (a slow line, Ctrl-S); the loop writes to memory only and never waits for it. Nothing is shown
-where standard error is no terminal.
+A terminal may block (a slow line, Ctrl-S), so the loop only writes to memory and never waits for it. Nothing is shown if
+standard error is not a terminal.
 """
 
 import json
@@ -24,10 +24,10 @@ class View(Protocol):
     """Shows the latest values."""
 
     def show(self, *values: float) -> None:
-        """The newest values."""
+        """Show the newest values."""
 
     def close(self) -> None:
-        """The end of the show."""
+        """End the view."""
 
 
 class NoView:
@@ -41,8 +41,8 @@ class NoView:
 
 
 class LiveView:
-    """Shows labelled numbers. `labels`: name, format and unit of each, as ("thrust", "6.2f", "N"); `words`: for a number that
-    stands for a word, the words by the label's name."""
+    """Shows labelled numbers. `labels`: name, format and unit of each, as ("thrust", "6.2f", "N"); `words`: by the label's
+    name, the words that the number is an index of."""
 
     def __init__(self, labels: Sequence[tuple[str, str, str]], words: dict[str, Sequence[str]]):
         self._row = struct.Struct(f"{len(labels)}d")
@@ -55,7 +55,7 @@ class LiveView:
             pass_fds=(shared,),
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C is not for it
+            start_new_session=True,  # so that Ctrl-C does not reach it
         )
         os.close(shared)
 
@@ -66,19 +66,19 @@ class LiveView:
         self._process.stdin.close()
         try:
             self._process.wait(1.0)
-        except subprocess.TimeoutExpired:  # the terminal doesn't take what it is given
+        except subprocess.TimeoutExpired:  # the terminal blocks
             self._process.kill()
             self._process.wait()
         self._page.close()
 
 
 def view(labels: Sequence[tuple[str, str, str]], words: dict[str, Sequence[str]]) -> View:
-    """A live view where there is a terminal to show it."""
+    """A live view if standard error is a terminal."""
     return LiveView(labels, words) if sys.stderr.isatty() else NoView()
 
 
 def line(labels: Sequence[tuple[str, str, str]], words: dict[str, Sequence[str]], values: Sequence[float], width: int) -> str:
-    """The line that is shown: what is not known (NaN) is left out."""
+    """The line's text, without unknown values (NaN)."""
     cells = []
     for (name, form, unit), value in zip(labels, values, strict=True):
         if math.isnan(value):
@@ -92,7 +92,7 @@ def line(labels: Sequence[tuple[str, str, str]], words: dict[str, Sequence[str]]
 
 
 def width_of(terminal: int) -> int:
-    """Columns of the terminal behind a descriptor; standard output, which others look at, is none here."""
+    """Columns of the terminal of a descriptor; `shutil` would use standard output, which is not a terminal here."""
     try:
         return os.get_terminal_size(terminal).columns or 80
     except OSError:

@@ -1,11 +1,11 @@
 """The full-rate log: the loop puts rows into memory, another process writes them to a file. Standard library only.
 
-The loop never touches a file: a row costs it two microseconds, a write to disk now and then 24 ms. The memory is shared with a
-process of its own, so that no interpreter lock ties the two, and one byte down a pipe tells of each row. The writer ends when
-the pipe does: if the loop is killed, its log is complete all the same. Where the loop went without a goodbye the writer then
-becomes the command that it was given for that: it is whoever is left.
+The loop never touches a file: a row costs it two microseconds, a write to disk sometimes 24 ms. The writer is a separate
+process with shared memory, so that they share no interpreter lock; one byte on a pipe announces each row. The writer ends when
+the pipe closes: if the loop is killed, its log is still complete. If the loop ended without a goodbye, the writer then executes
+the command that it was given for this case.
 
-Beside the rows stand the events (`events_of`): a JSON object a line, for what happens once and must survive the loop.
+The events (`events_of`) have a second file, one JSON object a line: single occurrences that must survive the loop.
 """
 
 import contextlib
@@ -29,23 +29,23 @@ from typing import Protocol
 _BATCH = 4096  # rows the writer takes at once
 _PAUSE = 0.05  # s between two batches
 _GET_PIPE_SIZE = 1032  # F_GETPIPE_SZ; Python names it from 3.10 on only where the system's headers do
-_SYNC_EVERY = 1.0  # s; what a power cut may cost
+_SYNC_EVERY = 1.0  # s; a power cut may lose the rows of this time
 _GOODBYE = b'"goodbye"\n'
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the log. `words`: the cells are places in this list and show its words."""
+    """A column of the log. `words`: a value is an index into this list, and its cell is the word."""
 
     name: str
     exact: bool = False
-    """Read back to the same bits; otherwise nine digits are kept. What is not finite is an empty cell either way."""
+    """Reads back to the same bits; otherwise nine digits are kept. A value that is not finite is an empty cell either way."""
     words: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Logged:
-    """What became of a log: rows in the file, rows lost, and what went wrong, if anything did."""
+    """Result of a log: rows in the file, rows lost, and the failure, if any."""
 
     rows: int
     lost: int
@@ -62,19 +62,19 @@ class Log(Protocol):
         """Keep a row."""
 
     def note(self, event: Mapping) -> None:
-        """Keep an event beside the rows: anything that JSON takes."""
+        """Keep an event, a JSON object, beside the rows."""
 
     def close(self) -> Logged:
         """Finish the file."""
 
 
 def events_of(path: Path) -> Path:
-    """Where the events beside a log stand: log.csv, log.csv.gz and their unfinished forms have log.events.jsonl."""
+    """The file of a log's events: log.events.jsonl for log.csv, log.csv.gz and their unfinished forms."""
     return path.with_name(f"{path.name.removeprefix('.').partition('.')[0]}.events.jsonl")
 
 
 def read_events(path: Path) -> list[dict]:
-    """The events of a log's file, objects all; a line that a crash has cut off is left out."""
+    """Read a file of events. A line that is no JSON object, as after a crash, is skipped."""
     found = []
     with contextlib.suppress(FileNotFoundError):
         for line in path.read_bytes().splitlines():
@@ -84,7 +84,7 @@ def read_events(path: Path) -> list[dict]:
 
 
 class MemoryLog:
-    """A log for virtual time, where nothing is in a hurry: kept in memory, written by `close`."""
+    """A log for virtual time: kept in memory, written by `close`."""
 
     def __init__(self, path: str | os.PathLike, columns: Sequence[Column]):
         self._path, self._columns, self._numbers = Path(path), tuple(columns), array("d")
@@ -108,8 +108,8 @@ class MemoryLog:
 class ProcessLog:
     """A log for real time. The memory holds as many rows as a pipe holds bytes, 65536 as a rule: four minutes at 250 Hz.
 
-    `after`: the command that the writer becomes where the loop ends without `close`. Whoever is given the descriptor `shared`
-    may read along (`Reader`): the loop does nothing for that.
+    `after`: the command that the writer executes if the loop ends without `close`. A process with the descriptor `shared` can
+    read the rows (`Reader`) at no cost to the loop.
     """
 
     def __init__(self, path: str | os.PathLike, columns: Sequence[Column], after: Sequence[str] = ()):
@@ -117,7 +117,7 @@ class ProcessLog:
         self.broken = ""
         read, self._pipe = os.pipe()
         hear, self._notes = os.pipe()
-        # What was taken from the pipe is not yet taken from the memory: one batch more must have room.
+        # The writer takes a batch from the pipe before it reads the rows from memory: room for one batch more.
         self.slots = fcntl.fcntl(self._pipe, _GET_PIPE_SIZE) + _BATCH
         shared = os.memfd_create("hil-log")
         os.ftruncate(shared, self.slots * self._row.size)
@@ -131,14 +131,14 @@ class ProcessLog:
             pass_fds=(shared, read, hear),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C is not for it
+            start_new_session=True,  # so that Ctrl-C does not reach it
         )
         for descriptor in (read, hear):
             os.close(descriptor)
 
     @property
     def writer(self) -> int:
-        """Its process."""
+        """Number of the writer's process."""
         return self._writer.pid
 
     def put(self, *row):
@@ -153,7 +153,7 @@ class ProcessLog:
             self._head += 1
 
     def note(self, event):
-        with contextlib.suppress(BlockingIOError, BrokenPipeError):  # `put` says so
+        with contextlib.suppress(BlockingIOError, BrokenPipeError):  # `put` reports it
             os.write(self._notes, _line(event))
 
     def close(self):
@@ -182,7 +182,7 @@ class Reader:
         self._memory = mmap.mmap(shared, slots * self._row.size, access=mmap.ACCESS_READ)
 
     def rows(self) -> list[tuple[float, ...]]:
-        """Those that became whole since the last call."""
+        """Rows that were completed since the last call."""
         found = []
         while len(found) < _BATCH and self._at(self._next + 1)[0] > self._at(self._next)[0]:
             found.append(self._at(self._next))
@@ -190,7 +190,7 @@ class Reader:
         return found
 
     def close(self) -> None:
-        """Let go of the memory."""
+        """Release the memory."""
         self._memory.close()
 
     def _at(self, place: int) -> tuple[float, ...]:
@@ -198,13 +198,13 @@ class Reader:
 
 
 class _Events:
-    """The file of events, made with the first of them. What a full disk refuses waits for the next."""
+    """The file of events, created with the first of them. Lines that a full disk refuses are written with the next event."""
 
     def __init__(self, path: Path):
         self._path, self._file, self._waiting = path, None, bytearray()
 
     def add(self, lines: bytes) -> None:
-        """Whole lines."""
+        """Write complete lines."""
         self._waiting += lines
         with contextlib.suppress(OSError):
             if self._file is None:
@@ -221,7 +221,7 @@ class _Events:
 
 
 class _File:
-    """The CSV as it grows, under another name until it is whole. A full disk keeps rows waiting in memory, not the caller."""
+    """The growing CSV, under a temporary name until it is complete. If the disk is full, rows wait in memory."""
 
     def __init__(self, path: Path, columns: Sequence[Column]):
         self._path, self._part = path, path.with_name(f".{path.name}.part")
@@ -230,7 +230,7 @@ class _File:
         self._waiting, self._ends, self._rows, self._written, self.failure = bytearray(), [], 0, 0, ""
         self._synced = time.monotonic()
         self._file = os.open(self._part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
-        fcntl.flock(self._file, fcntl.LOCK_EX)  # nobody may take it for one that was left behind
+        fcntl.flock(self._file, fcntl.LOCK_EX)  # else `found_log` would take it for an abandoned one
         self._queue(",".join(column.name for column in columns) + "\n")
 
     def add(self, rows: Iterable[Sequence[float]]) -> None:
@@ -241,8 +241,8 @@ class _File:
         self._flush()
 
     def close(self) -> Logged:
-        """Write what waits, and give the file its name; a packed one that a full disk has cut off keeps the other, by which
-        `hil.session.found_log` knows that it has to be mended."""
+        """Write the waiting rows and give the file its name. A gzip file that a full disk cut off keeps its temporary name, by
+        which `hil.session.found_log` finds it for repair."""
         if self._pack:
             self._waiting += self._pack.flush()
         self._flush(packing=False)
@@ -268,14 +268,14 @@ class _File:
                 self._written += count
             if time.monotonic() - self._synced > _SYNC_EVERY:
                 os.fsync(self._file)
-                if self._pack and packing:  # what was packed so far can be unpacked, whatever happens to the rest
+                if self._pack and packing:  # so that the data so far can be unpacked without the rest
                     self._waiting += self._pack.flush(zlib.Z_SYNC_FLUSH)
                 self._synced = time.monotonic()
         except OSError as error:
             self.failure = f"{self._path}: {(error.strerror or str(error)).lower()}"
 
     def _last_line(self) -> int:
-        """Where the last whole line ends in the file [bytes]."""
+        """Offset of the end of the file's last complete line [bytes]."""
         if self._pack:
             return self._written
         with open(self._part, "rb") as file:
@@ -283,7 +283,7 @@ class _File:
 
 
 def cell(column: Column) -> Callable[[float], str]:
-    """How a column's numbers are written."""
+    """The function that formats a column's numbers."""
     if column.words:
         return lambda value: column.words[int(value)]
     if column.name == "time":
@@ -298,8 +298,8 @@ def _line(event: Mapping) -> bytes:
 
 
 def write_rows(path: Path, columns: Sequence[Column], slots: int, shared: int, pipe: int, notes: int) -> tuple[Logged, bool]:
-    """What the writer's process does: rows from the memory `shared` into the file, as bytes on `pipe` tell of them, and events
-    from `notes` beside them. Returns whether the loop has said goodbye, too."""
+    """The writer's loop: for each byte on `pipe` write a row from the memory `shared` to the file, and write the events from
+    `notes`. Returns the log's result and whether the loop said goodbye."""
     row = struct.Struct(f"{len(columns)}d")
     memory = mmap.mmap(shared, slots * row.size)
     file, events, taken, goodbye = _File(path, columns), _Events(events_of(path)), 0, False
@@ -315,7 +315,7 @@ def write_rows(path: Path, columns: Sequence[Column], slots: int, shared: int, p
 
 
 def _heard(notes: int, events: _Events) -> bool:
-    """Keep the events that wait; whether a goodbye is among them. A line fits into a pipe's atomic write, or nearly."""
+    """Write the waiting events; returns whether a goodbye is among them. A line fits into a pipe's atomic write, or nearly."""
     lines = bytearray()
     with contextlib.suppress(BlockingIOError):
         while data := os.read(notes, 1 << 16):
@@ -334,5 +334,5 @@ if __name__ == "__main__":
     with contextlib.suppress(BrokenPipeError):  # its loop may be gone
         os.write(1, json.dumps([done.rows, done.failure]).encode())
     if after and not ended:
-        os.dup2(2, 1)  # nobody reads what the loop would have read
+        os.dup2(2, 1)  # standard output was a pipe to the loop
         os.execv(after[0], after)

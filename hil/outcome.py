@@ -34,7 +34,7 @@ from vpp_fmu.response import Step, smoothed, steps
 from vpp_fmu.structured import as_json, check_kinds, read_object
 
 Say = Callable[[str], None]
-"""Where lines for the user go."""
+"""Prints a line for the user."""
 
 BEGUN = {
     "status?": str,
@@ -49,7 +49,7 @@ BEGUN = {
     "twin?": {"false_alarms_per_hour": float, "smallest_found": float, "delay": float, "noise": float},
     "adaptive_twin?": {"units": {"*": str}, "alarms?": [{"time": float, "points_to": str}]},
 }
-"""What a report reads of hil.json."""
+"""Entries of hil.json that a report reads."""
 
 DONE = BEGUN | {
     "ended": str,
@@ -61,17 +61,18 @@ DONE = BEGUN | {
     "timing?": dict,
     "energy?": {"value": float, "unit": str, "mean_power": float, "peak_power": float},
 }
-"""The same of a run whose loop has written all it had to say."""
+"""The same for a run whose loop completed hil.json."""
 
 BAND, SPAN = 0.05, 0.1
-"""A step has settled once its thrust, as a mean over SPAN s, stays within this share of it: noise makes 2 % too narrow."""
+"""A step has settled once its thrust, averaged over SPAN s, stays within BAND of its size; with noise 2 % is too narrow."""
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A run: the rig, what drives it over which profile and from which commands [rpm, deg] on, and what is held beside it.
+    """A run: the rig, its controller, profile and initial commands `start` [rpm, deg], and models to compare it with.
 
-    `twin`: with its band, and the twin that adapts. `beside`: a plant FMU's name and its loop. `on_alarm` as in `session`.
+    `twin`: the constant twin, its band and the adaptive twin. `beside`: a plant FMU's name and its loop. `on_alarm` as in
+    `session`.
     """
 
     setup: Setup
@@ -84,7 +85,7 @@ class Task:
     parquet: bool = False
 
     def summary(self) -> dict:
-        """What hil.json says of the twins before the run."""
+        """Entries of hil.json about the twins, before the run."""
         if self.twin is None:
             return {}
         twin, band, adaptive = self.twin
@@ -106,7 +107,7 @@ class Outcome:
 
     @property
     def reach(self) -> dict[str, tuple[float, float]]:
-        """The ranges of the commands, as from `reach`, that hil.json tells."""
+        """The ranges of the commands, as from `reach`, by the limits in hil.json."""
         return reach(self.content.get("limits", {}), self.content.get("controller", {}).get("limits", {}))
 
 
@@ -117,8 +118,8 @@ Report = Callable[[Outcome], str]
 def carry_out(
     task: Task, begun: dict, parent: OutputFolder, page: OperatorPage | None, say: Say, report: Report
 ) -> tuple[Run, OutputFolder, Outcome]:
-    """The run, its files in a folder of its own below `parent`, and the outcome. `begun`: what hil.json says
-    before it. What ends the run without the loop's knowledge is raised once the files are written as far as the log allows."""
+    """Carry out the run; returns it, the folder of its files below `parent`, and the outcome. `begun`: content of hil.json
+    before the run. An unforeseen error is raised after the files are written from the log, as far as possible."""
     twin, _, adaptive = task.twin or (None, None, None)
     if page:
         rows = round((task.profile.time[-1] - task.profile.time[0]) / PERIOD)
@@ -151,7 +152,7 @@ def carry_out(
 
 
 def _cut_short(folder: OutputFolder, begun: dict, error: BaseException, say: Say, report: Report) -> None:
-    """The files of a run that an unforeseen error ended, from its log where there is one."""
+    """Write the files of a run that an unforeseen error ended, from its log if there is one."""
     why = " ".join(str(error).split()) or type(error).__name__
     log, record, content = folder.path / LOG, None, begun | {"status": ENDED_EARLY, "completed": now()}
     if log.exists():
@@ -165,7 +166,7 @@ def _cut_short(folder: OutputFolder, begun: dict, error: BaseException, say: Say
 
 
 def of_log(log: Path) -> tuple[Record | None, dict, bool]:
-    """(a run's log, what its hil.json says, whether its loop was gone before it had written that). BadInput."""
+    """(a run's log, content of its hil.json, whether the loop ended before it completed hil.json). BadInput."""
     path, begun = log.with_name("hil.json"), {"format": "vpp-hil/1"}
     if path.exists():
         begun = read_object(path, "vpp-hil/1", "what vpp hil run has written")
@@ -189,7 +190,7 @@ def fmu_loop(plant: str, controller: Controller, profile: Record, start: tuple[f
 
 
 def finish_fmu(folder: OutputFolder, plant: str, record: Record, parquet: bool) -> dict:
-    """Write what a run with a plant FMU in the rig's place leaves, but its page; returns the content of hil.json."""
+    """Write the files of a run with a plant FMU instead of the rig, except its page; returns the content of hil.json."""
     write_run(folder.path / "run.csv", record)
     if parquet:
         folder.write("run.parquet", as_parquet(record))
@@ -205,9 +206,9 @@ def finish(
     report: Report,
     beside: tuple[str, Record] | None = None,
 ) -> Outcome:
-    """Write the files of a run. `content`: what hil.json says, with `ended`, why it ended early, or "".
+    """Write the files of a run. `content`: of hil.json, with `ended`: why the run ended early, or "".
 
-    What one file is refused doesn't keep the others from being written: BadInput, for the first of them, comes at the end.
+    If a file cannot be written, the others still are; then BadInput is raised for the first of them.
     """
     content = {**content, "status": ENDED_EARLY if content["ended"] else ENDED, "completed": now()}
     record = loop_part(log) if log is not None else None
@@ -244,7 +245,7 @@ def _collected(refusals: list[BadInput]) -> Iterator[None]:
 
 
 def _with_residual(twin: dict, log: Record | None) -> dict:
-    """What became of the twin, as the log has it where the run could not say it."""
+    """The twin's entries with its residual, and its alarm from the log if the run could not report it."""
     residual = log["residual"][np.isfinite(log["residual"])] if log is not None else np.empty(0)
     since = alarm_of(log) if log is not None else None
     known = {"alarmed": since is not None, "since": since}
@@ -252,8 +253,8 @@ def _with_residual(twin: dict, log: Record | None) -> dict:
 
 
 def energy(run: Record) -> dict | None:
-    """Electrical energy that a loop took from the supply, with mean and largest power [W], as hil.json holds it; None where
-    voltage and current were not both read. Readings are held until the next one."""
+    """Electrical energy that a loop took from the supply, with mean and largest power [W], as in hil.json; None unless voltage
+    and current were both read. A reading holds until the next one."""
     if not {"voltage", "current"} <= set(run.columns):
         return None
     power = run["voltage"] * run["current"]
@@ -265,19 +266,19 @@ def energy(run: Record) -> dict | None:
 
 
 def energy_words(taken: Mapping) -> tuple[str, str]:
-    """What `energy` has found, in words: the energy, and the power."""
+    """The result of `energy` in words: the energy, and the power."""
     power = f"{number(taken['mean_power'], 3)} W in the mean, {number(taken['peak_power'], 3)} W at most"
     return f"{number(taken['value'], 3)} J", power
 
 
 def difference(first: Record, second: Record) -> Record:
-    """Thrust [N] of a second loop less that of a first one, at the times of the latter."""
+    """Thrust [N] of the second loop minus that of the first, at the times of the first."""
     both = compare(first, second)
     return Record({"time": both.time, "thrust": both.second["thrust"] - both.first["thrust"]}, "difference")
 
 
 def reach(*limits: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-    """(least, greatest) of each command within all of these limits (`omega_min` and so on); none of a command without any."""
+    """(least, greatest) of each command within all of these limits (`omega_min` and so on); a command without any is absent."""
     found = {}
     for name in ("omega", "beta"):
         low, high = ([one[f"{name}_{end}"] for one in limits if f"{name}_{end}" in one] for end in ("min", "max"))
@@ -310,7 +311,7 @@ def step_lines(loops: dict[str, Record], limits: Mapping[str, tuple[float, float
 
 
 def lines_of(found: Outcome) -> list[str]:
-    """The figures of a run in words."""
+    """The results of a run in words."""
     content, lines = found.content, step_lines(found.loops, found.reach)
     if "energy" in content:
         lines.append("energy from the supply: {}, {}".format(*energy_words(content["energy"])))
@@ -331,5 +332,5 @@ def lines_of(found: Outcome) -> list[str]:
 
 
 def kept_of(folder: Path) -> str:
-    """Which of a run's files stand, in words."""
+    """Names of a run's files that exist, in words."""
     return ", ".join(name for name in NAMES if (folder / name).exists()) or "nothing"

@@ -26,20 +26,20 @@ from hil.twin.twin import Twin
 from vpp_fmu.errors import VppError
 
 SERVES = 0.02
-"""s for which the tachometer's last answer serves; then the speed loop freezes, or its integral would open the throttle."""
+"""Largest age of the speed, s, that the speed loop uses; then it freezes, or its integral would open the throttle."""
 TARE_SAMPLES = 1000
 TARE_TRIES = 3
-"""Slow noise of the amplifier looks like a drift now and then."""
+"""More than one, because slow noise of the amplifier sometimes looks like a drift."""
 REST = 1.0
-"""s without a revolution after which the rotor counts as standing."""
+"""Time without a revolution, s, after which the rotor counts as at rest."""
 RUN_OUT = 20.0
 """Maximum time until a rotor is at rest, s."""
 SETTLE = 3.0
-"""s on the first commands before a run begins (paper: what transients need)."""
+"""Time at the first commands before a run begins, s (paper: duration of transients)."""
 RELAY, REPEAT = 0.5, 10
 """Maximum time until the relay is closed, s, and ticks after which the command to the board is repeated."""
 RAMP = 1.5
-"""s that a ramp-down takes from full throttle to none."""
+"""Duration of a ramp-down from full throttle to none, s."""
 
 
 class RunEnded(VppError):
@@ -61,13 +61,12 @@ class RigSample(NamedTuple):
 
 
 class Rig:
-    """A plant made of devices: `start` tares, arms, runs and settles; `stop` ramps down; `close` leaves the idle pulse.
+    """The rig as a plant: `start` tares, arms, runs and settles; `stop` ramps down; `close` sets the idle pulse.
 
-    Any fault ends the run on its way down: by a ramp where that is safe, else by the idle pulse at once. RunEnded then leaves
-    `start` or `step`. `supervise` starts the process that stops the rotor if this one can't, `plausibility` makes the checks of
-    a run's readings, `gate` says what is a zero, `polarity` looks at the signs at low speed. `tares`: the zeros found.
-    `on_alarm`: the fault that the twin's alarm is (None: it is only noted in `alarms`, (time [s], words)). `adaptive`: a twin
-    that learns, beside it.
+    Any fault ends the run: by a ramp-down if that is safe, else by the idle pulse at once. `start` or `step` then raises
+    RunEnded. `supervise` starts the process that stops the rotor if this one can't; `plausibility` makes the checks of a run's
+    readings; `gate`: conditions of a tare; `polarity`: check of signs at low speed. `tares`: the zeros found. `on_alarm`: the
+    fault that the twin's alarm causes (None: it is only noted in `alarms`, (time [s], words)). `adaptive`: an adaptive twin.
     """
 
     def __init__(
@@ -99,7 +98,7 @@ class Rig:
         self.counters = bench.counters
 
     def start(self, omega_ref: float, beta_ref: float) -> RigSample:
-        """Wait until the rotor is at rest, tare, arm, spin up along the slow slopes to the commands [rpm, deg], settle."""
+        """Wait until the rotor is at rest, tare, arm, spin up slowly to the commands [rpm, deg], settle."""
         self._begin()
         self.states.tared(self._tare())
         self._cycle.note("tared")
@@ -138,7 +137,7 @@ class Rig:
         return self.last
 
     def _adapt(self, adaptive: Adaptive, omega_ref: float, beta_ref: float) -> None:
-        """What the adaptive twin makes of the last readings, for log and view; its alarms are noted and end nothing."""
+        """Update the adaptive twin with the last readings, for log and view; its alarms are noted and do not end the run."""
         known, cycle = len(adaptive.alarms), self._cycle
         cycle.adapted = adaptive.update(self.ticks.time, omega_ref, beta_ref, self.last.thrust, self.last.omega)
         cycle.learned = adaptive.shown(cycle.adapted)
@@ -146,7 +145,7 @@ class Rig:
             cycle.note(f"adaptive twin: alarm, most like {points}")
 
     def _alarm(self, residual: float) -> None:
-        """The twin's alarm: kept with its time, and the end of the run where that was wanted."""
+        """Record the twin's alarm with its time, and end the run if `on_alarm` is a fault."""
         found = f"the rig is not its model since {self._twin.since:.2f} s, {residual:+.2f} N now, most like {self._twin.cause}"
         self.alarms.append((self.ticks.time, found))
         if self._on_alarm is None:
@@ -155,7 +154,7 @@ class Rig:
             self._cycle.fault(Fault("twin", self._on_alarm, found))
 
     def idle(self, count: int) -> None:
-        """`count` ticks with all devices active and the idle pulse on the outputs, which stays after any failure.
+        """Run `count` ticks with all devices active and the idle pulse on the outputs, which stays after any failure.
 
         Faults are noted in `states` and `transitions`; only the operator ends it early (RunEnded).
         """
@@ -167,7 +166,7 @@ class Rig:
         self._dismiss()
 
     def stop(self) -> None:
-        """End the run in order: ramp down, idle pulse, supervisor dismissed. Then `start` may come again."""
+        """End the run: ramp down, set the idle pulse, end the supervisor. Then `start` may be called again."""
         if self.states.state is SafetyState.RUN:
             self.states.ramp_down("end of the run")
             self._cycle.note("end of the run")
@@ -175,7 +174,7 @@ class Rig:
         self._dismiss()
 
     def close(self) -> None:
-        """The idle pulse, whatever happened; then let go of everything."""
+        """Set the idle pulse, whatever happened; then close all devices."""
         self._cycle.idle()
         self._open_relay()
         self._dismiss()
@@ -190,7 +189,7 @@ class Rig:
 
     @property
     def supply(self) -> Mapping[str, float]:
-        """The last readings of what the calibration has wired beside load cell and tachometer, NaN before the first."""
+        """The last readings of the supply's sensors in the calibration, by name; NaN before the first."""
         return {name: self._cycle.sensors.supply[name] for name in self._cycle.bench.calibration.supply}
 
     @property
@@ -205,7 +204,7 @@ class Rig:
         self._end()
 
     def show_done(self, share: float) -> None:
-        """How much of what is under way is done, for the live view."""
+        """Set the progress in the live view; `share`: 0 to 1."""
         self._cycle.done = 100.0 * share
 
     def keep(self, **event) -> None:
@@ -213,7 +212,7 @@ class Rig:
         self._cycle.keep(**event)
 
     def follow(self, thrust_set: float) -> None:
-        """What the controller is after [N], for the log."""
+        """Set the controller's set-point [N], for the log."""
         self._cycle.wanted = thrust_set
 
     def _begin(self) -> None:
@@ -258,7 +257,7 @@ class Rig:
         cycle, tachometer = self._cycle, self.bench.tachometer
         for k in range(round(RELAY / self.dt)):
             if k % REPEAT == 0:
-                with contextlib.suppress(DeviceFault):  # the tick's own request finds the same
+                with contextlib.suppress(DeviceFault):  # the tick's request reports the same fault
                     tachometer.arm()
             self._idle_tick()
             if cycle.sensors.revolution and cycle.sensors.revolution.closed:
@@ -282,7 +281,7 @@ class Rig:
             self._end()
 
     def _go(self, target: tuple[float, float]) -> tuple[float, float]:
-        """Along the slow slopes to the commands."""
+        """Move slowly to the commands, at the slopes of spin-up."""
         at = (math.nan, math.nan)
         while at != target:
             at = self._limiter.ramp(*target, self.dt)[:2]
@@ -290,7 +289,7 @@ class Rig:
         return at
 
     def _check_polarity(self, check: Polarity) -> None:
-        """Two pitches at low speed; a sign that is wrong ends the run there."""
+        """Measure the thrust at two pitches at low speed; a wrong sign ends the run."""
         found = []
         for beta in check.betas:
             at = self._go((check.omega, beta))
@@ -318,7 +317,7 @@ class Rig:
             self._end()
 
     def _come_down(self) -> None:
-        """Close the throttle along its slope; no sensor is needed for it. A fault that can't wait cuts it short."""
+        """Ramp the throttle down, without any sensor. An urgent fault ends the ramp early."""
         cycle = self._cycle
         cycle.residual = cycle.wanted = math.nan
         cycle.forget()
@@ -341,7 +340,7 @@ class Rig:
 
 
 def _level(thrust: Sequence[float], omega: float, beta: float) -> Level:
-    """The mean with its standard error, from the means of five blocks: an amplifier's noise is coloured."""
+    """The mean with its standard error from five block means, because the amplifier's noise is coloured."""
     rows = len(thrust) // 5
     blocks = [sum(thrust[k * rows : (k + 1) * rows]) / rows for k in range(5)]
     return Level(sum(thrust) / len(thrust), stdev(blocks) / 5**0.5, omega, beta)

@@ -36,7 +36,7 @@ REHEARSED = 25
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """`record`: the loop's part, from time 0; `log`: every tick from tare to idle pulse; `ended`: why it ended early."""
+    """`record`: the closed loop, from time 0; `log`: every tick from tare to idle pulse; `ended`: why it ended early, or ""."""
 
     record: Record
     log: Record
@@ -44,7 +44,7 @@ class Run:
     ended: str
 
     def judge(self) -> None:
-        """TwinAlarm, RunEnded or LogLost where the run was not what was asked for."""
+        """Raise TwinAlarm, RunEnded or LogLost if the run did not go as requested."""
         if self.session.rig.alarms:
             ended = f"; the run ended: {self.ended}" if self.ended else ""
             raise TwinAlarm(f"twin: {self.session.rig.alarms[0][1]}{ended}")
@@ -55,13 +55,13 @@ class Run:
 
 
 class TwinAlarm(VppError):
-    """The rig left its twin's band: its record is whole, and not what the model says."""
+    """The rig left its twin's band: its record differs from the model."""
 
     code = 3
 
 
 class LogLost(VppError):
-    """The run came to its end, and its record did not."""
+    """The run was completed, but rows of its log are lost."""
 
 
 class Followed:
@@ -85,7 +85,7 @@ class Followed:
 
 
 class LimitedPlant:
-    """A plant behind the rig's limits, so that a difference to the rig is one of the plant."""
+    """A plant behind the rig's limits, so that a difference from the rig is due to the plant."""
 
     def __init__(self, plant: Plant, limits: Limits):
         self.dt, self._plant, self._limits = plant.dt, plant, limits
@@ -103,7 +103,7 @@ class LimitedPlant:
 
 
 def check_profile(profile: Record, limits: Limits) -> None:
-    """BadInput where the limits would end the run before the profile does."""
+    """BadInput if the limits would end the run before the profile ends."""
     largest = float(np.max(np.abs(profile["thrust_set"])))
     if largest >= limits.thrust_trip:
         allowed = f"less than {limits.thrust_trip:g} N of either sign, where the rotor is stopped"
@@ -113,7 +113,7 @@ def check_profile(profile: Record, limits: Limits) -> None:
 
 
 def start_of(given: Sequence[float] | None, limits: Limits, allowed: Ranges) -> tuple[float, float]:
-    """Commands [rpm, deg] that a run starts from: those `given`, else the rig's idle. BadInput where the limits stop them."""
+    """Initial commands [rpm, deg] of a run: those `given`, else the rig's idle. BadInput if they are outside the limits."""
     if given is None:
         return idle(allowed)
     ranges = (limits.omega_min, limits.omega_max, "rpm"), (limits.beta_min, limits.beta_max, "deg")
@@ -137,7 +137,7 @@ def run_on_rig(
     adaptive: Adaptive | None = None,
 ) -> Run:
     """Close the loop over the profile, from the commands `start` [rpm, deg] on (default: the rig's idle). Writes the full-rate
-    log to `folder` and keeps what was measured, however it ended; `after`, `on_alarm`, `page`, `adaptive` as in `session`."""
+    log to `folder`, however the run ends; `after`, `on_alarm`, `page`, `adaptive` as in `session`."""
     ended, start = "", start or idle(setup.allowed)
     if isinstance(controller, FmuController):
         rehearse(controller, float(profile["thrust_set"][0]))
@@ -157,8 +157,8 @@ def run_on_rig(
 
 
 def rehearse(controller: FmuController, thrust_set: float) -> None:
-    """Load an FMU, try some steps of it, and leave a fresh instance ready: before anything turns. BadInput where it gives no
-    numbers, or takes longer for a step than there is."""
+    """Before anything turns: load an FMU, try some steps of it, and leave a fresh instance ready. BadInput if its commands are
+    not finite, or the median step takes longer than a tick."""
     took = []
     controller.start(thrust_set, 0.0)
     for _ in range(REHEARSED):
@@ -174,8 +174,7 @@ def rehearse(controller: FmuController, thrust_set: float) -> None:
 
 
 def loop_part(log: Record) -> Record:
-    """The rows of a log in which a controller was at work, from time 0; columns as `hil.columns.RUN` has them, and
-    what was read of the supply."""
+    """The rows of a log with an active controller, from time 0: the columns of `hil.columns.RUN` and the supply's readings."""
     rows = np.flatnonzero(np.isfinite(log["omega_wanted"]))
     if not len(rows):
         return Record({name: np.empty(0) for name in ("time", *RUN)}, log.source)
@@ -185,7 +184,7 @@ def loop_part(log: Record) -> Record:
 
 
 def write_run(path: Path, record: Record) -> None:
-    """Write a run, its values exact to the bit: a replay needs them so. BadInput where the disk refuses."""
+    """Write a run with values exact to the bit, as a replay needs them. BadInput if the disk refuses."""
     cells = [cell(Column(name, exact=name != "time")) for name in record.columns]
     lines = [",".join(record.columns)]
     for row in zip(*(column.tolist() for column in record.columns.values()), strict=True):

@@ -28,10 +28,10 @@ RUNNING, ENDED, ENDED_EARLY = "running", "ended", "ended early"
 
 
 def run_folder(parent: Path, date: str) -> Path:
-    """A new folder for a run that begins at `date` (ISO 8601), and links to what it will hold beside `RUNS`.
+    """Make a folder for a run that begins at `date` (ISO 8601), and links to its files beside `RUNS`.
 
-    Files that stand in the links' places are of an earlier run that knew no folders: they move to `runs/earlier`. BadInput
-    where the system refuses.
+    Ordinary files with the links' names are from an older version without run folders: they move to `runs/earlier`. BadInput
+    if the system refuses.
     """
     name = date.partition("+")[0].replace(":", "").replace("-", "")
     try:
@@ -61,17 +61,17 @@ def _link(at: Path, to: Path) -> None:
 
 
 def sha256_of(path: str | os.PathLike) -> str:
-    """Of a file's bytes."""
+    """SHA-256 of a file's bytes."""
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
 def file_entry(path: str | os.PathLike) -> dict:
-    """What hil.json says of a file that a run was given."""
+    """Entry of hil.json for an input file of a run."""
     return {"file": Path(path).name, "file_sha256": sha256_of(path)}
 
 
 def begun(setup: Setup, calibration: str | os.PathLike, operator: str, given: Mapping[str, str | None]) -> dict:
-    """What hil.json says before anything turns: when, where, who, with what. `given`: the other files by their role."""
+    """Content of hil.json before anything turns: date, host, operator, setup. `given`: the other input files by role."""
     content = setup.summary()
     return {
         "format": "vpp-hil/1",
@@ -88,7 +88,7 @@ def begun(setup: Setup, calibration: str | os.PathLike, operator: str, given: Ma
 
 
 def summary_of_files(log: Path, begun: Mapping) -> tuple[Record | None, dict]:
-    """(the log, None if it holds no row; what `hil.json` says of a run whose loop could not say it itself)."""
+    """(the log, None if it holds no row; content of `hil.json` for a run whose loop could not write it)."""
     try:
         record = read_log(log)
     except BadInput:  # a header and nothing else: it ended before its first tick

@@ -35,7 +35,7 @@ class Check:
 
 @dataclass(frozen=True, eq=False)
 class SelfTest:
-    """`checks`, the log of every tick, the session behind it, why it ended early, if it did; `load`: busy processes beside."""
+    """`checks`, the log of every tick, its session, why it ended early (or ""); `load`: number of busy processes."""
 
     checks: tuple[Check, ...]
     log: Record
@@ -49,7 +49,7 @@ class SelfTest:
         return self.session.summary() | {"load": self.load, "checks": checks}
 
     def judge(self) -> None:
-        """SelfTestFailed where a check was not passed."""
+        """Raise SelfTestFailed if a check was not passed."""
         if bad := [check.what for check in self.checks if not check.good]:
             raise SelfTestFailed(f"not good: {', '.join(bad)}")
 
@@ -57,7 +57,7 @@ class SelfTest:
 def selftest(
     setup: Setup, seconds: float, folder: Path, load: int = 0, progress: Callable[[float], None] = lambda s: None
 ) -> SelfTest:
-    """Tick for `seconds` with the idle pulse on the outputs, `load` other processes being busy meanwhile."""
+    """Tick for `seconds` with the idle pulse on the outputs, while `load` other processes are busy."""
     ended = ""
     with session(setup, folder, LOG) as one, busy(load):
         rig, count = one.rig, round(seconds / one.rig.dt)
@@ -80,7 +80,7 @@ def busy(count: int) -> Iterator[None]:
     for worker in workers:
         worker.start()
     if count:
-        time.sleep(1.0)  # until they are through their imports
+        time.sleep(1.0)  # until their imports are done
     try:
         yield
     finally:
@@ -91,7 +91,7 @@ def busy(count: int) -> Iterator[None]:
 
 def _compute() -> None:
     numbers, parent = np.random.default_rng(0).standard_normal((200, 200)), multiprocessing.parent_process()
-    while parent.is_alive():  # else it would outlive one that was killed
+    while parent.is_alive():  # else it would outlive a killed parent
         np.linalg.svd(numbers)
 
 

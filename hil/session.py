@@ -49,11 +49,10 @@ _PACKAGES = ("vpp-fmu", "numpy", "fmpy", "pyserial", "smbus2")
 
 @dataclass(frozen=True)
 class Setup:
-    """Which rig: `emulated`, in virtual time or not, or the real one by its `wiring`; how it is calibrated, what it may do.
+    """The rig: `emulated` in `virtual` or real time, or the real one by its `wiring`; its calibration and limits.
 
-    `plant`: what is known of it, parameters by the kernel's names (default: the paper's). `allowed`: the ranges, slews and
-    scales that were measured or declared, from which the limits followed. `truth`: how the emulated rig really is, where its
-    calibration is still to be found.
+    `plant`: its model's parameters by the kernel's names (default: the paper's). `allowed`: the measured or declared ranges,
+    slews and scales from which the limits are derived. `truth`: the emulated rig's true calibration, if a run is to find it.
     """
 
     calibration: Calibration
@@ -67,7 +66,7 @@ class Setup:
     truth: Calibration | None = None
 
     def plausibility(self) -> Plausibility:
-        """The checks of a run's readings. Where the map is not known yet, thrust can't tell whether the blades follow."""
+        """The checks of a run's readings. Without a known map thrust can't show the blades' pitch, so it is not checked."""
         thresholds = thresholds_of(self.allowed)
         if not self.map_is_known:
             thresholds = replace(thresholds, effect=-math.inf)
@@ -138,9 +137,9 @@ def session(
 ) -> Iterator[Session]:
     """A rig to use within the context. After it the idle pulse is on the outputs, and the log and the session are complete.
 
-    `log_name`: the full-rate log in `folder`. `watch`: show a live view where there is a terminal. `after`: the command that
-    makes a report of the log if this process can't. `on_alarm`, `adaptive` as `Rig` has them. `page`: in real time, the
-    operator's.
+    `log_name`: the full-rate log in `folder`. `watch`: show a live view if there is a terminal. `after`: the command that
+    makes a report of the log if this process can't. `on_alarm`, `adaptive` as in `Rig`. `page`: the operator's page, in real
+    time only.
     """
     with contextlib.ExitStack() as ends:
         bench = setup.bench()
@@ -189,8 +188,8 @@ def session(
 
 
 def found_log(path: Path) -> Path:
-    """The log that `path` means: a log, or a run's folder. One whose writer died too has no name yet: it is cut behind its last
-    whole row and given it. BadInput where there is none."""
+    """The log at `path`, a log or a run's folder. A log whose writer died still has its temporary name: it is cut after its
+    last complete row and renamed. BadInput if there is none."""
     log = path / "log.csv" if path.is_dir() else path
     part = log if log.name.endswith(".part") else log.with_name(f".{log.name}.part")
     log = part.with_name(part.name.removeprefix(".").removesuffix(".part"))
@@ -210,20 +209,20 @@ def found_log(path: Path) -> Path:
     if log.suffix == ".gz":
         pack = zlib.compressobj(1, wbits=31)
         whole = pack.compress(whole) + pack.flush()
-    write_whole(part, whole, log)  # a full disk must not cost what there is
+    write_whole(part, whole, log)  # a full disk must not destroy the existing data
     os.replace(part, log)
     return log
 
 
 def read_log(path: Path) -> Record:
-    """A full-rate log, whole; empty cells are NaN."""
+    """Read a full-rate log; empty cells are NaN."""
     table = read_table(path)
     columns = {name: table.numbers(name, ("",)) for name in table.columns if name != "state"}
     return Record({**columns, "state": np.asarray(table.columns["state"], str)}, str(path))
 
 
 def versions() -> dict[str, str]:
-    """Of what took part."""
+    """Versions of Python, the system and the packages."""
     found = {"python": sys.version.split()[0], "system": f"{platform.system()} {platform.release()} {platform.machine()}"}
     for name in _PACKAGES:
         with contextlib.suppress(PackageNotFoundError):

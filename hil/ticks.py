@@ -7,7 +7,7 @@ from hil.clock import Clock
 
 
 class Tick(NamedTuple):
-    """One tick: its `slot` of the grid, its lateness `late` [s] for the next one, and the number of `missed` slots."""
+    """One tick: its `slot` of the grid, how `late` [s] it was for the deadline it waited for, and the `missed` slots."""
 
     slot: int
     late: float
@@ -16,7 +16,7 @@ class Tick(NamedTuple):
 
 class Ticks:
     """Deadlines every `dt` [s] from now on. A tick that is too late for its slot takes the present one: missed slots are
-    skipped, and the phase stays. `missed` and `ticks` count from the start."""
+    skipped, and the phase is kept. `missed` and `ticks` count from the start."""
 
     def __init__(self, clock: Clock, dt: float):
         self._clock, self.dt, self._zero = clock, dt, clock.now()
@@ -34,7 +34,7 @@ class Ticks:
         return Tick(self.slot, late, missed)
 
     def resume(self) -> None:
-        """Go on after a break that was meant: its slots don't count as missed."""
+        """Continue after an intended break: its slots don't count as missed."""
         self.slot = max(self.slot, int((self._clock.now() - self._zero) / self.dt))
         self._window.clear()
 
@@ -48,5 +48,5 @@ class Ticks:
 
     @property
     def time(self) -> float:
-        """Time of the slot that runs, from the start [s]."""
+        """Time of the present slot, from the start [s]."""
         return self.slot * self.dt

@@ -57,7 +57,7 @@ class Timing:
 
 
 def timing(late: np.ndarray, busy: np.ndarray, missed: np.ndarray) -> Timing:
-    """Of a log's columns, each (ticks,)."""
+    """The timing from a log's columns, each (ticks,): `late` and `busy` [s], `missed` slots."""
     counts, _ = np.histogram(late, EDGES)
     percentiles = [tuple(float(v) for v in np.percentile(values, PERCENTILES)) for values in (late, busy)]
     return Timing(len(late), int(missed.sum()), *percentiles, tuple(int(n) for n in counts))

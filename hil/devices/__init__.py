@@ -1,1 +1,1 @@
-"""The rig's devices as they are: ADC on I2C, tachometer on a serial line, pulse outputs. Nothing here knows of an emulator."""
+"""Drivers of the rig's devices: ADC on I2C, tachometer on a serial line, pulse outputs. They do not depend on the emulator."""

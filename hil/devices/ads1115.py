@@ -1,7 +1,7 @@
 """The load cell's ADC, an ADS1115 on I2C (Texas Instruments, SBAS444), in continuous conversion.
 
-One block read of the conversion register a tick. The chip gives no sign of a fresh conversion: at 860 a second (+-10 %) a
-loop of 250 Hz never reads one twice. Polling its ready bit would never end in continuous mode.
+The driver makes one block read of the conversion register a tick. The chip does not signal a new conversion, but at 860 a
+second (+-10 %) a loop of 250 Hz never reads one twice. Polling its ready bit would never end in continuous mode.
 """
 
 import errno
@@ -24,20 +24,20 @@ SLOWEST = 0.9
 
 _I2C_TIMEOUT = 0x0702
 _TIMEOUT = 2
-"""What the kernel waits for a bus that hangs, in its units of 10 ms. Left alone it is a second: 250 ticks."""
+"""The kernel's timeout for a bus that hangs, in units of 10 ms. The default is a second: 250 ticks."""
 
 _START, _READY, _COMPARATOR_OFF = 0x8000, 0x8000, 0x0003
 _TRIES = 3
 _SUSPECT = 5
-"""Equal readings in a row after which the settings are looked at: noise moves a live one."""
+"""Equal readings in a row after which the settings are checked: noise changes live readings."""
 _VERIFY_EVERY = 1.0  # s
 _LOSSES = 2
 _LOSSES_WITHIN = 10.0  # s
 
 
 class Conversion(NamedTuple):
-    """A reading: `counts` (16 bit, signed); whether they stand at an end of the range; whether they were read in this call
-    or are the last ones that could be; their age [s] at most, the conversion itself included; equal readings in a row."""
+    """A reading: `counts` (16 bit, signed); `saturated`: at an end of the range; `fresh`: read in this call, else held; largest
+    possible `age` [s], including the conversion; `repeats`: equal readings in a row."""
 
     counts: int
     saturated: bool
@@ -49,9 +49,9 @@ class Conversion(NamedTuple):
 class Ads1115:
     """The chip at `address` of the bus `bus` (number or path). `full_scale` in V, `rate` in conversions a second.
 
-    A transfer that is not acknowledged (a motor starts) is tried again twice; after that, or a timeout, the last reading
-    stands in for up to `hold` seconds. Settings lost in a brown-out are written anew. `counters` says how often. DeviceFault
-    when that does not help: REFUSED, TIMEOUT, RECONFIGURED (lost twice within 10 s), NOT_READY at the start.
+    A transfer that is not acknowledged (a motor starts) is tried again twice; after that, or a timeout, the last reading is
+    held for up to `hold` seconds. Settings lost in a brown-out are written again. `counters`: how often this happened.
+    DeviceFault if it does not help: REFUSED, TIMEOUT, RECONFIGURED (lost twice within 10 s), NOT_READY at the start.
     """
 
     def __init__(self, bus, address=0x48, channel="AIN0", full_scale=4.096, rate=860, *, clock: Clock, hold=0.05, name="adc"):
@@ -87,7 +87,7 @@ class Ads1115:
         self._repeats, self._losses = 0, []
 
     def read(self) -> Conversion:
-        """The newest conversion, or the last one that could be had within `hold`."""
+        """The newest conversion, or if that fails the last one, unless it is older than `hold`."""
         now = self._clock.now()
         try:
             counts = _signed(self._transfer())
@@ -103,7 +103,7 @@ class Ads1115:
         return self._conversion(counts, now, fresh=True)
 
     def verify(self) -> None:
-        """Look whether the chip still has its settings. If not it gets them again; a second loss within 10 s is a fault."""
+        """Check the chip's settings. If they are lost, write them again; a second loss within 10 s is a fault."""
         now = self._clock.now()
         try:
             found = self._register(CONFIG)
@@ -111,7 +111,7 @@ class Ads1115:
             if found & ~_READY & 0xFFFF == self._settings:
                 return
             self._write_settings()
-        except OSError as error:  # not known to be lost: the next tick asks again
+        except OSError as error:  # the settings are unknown: the next tick checks again
             self._held(self._clock.now(), error)
             return
         self.counters["settings lost"] += 1
@@ -121,19 +121,19 @@ class Ads1115:
             raise DeviceFault(self.name, FaultKind.RECONFIGURED, detail)
 
     def select(self, channel: str) -> None:
-        """Convert another input from now on; readings are held until it has been. DeviceFault as `read`."""
+        """Convert another input from now on; readings are held until its first conversion. DeviceFault as `read`."""
         before, self._settings = self._settings, self._settings & ~(7 << 12) | INPUTS[channel] << 12
         if self._settings == before:
             return
         try:
             self._write_settings()
             self._repeats = 0
-        except OSError as error:  # whoever selects asks again
+        except OSError as error:  # the caller selects again
             self._settings = before
             self._held(self._clock.now(), error)
 
     def close(self) -> None:
-        """Let go of the bus; the chip goes on converting."""
+        """Close the bus; the chip continues to convert."""
         if self._bus is not None:
             self._bus.close()
             self._bus = None

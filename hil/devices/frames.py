@@ -1,9 +1,9 @@
-"""Frames on the tachometer's serial line: built, and found again in a stream of bytes that may be damaged.
+"""Frames on the tachometer's serial line: encode them, and find them in a stream of bytes that may be damaged.
 
 A frame is the sync byte 0x7E, the length of its payload, its type, a sequence number, the payload and a CRC-16, all numbers
-little-endian. The CRC is known as CRC-16/IBM-3740, also called CCITT-FALSE: polynomial 0x1021, start
-0xFFFF, not reflected, not inverted; it covers everything between sync and CRC and sees every error of up to three bits
-and every burst of up to 16. `hil/firmware/tachometer/tachometer.h` says the same in C.
+little-endian. The CRC is CRC-16/IBM-3740, also called CCITT-FALSE: polynomial 0x1021, start 0xFFFF, not reflected, not
+inverted. It covers all bytes between sync and CRC, and detects every error of up to three bits and every burst of up to 16.
+`hil/firmware/tachometer/tachometer.h` defines the same in C.
 """
 
 import struct
@@ -16,10 +16,10 @@ OVERHEAD = 6
 """Bytes of a frame that are not payload."""
 
 ASK_HELLO, ASK_ANSWER, HELLO, ANSWER, ARM, STOP = 0x96, 0x69, 0x3C, 0xC3, 0xA5, 0x5A
-"""Types: four bits and more apart, so that no damage of less makes one into another."""
+"""Types: they differ in at least four bits, so that fewer wrong bits do not turn one into another."""
 
 WORD = b"SPIN"
-"""ARM's payload: what closes the relay in the ESC's supply. STOP opens it, and so do `SILENCE` s without a request."""
+"""ARM's payload: it closes the relay in the ESC's supply. STOP opens it, and so do `SILENCE` s without a request."""
 SILENCE = 0.1
 
 VERSION = 2
@@ -27,17 +27,17 @@ TICK = 4e-6
 """Resolution of the board's timer [s]: 16 MHz / 64."""
 
 STALLED, MEASURED, CLOSED, SILENT = 0x01, 0x02, 0x04, 0x08
-"""Flags of an answer: no mark for 200 ms; `period` holds a whole revolution; the relay is closed; it opened automatically: no
-request came, and was not armed since."""
+"""Flags of an answer: no mark for 200 ms; `period` holds a whole revolution; the relay is closed; it opened for lack of
+requests, and was not armed since."""
 
 _HELLO, _ANSWER = struct.Struct("<BBHH"), struct.Struct("<LLHHBB")
 FROM_HOST: Mapping[int, int] = {ASK_HELLO: 0, ASK_ANSWER: 0, ARM: len(WORD), STOP: 0}
 FROM_BOARD: Mapping[int, int] = {HELLO: _HELLO.size, ANSWER: _ANSWER.size}
-"""Payload lengths of the types that each side sends: a length that is not its type's is damage."""
+"""Payload length of each type, by sender: any other length is an error."""
 
 
 class Frame(NamedTuple):
-    """What a frame carries."""
+    """Content of a frame."""
 
     type: int
     sequence: int
@@ -45,7 +45,7 @@ class Frame(NamedTuple):
 
 
 class Hello(NamedTuple):
-    """What the board says of itself after a reset, or when asked: times in microseconds [us] and ticks of them."""
+    """The board's greeting after a reset or on request: protocol version, timer tick [us], REJECT and STALL times [ticks]."""
 
     version: int
     tick: int
@@ -58,9 +58,9 @@ class Hello(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """The rotor as the board has seen it: `pulses` since reset; `stamp`, the board's time of the last one [ticks, wraps];
-    `period` of the last whole revolution and `age` of the last pulse [ticks, 65535 and more read 65535]; `flags`; edges
-    `rejected` because they came too early (wraps)."""
+    """The rotor as measured by the board: `pulses` since reset; `stamp`, the board's time of the last one [ticks, wraps];
+    `period` of the last whole revolution and `age` of the last pulse [ticks, at most 65535]; `flags`; edges `rejected` because
+    they came too early (wraps)."""
 
     pulses: int
     stamp: int
@@ -98,8 +98,8 @@ def encoded(frame: Frame) -> bytes:
 class FrameReader:
     """Finds the frames in a stream. `lengths`: payload length of each type that may come.
 
-    Where a frame fails its checks one byte is dropped and the search goes on behind it, so a good frame behind damage is
-    never lost. `received`: bytes in all; `dropped`: bytes that were part of no frame; `damaged`: frames with a wrong CRC.
+    If a frame fails its checks, one byte is dropped and the search continues, so a good frame after a damaged one is never
+    lost. `received`: bytes in all; `dropped`: bytes that were part of no frame; `damaged`: frames with a wrong CRC.
     """
 
     def __init__(self, lengths: Mapping[int, int]):
@@ -107,7 +107,7 @@ class FrameReader:
         self.received = self.dropped = self.damaged = 0
 
     def feed(self, data: bytes) -> list[Frame]:
-        """The frames that are whole now."""
+        """Add bytes; returns the frames that they complete."""
         self.received += len(data)
         self._buffer += data
         frames = []
@@ -116,7 +116,7 @@ class FrameReader:
         return frames
 
     def forget(self) -> None:
-        """Drop what waits for the rest of a frame."""
+        """Drop the bytes of an incomplete frame."""
         self._drop(len(self._buffer))
 
     def _next(self) -> Frame | None:

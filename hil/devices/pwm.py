@@ -1,7 +1,7 @@
 """Pulse outputs (ESC, LAC) through the kernel's PWM files, /sys/class/pwm (Documentation/driver-api/pwm.rst).
 
 A pulse outlives the process that set it, and a disabled output has no defined level: so an output is never disabled, it
-idles. What the kernel asks for: a period before a pulse, no pulse above the period, the polarity only while disabled.
+idles. Rules of the kernel: a period before a pulse, no pulse above the period, polarity changes only while disabled.
 """
 
 import contextlib
@@ -15,13 +15,13 @@ from hil.safety.faults import DeviceFault, FaultKind
 
 ROOT = Path("/sys/class/pwm")
 _PERMISSION = 1.0
-"""How long udev may take to hand over the files of a channel that was exported [s]."""
+"""Time for udev to give access to the files of an exported channel [s]."""
 
 
 def find_chip(device: str, root: str | os.PathLike = ROOT) -> Path:
     """The folder of the chip whose device is `device` ("fe20c000.pwm" on the Pi 4): chips' numbers change with the kernel.
 
-    DeviceFault NOT_READY names the devices that are there.
+    DeviceFault NOT_READY names the existing devices.
     """
     found = {}
     for chip in sorted(Path(root).glob("pwmchip*")):
@@ -49,16 +49,16 @@ class PwmChannel:
 
     @property
     def duty_file(self) -> Path:
-        """Where the pulse [ns] is written, by this class and by whoever must stop the rotor if it can't."""
+        """The file of the pulse [ns], written by this class, and by the supervisor if it must stop the rotor."""
         return self.folder / "duty_cycle"
 
     def open(self, period: float, pulse: float) -> None:
-        """Export, set the period [s] and the idle pulse [s], enable. The output may be running already: it idles on."""
+        """Export, set the period [s] and the idle pulse [s], enable. An output that already runs stays enabled."""
         self._period, self.idle_ns = _nanoseconds(period), _nanoseconds(pulse)
         try:
             self._export()
             running = self._read("enable") == "1"
-            # Never a pulse above the period on the way from the old pair to the new one.
+            # In this order the pulse never exceeds the period.
             order = [("duty_cycle", self.idle_ns), ("period", self._period)]
             if not running or int(self._read("period")) < self._period:
                 order.reverse()
@@ -88,9 +88,9 @@ class PwmChannel:
         self.counters["pulses"] += 1
 
     def verify(self) -> None:
-        """Whether the kernel still shows what was set: on, period, polarity, last pulse; DeviceFault OUTPUT_LOST if not.
+        """Check that the kernel still shows the values set: enable, period, polarity, pulse; DeviceFault OUTPUT_LOST if not.
 
-        Some microseconds: four reads of files that are open.
+        It takes some microseconds: four reads of open files.
         """
         try:
             found = [os.pread(file, 64, 0).split(b"\n", 1)[0] for file in (*self._shown, self._duty)]
@@ -104,14 +104,14 @@ class PwmChannel:
             raise DeviceFault(self.name, FaultKind.OUTPUT_LOST, detail)
 
     def restore(self) -> None:
-        """The idle pulse, and the output on with its period: once, after somebody else has changed them."""
+        """Set idle pulse, period and enable again, after another process has changed them."""
         for file, value in (("duty_cycle", self.idle_ns), ("period", self._period), ("enable", 1)):
             with contextlib.suppress(OSError):
                 self._write(file, value)
         self._pulse = self.idle_ns
 
     def close(self) -> None:
-        """Leave the output enabled at its idle pulse, and let go of it. Harmless if it never opened or twice."""
+        """Leave the output enabled at its idle pulse, and close its files. Harmless if it is not open."""
         if self._duty is not None:
             try:
                 self.set(1e-9 * self.idle_ns)

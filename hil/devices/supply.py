@@ -1,7 +1,7 @@
-"""Voltage and current of the motor's supply, its temperature, the rotor's torque: a second ADS1115, read input by input.
+"""Voltage, current and temperature of the motor's supply, and the rotor's torque: a second ADS1115, read input by input.
 
-It is a chip of its own because a chip converts one input at a time: three inputs of the load cell's would be free, but each
-look at one of them would cost thrust two readings.
+A chip converts one input at a time. So the free inputs of the load cell's chip are not used: each of their readings would cost
+two readings of thrust.
 """
 
 import math
@@ -12,30 +12,30 @@ from hil.clock import Clock
 from hil.devices.ads1115 import Ads1115
 
 NAMES = {"voltage": "V", "current": "A", "temperature": "degC", "torque": "N.m"}
-"""What may be wired, and its unit."""
+"""Quantities that may be wired, with their units."""
 
 EVERY = 25
-"""Ticks from one input to the next, 0.1 s: limits of the supply need no more, and power is a mean over seconds."""
+"""Ticks from one input to the next, 0.1 s: enough for the supply's limits, and power is averaged over seconds."""
 
 HOLD = 1.0
-"""s that the last readings may stand in while the bus fails."""
+"""Time for which the last readings are held while the bus fails, s."""
 
 
 class Input(NamedTuple):
-    """How a quantity is wired: `channel` of the chip, what 0 V on it stand for (`zero`), and each volt more (`per_volt`)."""
+    """How a quantity is wired: `channel` of the chip, the value at 0 V (`zero`), and its change per volt (`per_volt`)."""
 
     channel: str
     zero: float
     per_volt: float
 
     def volts(self, value: float) -> float:
-        """On the channel at a value of the quantity."""
+        """Voltage on the channel at a value of the quantity."""
         return (value - self.zero) / self.per_volt
 
 
 class Supply:
-    """The chip at `address` with `inputs` by name. `values`: the last reading of each, NaN before the first; `new`: the names
-    of those that the last call of `read` brought."""
+    """The chip at `address` with `inputs` by name. `values`: the last reading of each, NaN before the first; `new`: names of
+    those that the last call of `read` updated."""
 
     def __init__(self, bus, address: int, inputs: Mapping[str, Input], *, clock: Clock):
         self.inputs, self._order, self._at, self._ticks = dict(inputs), list(inputs), 0, 0
@@ -56,7 +56,7 @@ class Supply:
         self._adc.start()
 
     def read(self) -> None:
-        """Once a tick: now and then it reads an input and goes on to the next. DeviceFault as `Ads1115.read`."""
+        """Call once a tick: every EVERY ticks it reads an input and selects the next. DeviceFault as `Ads1115.read`."""
         self._ticks, self.new = self._ticks + 1, ()
         if self._ticks % EVERY:
             return
@@ -70,5 +70,5 @@ class Supply:
         self._adc.select(self.inputs[self._order[self._at]].channel)
 
     def close(self) -> None:
-        """Let go of the bus."""
+        """Close the bus."""
         self._adc.close()

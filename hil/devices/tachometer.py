@@ -1,7 +1,7 @@
-"""The tachometer: an Arduino Uno that times one reflective mark, asked over a serial line.
+"""The tachometer: an Arduino Uno that times one reflective mark and answers requests over a serial line.
 
-Pipelined by one tick: the request goes out at a tick, its answer is read at the next, and nothing ever waits. At most one
-request is outstanding.
+A request is sent at a tick, and its answer is read at the next, so that the loop never waits. At most one request is
+outstanding.
 """
 
 import math
@@ -16,11 +16,11 @@ from hil.devices.frames import Frame, FrameReader, Hello, encoded
 from hil.safety.faults import DeviceFault, FaultKind
 
 BAUD = 500_000
-"""The Uno divides its 16 MHz to it without a remainder."""
+"""The Uno's 16 MHz clock divides to it without a remainder."""
 HELLO_WITHIN = 3.0
 """Opening the port resets the board; its bootloader takes a second or two [s]."""
 ASK_AFTER, ASK_EVERY = 2.0, 0.25
-"""A board that wasn't reset is asked; not before, as bytes keep a bootloader from ending [s]."""
+"""A board that wasn't reset is asked for its greeting; not earlier, because bytes keep a bootloader from ending [s]."""
 ANSWER_WITHIN = 0.011
 """After this a request counts as lost: at the third tick of 4 ms the next one goes out [s]."""
 _MOST_AT_ONCE = 512
@@ -28,10 +28,10 @@ _ANSWER_BYTES = frames.FROM_BOARD[frames.ANSWER] + frames.OVERHEAD
 
 
 class Revolution(NamedTuple):
-    """The rotor's last pass of the mark: passes since the board's reset; `period` of the last whole revolution [s], inf where
-    none was measured yet; time since the pass [s], at the call that returned this; no pass for 200 ms; the request's number;
-    edges that the board rejected since its reset (modulo 256); when the answer was read [s]; whether the relay in the ESC's
-    supply was closed then, and whether it had opened automatically."""
+    """The rotor's last pass of the mark. `pulses`: passes since the board's reset; `period` of the last whole revolution [s],
+    inf if none was measured; `age` of the pass [s] at the call that returned this; `stalled`: no pass for 200 ms; `sequence`:
+    the request's number; `rejected`: edges rejected since the reset (modulo 256); `received`: when the answer was read [s];
+    `closed`: the relay in the ESC's supply was closed; `silent`: it had opened for lack of requests."""
 
     pulses: int
     period: float
@@ -45,12 +45,12 @@ class Revolution(NamedTuple):
 
     @property
     def omega(self) -> float:
-        """Mean speed over the last whole revolution [rpm]; 0 where there is none."""
+        """Mean speed over the last whole revolution [rpm]; 0 if there is none."""
         return 60.0 / self.period
 
 
 class Port(Protocol):
-    """What is used of a `serial.Serial`; reads and writes return at once."""
+    """The part of `serial.Serial` that is used; reads and writes return at once."""
 
     in_waiting: int
 
@@ -64,8 +64,8 @@ class Tachometer:
     """The board at `port`: a device's path, or a function that opens another Port. `timeout` [s]: tolerated time without an
     answer.
 
-    DeviceFault: NOT_READY from `hello`; from `poll` SILENT (no bytes), GARBLED (bytes, but none that pass), UNPLUGGED,
-    RESTARTED. `counters`: requests lost, answers that nobody waits for any more, frames with a wrong CRC, bytes dropped.
+    DeviceFault: NOT_READY from `hello`; from `poll` SILENT (no bytes), GARBLED (bytes, but no valid answer), UNPLUGGED,
+    RESTARTED. `counters`: requests lost, answers without an open request, frames with a wrong CRC, bytes dropped.
     """
 
     name = "tachometer"
@@ -87,7 +87,7 @@ class Tachometer:
         return {"lost": self._lost, "late": self._late, "damaged": reader.damaged, "dropped bytes": reader.dropped}
 
     def hello(self) -> Hello:
-        """Open the port and wait for the board to say what it is."""
+        """Open the port and wait for the board's greeting."""
         clock = self._clock
         try:
             self._port = self._opened()
@@ -111,7 +111,7 @@ class Tachometer:
         raise DeviceFault(self.name, FaultKind.NOT_READY, detail)
 
     def request(self) -> None:
-        """Ask for the rotor's state, unless an answer is still due. A damaged one has come and is not waited for."""
+        """Ask for the rotor's state, unless an answer is still due. A damaged answer is no longer due."""
         now, heard = self._clock.now(), self._reader.received
         if self._asked is not None:
             if now - self._asked < ANSWER_WITHIN and heard - self._heard_then < _ANSWER_BYTES:
@@ -126,7 +126,7 @@ class Tachometer:
             raise DeviceFault(self.name, FaultKind.UNPLUGGED, f"found {_reason(error)}, expected an open port") from error
 
     def arm(self) -> None:
-        """Close the relay in the ESC's supply; the next answers show it. Requests hold it, 0.1 s without opens it."""
+        """Close the relay in the ESC's supply; the next answers report it. Requests keep it closed; 0.1 s without opens it."""
         self._say(frames.ARM, frames.WORD)
 
     def stop(self) -> None:
@@ -141,10 +141,9 @@ class Tachometer:
             raise DeviceFault(self.name, FaultKind.UNPLUGGED, f"found {_reason(error)}, expected an open port") from error
 
     def poll(self) -> Revolution | None:
-        """The answer to the newest request that has one, if it has come and wasn't returned yet.
+        """The newest answer, if it was not returned yet; else None.
 
-        A busy machine may hold bytes back for longer than a request is waited for: an answer to one that counts as lost is as
-        true as any, and as old as it says.
+        On a busy machine an answer may arrive after its request counts as lost. It is still valid, and its age is right.
         """
         now, answer = self._clock.now(), None
         try:
@@ -167,7 +166,7 @@ class Tachometer:
         return answer
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         if self._port is not None:
             self._port.close()
             self._port = None
@@ -194,7 +193,7 @@ class Tachometer:
 
     def _revolution(self, frame: Frame, now: float, asked: float) -> Revolution:
         answer = frames.read_answer(frame)
-        # The board's age is of the moment it answered, at most a line's delay after the request.
+        # The board states the age when it answers, at most a line's delay after the request.
         age = frames.TICK * answer.age + now - asked
         period = frames.TICK * answer.period if answer.flags & frames.MEASURED else math.inf
         stalled, closed, silent = (bool(answer.flags & flag) for flag in (frames.STALLED, frames.CLOSED, frames.SILENT))

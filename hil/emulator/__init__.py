@@ -1,8 +1,8 @@
-"""The byte side of an emulated rig: behind each bus the registers, frames and files that the real driver code talks to.
+"""An emulated rig at byte level: behind each bus the registers, frames and files that the real drivers access.
 
-An emulated bus has two ends. Behind it, in the process that runs the physics, `serve(t)` does what is due up to the time t.
-In front of it, in the process that runs the loop, `attached` puts the emulated kernel where the driver makes its system
-calls. Both ends meet in one folder of small files, so they may live in one process under a virtual clock, or in two in real
-time. So do the faults that can be injected: numbers in those files, named in `i2c.FAULTS` and `serial_line.FAULTS`, that any
-process may set; `pwm_tree.attached` takes the writes to refuse.
+An emulated bus has two ends. The far end, in the process that runs the physics, is `serve(t)`: it emulates the device up to the
+time t. The near end, in the process that runs the loop, is `attached`: it replaces the driver's system calls by an emulated
+kernel. Both share one folder of small files, so they can be in one process under a virtual clock, or in two in real time.
+Faults are injected by numbers in those files, named in `i2c.FAULTS` and `serial_line.FAULTS`, which any process may set; the
+argument `refuse` of `pwm_tree.attached` selects writes to refuse.
 """

@@ -1,7 +1,7 @@
-"""An I2C bus with an ADS1115 on it, emulated beneath smbus2: its own ioctl calls, with its own structures, reach registers.
+"""An emulated I2C bus with an ADS1115: smbus2's own ioctl calls and structures access its registers.
 
-The bus is a small file that smbus2 opens as it opens /dev/i2c-1. In front, `attached` takes the driver's ioctl and reads
-its structures as Linux lays them down (uapi/linux/i2c.h, i2c-dev.h). Behind, `Ads1115Chip` converts volts at its own pace.
+The bus is a small file that smbus2 opens like /dev/i2c-1. At the near end, `attached` replaces the driver's ioctl and reads its
+structures in Linux's layout (uapi/linux/i2c.h, i2c-dev.h). At the far end, `Ads1115Chip` converts volts at its own rate.
 """
 
 import contextlib
@@ -18,11 +18,11 @@ from hil.emulator.shared import SharedNumbers
 REGISTERS = ("conversion", "config", "low", "high")
 STATE = ("pointer", "converting", "since")
 FAULTS = ("not_acknowledged", "timeout", "frozen", "overload")
-"""What can be set, from any process: transfers to come that are not acknowledged, that time out (math.inf: all); 1: the
-conversions stand still; volts added to the input."""
+"""Faults that any process may set: numbers of transfers to come that are not acknowledged, or time out (math.inf: all); 1: the
+conversions are frozen; volts added to the input."""
 
 POWER_UP = {"conversion": 0x0000, "config": 0x0583, "low": 0x8000, "high": 0x7FFF}
-"""Registers after a reset; the config's top bit shows whether a conversion runs and is kept apart: it reads 0x8583."""
+"""Registers after a reset. The config's top bit (whether a conversion runs) is stored separately: it reads 0x8583."""
 TIMEOUT = 1.0
 """The kernel's default timeout of a transfer, s."""
 
@@ -34,7 +34,7 @@ _WAKE = 25e-6
 
 
 def open_bus(path: str | os.PathLike, create: bool = False) -> SharedNumbers:
-    """The bus's registers and faults, to look at and to set. `create`: a new bus, its chip just powered up."""
+    """The bus's registers and faults, to read and to set. `create`: a new bus, its chip just powered up."""
     bus = SharedNumbers(path, REGISTERS + STATE + FAULTS, create)
     if create:
         brown_out(bus)
@@ -42,17 +42,18 @@ def open_bus(path: str | os.PathLike, create: bool = False) -> SharedNumbers:
 
 
 def brown_out(bus: SharedNumbers) -> None:
-    """The chip's supply dips: its registers are as after power-up, and it converts no more."""
+    """Emulate a dip of the chip's supply: its registers are as after power-up, and conversions stop."""
     for name, value in POWER_UP.items():
         bus[name] = value
     bus["pointer"] = bus["converting"] = 0
 
 
 class Ads1115Chip:
-    """The converting half. `volts(t)`: voltage at input `channel` at time t [s]; `others`: the same of other inputs; what is
-    not among them lies at 0 V.
+    """The converter of the chip. `volts(t)`: voltage at input `channel` at time t [s]; `others`: the same for other inputs; all
+    remaining inputs are at 0 V.
 
-    `clock_error`: share by which its clock is fast; the data sheet allows +-0.1. A conversion takes the input at its end.
+    `clock_error`: relative error of its clock, positive if fast; the data sheet allows +-0.1. A conversion samples the input at
+    its end.
     """
 
     def __init__(
@@ -64,7 +65,7 @@ class Ads1115Chip:
         self._since, self._done = math.nan, 0
 
     def serve(self, t: float) -> None:
-        """Do the conversions that end up to time t [s]."""
+        """Do the conversions that end by time t [s]."""
         bus = self._bus
         config = int(bus["config"])
         period = 1.0 / (_RATES[config >> 5 & 7] * (1.0 + self._clock_error))
@@ -93,8 +94,8 @@ class Ads1115Chip:
 def attached(
     path: str | os.PathLike, clock: Clock, address: int = 0x48, second: tuple[int, str | os.PathLike] | None = None
 ) -> Iterator[SharedNumbers]:
-    """Within this context smbus2 reaches the bus `path`, and other buses as before. A timeout takes its time on `clock`.
-    `second`: address and file of another chip on the same wires."""
+    """Within this context smbus2 accesses the bus `path`, and other buses as before. A timeout waits on `clock`. `second`:
+    address and file of another chip on the same wires."""
     module = driver.smbus2.smbus2
     bus, beneath = open_bus(path), module.ioctl
     chips = {address: bus} | ({second[0]: open_bus(second[1])} if second else {})
@@ -142,7 +143,7 @@ class _Kernel:
 
     def __init__(self, chips: dict[int, SharedNumbers], clock: Clock):
         self._chips, self._clock = chips, clock
-        self._addresses: dict[int, int] = {}  # of each open file its own
+        self._addresses: dict[int, int] = {}  # by open file
         self._timeout = TIMEOUT
 
     def ioctl(self, file: int, request: int, argument) -> int:

@@ -1,7 +1,7 @@
-"""The emulated rig in real time: physics and far ends of the buses in a process of their own, a step a millisecond.
+"""The emulated rig in real time: physics and far ends of the buses in a separate process, a step a millisecond.
 
-Run as a module. The one argument is JSON: folder, calibration as a file's text, and what is emulated. Says "ready" on standard
-output, and ends when standard input does: with whoever started it.
+Run as a module. The one argument is JSON: the folder, which contains the calibration, and the emulated rig. The process prints
+"ready" on standard output, and ends when standard input closes, that is with its parent.
 """
 
 import contextlib
@@ -25,15 +25,14 @@ from hil.safety.faults import DeviceFault, FaultKind
 from hil.ticks import Ticks
 
 PERIOD = 0.001
-"""s between two looks at the buses."""
+"""Time between two steps, s."""
 PRIORITY = 70
-"""Below the loop's: the rig's own computer must not wait for it, as a real rig doesn't make it wait."""
+"""Below the loop's, which must not wait for the emulated rig."""
 CALIBRATION = "calibration.json"
 
 
 def real_time_bench(rig: Rig, calibration: Calibration, truth: Calibration | None = None) -> Bench:
-    """An emulated rig in a process of its own; `truth` as `virtual_bench` has it. DeviceFault NOT_READY where it does not
-    start."""
+    """An emulated rig in a separate process; `truth` as in `virtual_bench`. DeviceFault NOT_READY if it does not start."""
     ends, clock = contextlib.ExitStack(), MonotonicClock()
     with contextlib.ExitStack() as undo:
         undo.callback(ends.close)
@@ -65,7 +64,7 @@ def _start(rig: Rig, at: Path, ends: contextlib.ExitStack) -> None:
         [sys.executable, "-m", "hil.emulator.process", task],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        start_new_session=True,  # Ctrl-C is for the loop
+        start_new_session=True,  # so that Ctrl-C reaches only the loop
     )
 
     def stop() -> None:

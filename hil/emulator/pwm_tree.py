@@ -1,7 +1,7 @@
 """The kernel's PWM files, emulated: ordinary files that hold what sysfs would show, and the kernel's rules on writes.
 
-The rules stand where the driver makes its system call (`attached`), so a refusal is the OSError that the kernel gives. Who
-writes a file from elsewhere, as the supervisor does, changes what the outputs show, as on the rig, without the rules.
+`attached` applies the rules at the driver's system call, so a refusal is the OSError that the kernel gives. Other processes
+that write a file, as the supervisor does, also change the outputs, as on the rig, but without the rules.
 """
 
 import contextlib
@@ -18,7 +18,7 @@ CHANNELS = 2
 
 
 class PwmTree:
-    """The tree below `folder`, made if it isn't there: `pwmchipN` with its device link, as many channels as the Pi has."""
+    """The tree below `folder`, created if it does not exist: `pwmchipN` with its device link and the Pi's channels."""
 
     def __init__(self, folder: str | os.PathLike, chip: int = 0, device: str = DEVICE):
         self.root = Path(folder)
@@ -33,7 +33,7 @@ class PwmTree:
                 (self.chip / name).write_text("")
 
     def duty(self, channel: int) -> float | None:
-        """The pulse on the output [s]; None while it is off, or not a pulse that the kernel would make."""
+        """The pulse on the output [s]; None while it is disabled or has no valid period."""
         files = self._files.get(channel) or self._look(channel)
         if not files:
             return None
@@ -45,7 +45,7 @@ class PwmTree:
         return self._last[channel]
 
     def close(self) -> None:
-        """Let go of the files; they stay."""
+        """Close the files, which are kept."""
         for files in self._files.values():
             for file in files:
                 os.close(file)
@@ -54,7 +54,7 @@ class PwmTree:
     def _look(self, channel: int) -> list[int]:
         """Files of the channel, once it is exported."""
         folder = self.chip / f"pwm{channel}"
-        if (folder / "polarity").exists():  # the last one that an export makes
+        if (folder / "polarity").exists():  # the last file that an export creates
             self._files[channel] = [os.open(folder / name, os.O_RDONLY) for name in ("enable", "period", "duty_cycle")]
         return self._files.get(channel, [])
 
@@ -116,7 +116,7 @@ def _first(path: Path) -> str:
 
 
 def _first_line(content: bytes) -> bytes:
-    """A shorter number written over a longer one leaves the longer one's end behind its line."""
+    """The first line only: a shorter number written over a longer one leaves the longer one's end after it."""
     return content.split(b"\n", 1)[0].strip()
 
 

@@ -42,26 +42,26 @@ POWERED = {
     "current": Input("AIN1", -25.0, 50.0),
     "torque": Input("AIN2", -1.0, 1.0),
 }
-"""What else the emulated rig can read: a divider of 100 and 10 kOhm, a Hall sensor, a torque cell of 1 N.m/V."""
+"""Optional sensors of the emulated rig: a divider of 100 and 10 kOhm, a Hall sensor, a torque cell of 1 N.m/V."""
 
 LARGEST_SPEED = 6900.0
-"""rpm, of a rig that the emulated one may stand for: it is the paper's, with its rotor of 6000 rpm."""
+"""Highest speed, rpm, of a rig that the emulated one can represent; it is the paper's, with a rotor of 6000 rpm."""
 
 FORCES = PAPER.thrust_scale / PAPERS_SIZE, PAPER.thrust_scale * PAPERS_SIZE
-"""N: thrust scales of such a rig."""
+"""Thrust scales of such a rig, N."""
 
 _RANGES = {p.name: p.default for p in ACTUATOR.parameters}
 TRAVEL = _RANGES["beta_low"], _RANGES["beta_high"]
-"""deg, of the rod."""
+"""Travel of the rod as blade pitch, deg."""
 
 BYSTANDER, PULLED = ("relay", "omega", "thrust"), ("force",)
 
 
 @dataclass(frozen=True)
 class Rig:
-    """What is emulated: changes to the physics' defaults, hidden effects by name, and the seed of everything random.
+    """The emulated rig: changes to the physics' defaults, hidden effects by name, and the seed of all random numbers.
 
-    `lingers`: s that a rig in real time lives on behind whoever started it, as a real one does.
+    `lingers`: time, s, for which a rig in real time continues after its parent has ended, as a real one does.
     """
 
     parameters: Mapping[str, float] = field(default_factory=dict)
@@ -105,8 +105,8 @@ def _size(name: str, text: str, parameter) -> float:
 
 
 def calibrated_for(calibration: Calibration, ranges: Ranges) -> Calibration:
-    """The emulated rig's calibration for what a rig may be asked for: its pitch table is stretched to a wider range of pitch.
-    BadInput where the emulated rig can't be that rig."""
+    """The emulated rig's calibration for the `ranges` of a rig: its pitch table is stretched to a wider range of pitch.
+    BadInput if the emulated rig cannot represent that rig."""
     (slowest, fastest), (low, high), force = ranges.speed, ranges.pitch, ranges.scales.thrust_scale
     sized = FORCES[0] <= force <= FORCES[1]
     if not (sized and fastest <= LARGEST_SPEED and TRAVEL[0] <= low <= high <= TRAVEL[1]):
@@ -127,10 +127,10 @@ def calibrated_for(calibration: Calibration, ranges: Ranges) -> Calibration:
 
 
 class Emulation:
-    """The far side of every bus. `serve(t)` does what is due up to time t [s]; `line` carries the tachometer's bytes.
+    """The far end of every bus. `serve(t)` emulates the rig up to time t [s]; `line` carries the tachometer's bytes.
 
-    `shown`: what a bystander sees, for any process: whether the relay is closed, speed [rpm], thrust [N]; no device reads it.
-    Likewise what a hand or a weight pulls at the stand [N]. `calibration`: what is true of the rig.
+    `shown`: true values that any process may read: whether the relay is closed, speed [rpm], thrust [N]; no device reads them.
+    Any process may set the force [N] of a hand or a weight on the stand. `calibration`: the rig's true one.
     """
 
     def __init__(self, rig: Rig, calibration: Calibration, folder: Path, start: float):
@@ -153,7 +153,7 @@ class Emulation:
         self._hand = SharedNumbers(folder / HAND, PULLED, create=True)
 
     def serve(self, t: float) -> None:
-        """Go on to time t [s]."""
+        """Emulate the rig up to time t [s]."""
         self._powered = self.board.watch(t)
         self.world.pulled = self._hand["force"]
         self.world.advance(t)
@@ -164,7 +164,7 @@ class Emulation:
         self.line.serve(t)
 
     def close(self) -> None:
-        """Let go of the files."""
+        """Close the files."""
         self.line.close()
         self.shown.close()
         self._hand.close()
@@ -175,18 +175,18 @@ class Emulation:
         self._lac.close()
 
     def _supply(self, name: str, wired: Input, t: float) -> float:
-        """V on an input of the second ADC; its noise is less than a count of what is read."""
+        """Voltage on an input of the second ADC, without noise, which is less than a count."""
         return wired.volts(getattr(self.world, name))
 
     def _driven(self) -> tuple[float, float]:
-        """What the pulses ask for: (throttle [1], pitch [deg]). Without a signal the ESC stops and the rod rests."""
+        """Commands of the pulses: (throttle [1], pitch [deg]). Without a signal the ESC stops and the pitch is at rest."""
         esc, lac, calibration = self._esc.pulse(), self._lac.pulse(), self._calibration
         throttle = calibration.throttle(esc) if esc is not None and self._powered else 0.0
         return throttle, calibration.rest_pitch if lac is None else calibration.pitch(lac)
 
 
 class _Output:
-    """An output as ESC and LAC see it: the pulse [s] at every look, whether it is on at all at every 64th."""
+    """An output as read by ESC or LAC: the pulse [s] at every call; whether it is enabled is checked at every 64th."""
 
     def __init__(self, tree: PwmTree, channel: int):
         self._tree, self._channel, self._looks, self._on = tree, channel, 0, None
@@ -205,34 +205,34 @@ class _Output:
         return self._on
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         if self._file is not None:
             os.close(self._file)
 
 
 def second_chip(calibration: Calibration, at: Path) -> tuple[int, Path] | None:
-    """Address and file of the second ADC, where the calibration has one."""
+    """Address and file of the second ADC, if the calibration has one."""
     return (calibration.supply_address, at / SECOND) if calibration.supply else None
 
 
 @contextlib.contextmanager
 def folder() -> Iterable[Path]:
-    """A folder for the emulated rig's files, in memory where the system has such a place."""
+    """A folder for the emulated rig's files, in memory (/dev/shm) if possible."""
     place = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
     with tempfile.TemporaryDirectory(prefix="vpp-hil-", dir=place) as name:
         yield Path(name)
 
 
 def hand(at: Path, ends: contextlib.ExitStack) -> Callable[[float], None]:
-    """Pulls the emulated stand in the folder `at`."""
+    """The function that sets the force [N] on the emulated stand in the folder `at`."""
     shared = SharedNumbers(at / HAND, PULLED)
     ends.callback(shared.close)
     return lambda force: shared.__setitem__("force", force)
 
 
 def virtual_bench(rig: Rig, calibration: Calibration, truth: Calibration | None = None) -> Bench:
-    """An emulated rig in this process on a clock of its own: the same every time, and as fast as it can be computed. `truth`:
-    how it really is, where that is not what its driver takes it for."""
+    """An emulated rig in this process on a virtual clock: the same every time, and as fast as it can be computed. `truth`: its
+    true calibration, if it differs from the one that the drivers use."""
     ends, clock = contextlib.ExitStack(), VirtualClock()
     at = ends.enter_context(folder())
     emulation = Emulation(rig, truth or calibration, at, clock.now())

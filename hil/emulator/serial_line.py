@@ -1,6 +1,6 @@
 """The serial line to the tachometer's board, emulated: a pty that pyserial opens, or, under a virtual clock, a port in memory.
 
-The pty is for real time only: how soon bytes cross it is the machine's affair, so no run over it is the same twice.
+The pty is for real time only: its delays depend on the machine, so no run over it is the same twice.
 """
 
 import contextlib
@@ -19,19 +19,19 @@ from hil.emulator.shared import SharedNumbers
 from hil.emulator.uno import Uno
 
 FAULTS = ("silent", "flipped", "garbage", "resets", "unplugged", "marks_lost", "marks_halved", "marks_doubled")
-"""What can be set, from any process: answers to come that are swallowed, that have one to three bits flipped, that random
-bytes stand for (math.inf: all); resets of the board to come; 1: the plug is out; 1: the sensor sees no mark, every second
-one, or one more between two."""
+"""Faults that any process may set: numbers of answers to come that are lost, have one to three bits flipped, or are replaced by
+random bytes (math.inf: all); number of resets of the board to come; 1: the plug is out; 1: the sensor sees no mark, every
+second one, or one more between two."""
 
 LOOK_EVERY = 0.1
-"""s between two looks whether the host has hung up, while it asks nothing."""
+"""Time between two checks for a hang-up of the host, while it sends no request, s."""
 
 REQUEST_DELAY, ANSWER_DELAY = 0.0005, 0.001
-"""From the host's write to the board's ear, and back: the bytes at 500 kBd and the USB's frames [s]."""
+"""Delays from the host's write to the board, and back: the bytes at 500 kBd and the USB's frames [s]."""
 
 
 class SerialLine:
-    """The board's end. Subclasses carry the bytes: `_hear(t)` gives (time, bytes) pairs, `_say` takes what arrives."""
+    """The board's end. Subclasses carry the bytes: `_hear(t)` returns (time, bytes) pairs of the host, `_say` sends to it."""
 
     def __init__(self, board: Uno, faults: str | os.PathLike, seed: int = 0):
         self.faults = SharedNumbers(faults, FAULTS, create=True)
@@ -39,7 +39,7 @@ class SerialLine:
         self._under_way: list[tuple[float, bytes]] = []
 
     def serve(self, t: float) -> None:
-        """Do what is due up to time t [s]."""
+        """Emulate line and board up to time t [s]."""
         faults, board = self.faults, self._board
         if faults["unplugged"]:
             self._unplug()
@@ -80,7 +80,7 @@ class SerialLine:
         raise NotImplementedError
 
     def close(self) -> None:
-        """Let go of everything."""
+        """Close everything."""
         self.faults.close()
 
 
@@ -94,7 +94,7 @@ class PtyLine(SerialLine):
         os.set_blocking(self._file, False)
         self._path.unlink(missing_ok=True)
         self._path.symlink_to(os.ttyname(terminal))
-        os.close(terminal)  # from now on a hang-up shows that nobody has the port open
+        os.close(terminal)  # from now on a hang-up means that nobody has the port open
         self._poll, self._open, self._look_again = select.poll(), False, 0.0
         self._poll.register(self._file, select.POLLIN)
 
@@ -108,8 +108,8 @@ class PtyLine(SerialLine):
         waiting = int.from_bytes(fcntl.ioctl(self._file, termios.FIONREAD, bytes(4)), sys.byteorder)
         if not waiting and self._open and t < self._look_again:
             return []
-        # A poll waits for the kernel's worker where bytes are under way, and that one for its turn: tens of milliseconds on a
-        # busy machine. Right behind a request no byte is.
+        # While bytes are under way, a poll waits for the kernel's worker: tens of milliseconds on a busy machine. Right after
+        # a request none are.
         data = [(t, os.read(self._file, waiting))] if waiting else []
         events, self._look_again = dict(self._poll.poll(0)).get(self._file, 0), t + LOOK_EVERY
         opened, self._open = not self._open, not events & select.POLLHUP
@@ -141,14 +141,14 @@ class PtyLine(SerialLine):
 
 
 class MemoryLine(SerialLine):
-    """A line under a virtual clock. `open_port` is what a Tachometer takes for its port; the line itself is the open port."""
+    """A line under a virtual clock. `open_port` is the `port` argument of a Tachometer; the line itself is the open port."""
 
     def __init__(self, board: Uno, faults: str | os.PathLike, clock: Clock, seed: int = 0):
         super().__init__(board, faults, seed)
         self._clock, self._written, self._arrived = clock, [], bytearray()
 
     def open_port(self) -> "MemoryLine":
-        """Opening resets the board."""
+        """Open the port, which resets the board."""
         self._plugged()
         self._board.reset(self._clock.now())
         return self

@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 class SharedNumbers:
-    """One float64 a name. `create` makes the file, all zero; else it must be there, made with the same names.
+    """One float64 per name. `create` makes the file, all zero; else it must exist, made with the same names.
 
     Each number is written and read whole (eight aligned bytes); several together are not.
     """
@@ -28,7 +28,7 @@ class SharedNumbers:
         self._numbers[self._index[name]] = value
 
     def take(self, name: str) -> bool:
-        """One off a count of events to come (math.inf: without end); False if there is none."""
+        """Take one from a count of events to come (math.inf: without end); False if there is none."""
         left = self[name]
         if left < 1.0:
             return False
@@ -36,6 +36,6 @@ class SharedNumbers:
         return True
 
     def close(self) -> None:
-        """Let go of the file; it stays."""
+        """Close the file, which is kept."""
         self._numbers.release()
         self._memory.close()

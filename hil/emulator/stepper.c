@@ -1,9 +1,9 @@
-/* A compiled model that goes on from where it stands, call by call. Comes after the generated model and schedule.c. */
+/* A compiled model that continues from its present state at each call. Comes after the generated model and schedule.c. */
 
 #include <stdlib.h>
 #include <string.h>
 
-/* Settled on `inputs`; NULL without memory. */
+/* A model settled at `inputs`; NULL without memory. */
 Instance *begin(const double *parameters, const double *inputs) {
   Instance *m = calloc(1, sizeof *m + 2 * (size_t)SLOTS * N_DELAYED_OR_1 * sizeof(double));
   if (!m) return NULL;

@@ -13,11 +13,11 @@ from vpp_fmu.native.compiler import compiled
 from vpp_fmu.tracer import c_source, trace
 
 MOST = 4096
-"""Steps of one call."""
+"""Largest number of steps in one call."""
 
 
 class Stepper:
-    """A model with its parameters (changes to the defaults), settled on `inputs`, by name. `is_compiled` says which way."""
+    """A model with its parameters (changes to the defaults), settled at `inputs`, by name. `is_compiled`: not interpreted."""
 
     def __init__(self, model: Model, parameters: Mapping[str, float], inputs: Mapping[str, float]):
         self.model = model

@@ -1,4 +1,4 @@
-"""The tachometer's board, emulated: what `hil/firmware/tachometer` does, on numbers instead of registers."""
+"""The tachometer's board, emulated: the logic of `hil/firmware/tachometer` without registers."""
 
 import math
 from collections.abc import Callable
@@ -20,7 +20,7 @@ class Rotor:
         self.turning = False
 
     def edge(self, now: int) -> None:
-        """The sensor's output has fallen."""
+        """Process a falling edge of the sensor's output."""
         since = now - self.last & 0xFFFFFFFF
         if self.turning and since < REJECT:
             self.rejected = self.rejected + 1 & 0xFF
@@ -29,7 +29,7 @@ class Rotor:
         self.turning, self.last, self.pulses = True, now, self.pulses + 1 & 0xFFFFFFFF
 
     def answer(self, now: int) -> Answer:
-        """What there is to say at this time; a stall is noted."""
+        """The answer at this time; a stall is noted."""
         if self.turning and (now - self.last & 0xFFFFFFFF) > STALL:
             self.turning, self.period = False, 0
         flags = (0 if self.turning else frames.STALLED) | (frames.MEASURED if self.period else 0)
@@ -38,18 +38,18 @@ class Rotor:
 
 
 class Relay:
-    """The relay in the ESC's supply as the board holds it. Times are ticks, as the rotor's."""
+    """The relay in the ESC's supply, as the board controls it. Times are ticks, as the rotor's."""
 
     def __init__(self):
         self.closed = self.silent = False
         self._heard = 0
 
     def arm(self, now: int) -> None:
-        """The word has come."""
+        """Close it, since the word has come."""
         self.closed, self.silent, self._heard = True, False, now
 
     def heard(self, now: int) -> None:
-        """A request has come."""
+        """Note that a request has come."""
         self._heard = now
 
     def stop(self) -> None:
@@ -57,20 +57,20 @@ class Relay:
         self.closed = False
 
     def watch(self, now: int) -> None:
-        """Open it where nobody asks any more."""
+        """Open it if requests have stopped."""
         if self.closed and (now - self._heard & 0xFFFFFFFF) > SILENCE:
             self.closed, self.silent = False, True
 
     @property
     def flags(self) -> int:
-        """Of an answer."""
+        """Its flags in an answer."""
         return (frames.CLOSED if self.closed else 0) | (frames.SILENT if self.silent else 0)
 
 
 class Uno:
     """The board. `pulses(t)`: passes of the mark up to t, time of the last [s], period of the last whole revolution [s].
 
-    `boot`: from a reset to its greeting [s]; `clock_error`: by which share its resonator is fast (0.005 is usual).
+    `boot`: from a reset to its greeting [s]; `clock_error`: relative error of its resonator, positive if fast (0.005 is usual).
     """
 
     def __init__(self, pulses: Callable[[float], tuple[int, float, float]], boot: float = 0.5, clock_error: float = 0.0):
@@ -87,7 +87,7 @@ class Uno:
         return self.relay.closed
 
     def reset(self, t: float) -> None:
-        """As when the port is opened: forgets everything and greets once it is up."""
+        """Reset, as when the port is opened: it forgets everything and greets once it is up."""
         self._up, self._since = t + self._boot, None
         self._rotor, self._reader, self.relay = Rotor(), FrameReader(frames.FROM_HOST), Relay()
 
@@ -100,7 +100,7 @@ class Uno:
         return self._hello(0)
 
     def look(self, t: float, faults: SharedNumbers) -> None:
-        """See what has passed up to time t."""
+        """Process the mark's passes up to time t."""
         if self._since is None:
             return
         count, last, period = self._pulses(t)
@@ -114,7 +114,7 @@ class Uno:
             self._rotor.edge(self._ticks(when))
 
     def heard(self, data: bytes, t: float) -> bytes:
-        """What it says to bytes from the host at time t."""
+        """The board's answer to bytes from the host at time t."""
         if self._since is None:
             return b""
         said = b""

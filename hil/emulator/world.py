@@ -1,4 +1,4 @@
-"""The physics behind the emulated rig's buses: stepped in time, and seen by the emulated devices as volts and passing marks."""
+"""The physics behind the emulated rig's buses, stepped in time and read by the emulated devices as volts and marks' passes."""
 
 from bisect import bisect_right
 from collections.abc import Callable, Mapping
@@ -11,20 +11,20 @@ from hil.emulator.stepper import Stepper
 from vpp_fmu.kernel.types import Model
 
 STEP = 0.001
-"""s; what the physics allows, and how far thrust and the mark's passing are known apart from a straight line."""
+"""Step, s, the largest that the physics allows; thrust and the mark's passes are interpolated linearly within it."""
 
 AMBIENT, HEATS, WARMS = 20.0, 0.15, 60.0
-"""Of the motor (chosen): degC of the room, degC above it in the end for each A^2, s that this takes."""
+"""The motor's temperature (chosen): room temperature [degC], final rise above it per A^2 [degC], time constant [s]."""
 
 _KEPT = 64
-"""Steps that are remembered: conversions end in the past, but never this far."""
+"""Number of steps that are kept: conversions end in the past, but never this far."""
 
 
 @dataclass(frozen=True)
 class LoadCell:
-    """The amplifier's output: `zero` V without load, `volts_per_newton`; noise as the shared records of the rig have it.
+    """The amplifier's output: `zero` [V] without load, `volts_per_newton`; noise as in the shared records of the rig.
 
-    `white` N a reading, and `slow` N whose correlation falls to 1 / e in `memory` s.
+    Standard deviations: `white` [N] of a reading, and `slow` [N] with the correlation time `memory` [s].
     """
 
     zero: float
@@ -37,8 +37,8 @@ class LoadCell:
 class World:
     """A `model` with throttle, beta_ref and supply as inputs, from rest at `start` [s]; `parameters`: changes to defaults.
 
-    `driven()` tells what the outputs drive: (throttle [1], pitch command [deg]). `jitter` [s]: by how much a pass of the mark
-    is seen early or late. The same `seed` and the same commands give the same numbers.
+    `driven()` returns the commands on the outputs: (throttle [1], pitch command [deg]). `jitter` [s]: timing error of a pass of
+    the mark, standard deviation. The same `seed` and the same commands give the same numbers.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class World:
         self.pulled = 0.0  # N on the load cell, beside the thrust
 
     def advance(self, t: float) -> None:
-        """Go on to time t [s], or as near as whole steps come."""
+        """Simulate up to time t [s] in whole steps."""
         count = stepped = floor((t - self._from) / STEP + 1e-6) - self._steps
         if count <= 0:
             return
@@ -96,7 +96,7 @@ class World:
         self.temperature = kept * self.temperature + (1.0 - kept) * (AMBIENT + HEATS * motor**2)
 
     def volts(self, t: float) -> float:
-        """The amplifier's output at time t [s]; the noise is that of the reading, two of them have two."""
+        """The amplifier's output at time t [s]; each call draws new noise."""
         cell, position = self._cell, (t - self._from) / STEP
         k = min(max(floor(position), self._steps - _KEPT + 2, 0), self._steps)
         before, after = self._thrusts[k % _KEPT], self._thrusts[min(k + 1, self._steps) % _KEPT]
@@ -113,7 +113,7 @@ class World:
         return count, when, period
 
     def _pass(self, angle: float) -> None:
-        """The mark went by within the last step."""
+        """Record a pass of the mark within the last step."""
         share = (floor(angle) - self._angle) / (angle - self._angle)
         when = self._from + (self._steps - 1 + share) * STEP
         seen = when + self._jitter * min(max(next(self._normal), -3.0), 3.0)

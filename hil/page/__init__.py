@@ -1,1 +1,1 @@
-"""The operator's page: what the rig does, in a browser on this machine, and STOP. A process of its own serves it."""
+"""The operator's page in a browser on this machine: the rig's state, and STOP. A separate process serves it."""

@@ -28,9 +28,9 @@ LOOKS = 64
 
 
 class OperatorPage:
-    """A page on the loopback address, at `address`, whose token nobody can guess. `told`: what hil.json says at the start.
+    """A page on the loopback address; `address` contains a random token. `told`: content of hil.json at the start.
 
-    `broken`: why it is no longer there, empty while it is. BadInput where the extra is missing or the port is taken.
+    `broken`: why the page has ended, empty while it runs. BadInput if the extra is missing or the port is taken.
     """
 
     def __init__(self, told: Mapping, port: int = 0):
@@ -63,7 +63,7 @@ class OperatorPage:
 
     @property
     def pid(self) -> int:
-        """Its process."""
+        """Number of its process."""
         return self._process.pid
 
     @property
@@ -77,32 +77,32 @@ class OperatorPage:
     @property
     def pressed(self) -> bool:
         """Whether STOP was pressed so far."""
-        with contextlib.suppress(OSError):  # of a socket with a timeout os.read waits for nothing, and recv does
+        with contextlib.suppress(OSError):  # on a socket with a timeout os.read does not wait, and recv does
             while os.read(self._socket.fileno(), 64) == STOP:
                 self._stops += 1
         return self._stops > 0
 
     def part(self, name: str, **what) -> None:
-        """What is measured from now on. `rows`: ticks that it takes; or `grid`: the `speeds` [rpm] and `pitches` [deg] of a
-        static map; or `steps`: how many. `parts`: names of all, in order, `done`: those that are; `before`: logs of earlier
-        attempts; `band` [N]: about the thrust of the twin."""
+        """Announce the next measurement. `rows`: its number of ticks; or `grid`: the `speeds` [rpm] and `pitches` [deg] of a
+        static map; or `steps`: their number. `parts`: names of all parts, in order; `before`: logs of earlier attempts; `band`
+        [N]: half-width about the thrust of the twin."""
         before = [str(events_of(Path(log))) for log in what.pop("before", ())]
         self._tell({"part": name, "before": before, **what})
 
     def follow(self, log: ProcessLog) -> None:
-        """Read this log."""
+        """Let the page read this log."""
         columns = [[column.name, list(column.words)] for column in log.columns]
         told = {"columns": columns, "slots": log.slots, "events": str(events_of(log.path))}
         self._tell({"log": told}, log.shared)
 
     def end(self, how: str) -> None:
-        """The rotor is at rest and the run ended for this reason: STOP does nothing from now on."""
+        """Announce that the run ended and why, once the rotor is at rest: STOP has no effect from now on."""
         self._looks = LOOKS - 1
         if not self.broken:
             self._tell({"ended": how})
 
     def close(self, how: str) -> None:
-        """The end: the page shows it, and its process ends."""
+        """Show the end on the page, and end its process."""
         self.end(how)
         self._socket.close()
         try:
@@ -122,7 +122,7 @@ class OperatorPage:
 
 @contextlib.contextmanager
 def served(told: Mapping, port: int) -> Iterator[OperatorPage]:
-    """The page for as long as the context lasts, with how it ended; why it broke is one line on standard error. BadInput."""
+    """The page within the context; it shows how the context ended. Its failure is one line on standard error. BadInput."""
     page, ended = OperatorPage(told, port), "ended as planned"
     try:
         yield page

@@ -1,8 +1,8 @@
-// What the server streams, drawn; and STOP. Nothing of this reaches the rig but the one POST.
+// Draws the server's stream, and sends STOP. Only its one POST reaches the rig.
 "use strict";
 const at = (id) => document.getElementById(id);
 const SHOWN = 60; // s of the curves
-const LEARNED = 180; // s of what the adaptive twin makes of them: it takes minutes
+const LEARNED = 180; // s of the adaptive twin's curves: it adapts within minutes
 const SUPPLY = [["voltage", 1, "V"], ["current", 1, "A"], ["temperature", 0, "°C"], ["torque", 3, "N·m"]];
 const dark = matchMedia("(prefers-color-scheme: dark)");
 let told = {}, part = {}, number = -1, columns = [], curves = {time: []}, alarms = [], now = {}, map = [], heard = performance.now(), ended = "", presses = 0, failed = "", drawn = 0, news = false, learns = false;
@@ -25,7 +25,7 @@ function row(cells, className, numbers = [0]) {
   return made;
 }
 
-// --- STOP: on the press and not on the release; by keyboard on the click, whose detail is 0 then.
+// --- STOP acts on the press and not on the release; from the keyboard on the click, whose detail is then 0.
 
 async function stop() {
   at("stop").classList.add("pressed");
@@ -46,7 +46,7 @@ async function stop() {
 at("stop").addEventListener("pointerdown", (event) => { if (event.button === 0) stop(); });
 at("stop").addEventListener("click", (event) => { if (event.detail === 0) stop(); });
 
-// --- What comes
+// --- Messages
 
 const stream = new EventSource("stream");
 stream.onmessage = (event) => {
@@ -118,7 +118,7 @@ function healed(counters) {
   return rows.length ? rows : [row(["nothing went wrong"], "", [])];
 }
 
-// --- What stands at the top
+// --- Header, tiles and progress
 
 function values() {
   const state = ended ? "ended" : now.state || "waiting";
@@ -152,7 +152,7 @@ function values() {
   }
 }
 
-// --- The adaptive twin: what it says last stays when the loop is no longer closed
+// --- The adaptive twin: its last values stay after the loop was closed
 
 function cause(twin) {
   return ["no parameter", ...Object.keys(told.adaptive_twin.adapted)][twin.direction];

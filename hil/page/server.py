@@ -1,7 +1,7 @@
-"""Serves the operator's page: `python -m hil.page.server SOCKET PORT`, the socket being `operator_page`'s other end.
+"""Serves the operator's page: `python -m hil.page.server SOCKET PORT`, with the other end of `operator_page`'s socket.
 
-Whoever reads must name the token, by the loopback address: a name that someone else's server resolves to 127.0.0.1 is
-refused by its Host, and a page of another origin can't press STOP. Standard error stays the terminal's.
+Each request must contain the token and name the loopback address. Its Host header must not be another name that resolves to
+127.0.0.1 (DNS rebinding), and a page of another origin cannot press STOP. Standard error is the terminal's.
 """
 
 import asyncio
@@ -41,14 +41,14 @@ KINDS = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
 
 
 class Guarded(RequestHandler):
-    """Refuses requests without the token or with another host name. `token`: of the address; the rest by `own`."""
+    """Refuses requests without the token or with another host name. `token`: of the address; `own`: further attributes."""
 
     def initialize(self, token: str, **own):
         self._token = token
         self.__dict__.update(own)
 
     def prepare(self):
-        """Before any method, also one that does not exist."""
+        """Check a request before any method, also before one that does not exist."""
         if not HOSTS.fullmatch(self.request.headers.get("Host", "")):
             raise HTTPError(403)
         if not hmac.compare_digest(self.path_args[0].encode(), self._token.encode()):
@@ -83,7 +83,7 @@ class Files(Guarded):
 
 
 class Stream(Guarded):
-    """What happens, as server-sent events (HTML standard, 9.2): one way by their nature."""
+    """New data as server-sent events (HTML standard, 9.2), which go one way only."""
 
     async def get(self, _token):
         self.set_header("Content-Type", "text/event-stream")
@@ -111,7 +111,7 @@ class Stop(Guarded):
 
 
 def application(story: Story, token: str, press) -> Application:
-    """The page of a story; `press`: what STOP does."""
+    """The web application of a story; `press`: function that STOP calls."""
     texts = {name: (files("hil.page") / name).read_text(encoding="utf-8") for name in ("page.html", "page.css", "page.js")}
     texts["plotly.js"] = get_plotlyjs()
     routes = [
@@ -124,14 +124,14 @@ def application(story: Story, token: str, press) -> Application:
 
 
 class Ear:
-    """The loop's process: its messages, its end, and STOP to it."""
+    """Connection to the loop's process: receives its messages and its end, and sends STOP."""
 
     def __init__(self, end: socket.socket, story: Story):
         self._end, self._story, self.gone = end, story, False
         self._loop = os.pidfd_open(os.getppid())
 
     def hear(self) -> None:
-        """Its messages."""
+        """Receive its messages."""
         with contextlib.suppress(BlockingIOError):
             while not self.gone:
                 data, descriptors, _, _ = socket.recv_fds(self._end, 1 << 20, 1)

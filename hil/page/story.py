@@ -1,5 +1,4 @@
-"""Content of the page from the log's memory and the events beside the log: the last minutes, thinned, the events and the
-progress."""
+"""Content of the page, from the log's memory and events: averaged curves of the last minutes, events and progress."""
 
 import json
 import math
@@ -18,15 +17,15 @@ KEPT = 1800
 
 MEANS = ("thrust", "omega", "residual")
 LATEST = ("thrust_set", "omega_ref", "beta_ref", "omega_wanted", "beta_wanted")
-"""Of a point, behind its time [s]: N, rpm, N above the twin; the last commands: N, rpm, deg. Where an adaptive
-twin runs its residual [N] is among the means, its band [N] and what it adapts, each in its unit, among the latest."""
+"""Values of a point after its time [s]: MEANS in N, rpm and N (rig minus twin); LATEST set-point and commands in N, rpm, deg.
+An adaptive twin adds its residual [N] to the means, and its band [N] and parameters, each in its unit, to the latest."""
 SUPPLY = ("voltage", "current", "temperature", "torque")
 RESIDUAL, BAND = f"{LEARNED}residual", f"{LEARNED}band"
 VALUES = ("time", *MEANS, *LATEST, RESIDUAL, BAND, "throttle", "thrust_age", "omega_age", "late", *SUPPLY)
 
 
 class Story:
-    """Of one command: its parts one after the other. `told`: what hil.json said at the start; `now`: the newest values."""
+    """Content for one command, part by part. `told`: content of hil.json at the start; `now`: the newest values."""
 
     def __init__(self):
         self.told: dict = {}
@@ -40,12 +39,12 @@ class Story:
         self.counters: dict = {}
         self.ended = ""
         self._means, self._latest = MEANS, LATEST
-        self._span: Mapping | None = None  # asked for by a browser that comes before the first part
+        self._span: Mapping | None = None  # a browser that connects before the first part needs it
         self._reader: Reader | None = None
         self._events: _Tail | None = None
 
     def tell(self, message: Mapping, descriptors: Sequence[int]) -> None:
-        """A message of the loop's process between the runs."""
+        """Take a message of the loop's process, between the runs."""
         if "told" in message:
             self.told = message["told"]
             adapted = self.told.get("adaptive_twin", {}).get("adapted")
@@ -78,7 +77,7 @@ class Story:
             self._show(dict(zip(self._names, rows[-1], strict=True)))
 
     def since(self, number: int, point: int, event: int, mapped: int) -> dict:
-        """New data for a browser that has these already; the whole part if it has another one."""
+        """New data for a browser that has those up to these counts; the whole part if it has another part `number`."""
         told: dict = {"now": {**self.now, "age": self._age(), "done": self._done()}, "counters": self.counters}
         if number != self.number:
             point = event = mapped = 0
@@ -165,7 +164,7 @@ class _Tail:
             with open(self._path, "rb") as file:
                 file.seek(self._read)
                 data = file.read()
-        except OSError:  # made with the first event
+        except OSError:  # it is created with the first event
             return []
         whole = data[: data.rfind(b"\n") + 1]
         self._read += len(whole)

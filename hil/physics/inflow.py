@@ -1,10 +1,10 @@
-"""The induced inflow follows what blade elements and momentum theory agree on (paper, eq. 2).
+"""The induced inflow approaches the equilibrium of blade-element and momentum theory with a lag (paper, eq. 2).
 
     d inflow/dt = (settled - inflow) / tau,   tau = apparent_mass / (4 |inflow| omega)
 
-tau is that of the air which moves with the disk (Pitt and Peters: 0.849 for a uniform inflow): 2.5 ms at full thrust, 10 ms at
-2000 rpm. The paper's tau_lambda is a constant; here it has its physical size at every speed. Below `least` inflow the lag no
-longer slows down. The settled value runs nearly straight over a step, and the lag is exact for that.
+`apparent_mass` is the air that moves with the disk (Pitt and Peters: 0.849 for a uniform inflow); tau is 2.5 ms at full thrust,
+10 ms at 2000 rpm. The paper's tau_lambda is a constant; here tau depends on speed and inflow. Below the inflow `least` tau
+grows no further with falling inflow. The step is exact for a settled value that changes linearly, as it nearly does.
 """
 
 from hil.physics.propeller import settled_inflow

@@ -1,11 +1,11 @@
-"""The LAC's PD: position error of the actuator to the drive of its motor (paper, section 2.2; kp = kd = 10 in 3.1).
+"""The LAC's PD controller, from the actuator's position error to its motor's drive (paper, section 2.2; kp = kd = 10 in 3.1).
 
     drive = clip(kp (beta_ref - rod) / travel - kd period rate / travel, -1, 1)
 
-The paper gives no units. Here an error counts as a share of the whole travel, as the LAC's 0 to 1023 counts do, and a rate as
-the share that goes by in one period of the board (1 ms, chosen); kp = 10 thus drives fully from a tenth of the travel on. The
-paper's PD also acts on the rate of the command, and then leaves it out (d beta_ref/dt = 0); a held command has none. Error and
-rate are taken at the middle of the step, from the rate at its start.
+The paper gives no units. Here an error is a share of the whole travel, like the LAC's 0 to 1023 counts, and a rate is the share
+covered in one period of the board (1 ms, chosen). So kp = 10 gives full drive from an error of a tenth of the travel on. The
+paper's PD also acts on the rate of the command, but then neglects it (d beta_ref/dt = 0); a held command has none. The error is
+extrapolated to the middle of the step with the rate at its start.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter

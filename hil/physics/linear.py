@@ -1,15 +1,15 @@
-"""Two coupled linear states, moved exactly over a step with held inputs.
+"""Exact solution of two coupled linear equations over a step with held inputs.
 
     x' = a11 x + a12 y + b1,   y' = a21 x + a22 y + b2
 
-The closed form of the matrix exponential. Stiff circuits need no shorter steps for it: a fast eigenvalue decays to nothing.
+It is the closed form of the matrix exponential. Stiff circuits need no shorter steps: a fast mode decays to nothing.
 """
 
 from typing import Any, NamedTuple
 
 TINY = 1e-30
 SAME = 1e-7
-"""Two roots closer than this share of their size are held apart by it; the error is its square."""
+"""Two roots closer than this share of their size are separated by it; the error is its square."""
 
 
 class Pair(NamedTuple):
@@ -29,7 +29,7 @@ class Pair(NamedTuple):
 
 
 def rest(pair: Pair) -> tuple[Any, Any]:
-    """Where both states stand still."""
+    """The equilibrium of both states."""
     d = pair.determinant
     return (pair.a12 * pair.b2 - pair.a22 * pair.b1) / d, (pair.a21 * pair.b1 - pair.a11 * pair.b2) / d
 
@@ -59,7 +59,7 @@ def _exponential(ops, pair: Pair, dt):
     split = m * m - d
     apart = split > 0.0
     r = ops.sqrt(ops.maximum(ops.abs(split), SAME * SAME * d + TINY))
-    # The slow root as a quotient: m + r would lose its digits where the roots are far apart.
+    # The slow root as a quotient: m + r would lose its digits if the roots are far apart.
     fast = m - r
     slow = ops.where(apart, d / fast, m)
     left, gone = ops.exp(slow * dt), ops.expm1(-2.0 * ops.where(apart, r, 0.0) * dt)

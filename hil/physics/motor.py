@@ -1,11 +1,11 @@
-"""ESC, motor circuit and shaft (paper, eqs. 3 and 4), moved together over a step.
+"""ESC, motor circuit and shaft (paper, eqs. 3 and 4), solved together over a step.
 
     L dI/dt     = duty V - R I - k_i omega
     J d omega/dt = k_Q I - drag omega - dry_friction - q omega^2
 
-q omega^2 is the blades' torque with inflow and pitch at the middle of the step, taken as a straight line through the speed at
-its start; circuit and shaft are then two linear equations, moved exactly (`hil.physics.linear`), so that the electric time
-constant (0.4 ms) asks for no shorter steps. As in the paper, the ESC is an average voltage, and brakes as well as it drives.
+q omega^2 is the blades' torque with inflow and pitch at the middle of the step, linearised at the speed at its start. Circuit
+and shaft are then two linear equations, solved exactly (`hil.physics.linear`), so that the electric time constant (0.4 ms)
+requires no shorter steps. As in the paper, the ESC is an average voltage, and brakes as well as it drives.
 """
 
 from math import pi
@@ -19,7 +19,7 @@ VOLTS = Signal("supply", "V", "voltage of the motor's supply", 1.0, 100.0, 24.0,
 
 
 def supply(measured: bool) -> Effect:
-    """The motor's supply, held ideal. `measured`: its voltage is an input of the model, else a parameter (paper: 24 V)."""
+    """The motor's supply, ideal. `measured`: its voltage is an input of the model, else a parameter (paper: 24 V)."""
 
     def step(ops, s, x, p, dt):
         return {"supply": s.supply if measured else p.supply_voltage, "supply_resistance": 0.0}, {}
@@ -37,7 +37,7 @@ ESC = Effect("esc", "throttle to duty cycle", _esc)
 
 
 def _coasted(ops, pair: Pair, speed, dt):
-    """Speed after dt without a current: a lag, written so that it needs no losses."""
+    """Speed after dt without a current: a lag, in a form that also holds without losses."""
     return speed + (pair.a22 * speed + pair.b2) * dt * ops.relaxation(-pair.a22 * dt)
 
 

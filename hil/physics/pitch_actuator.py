@@ -3,11 +3,11 @@
     J_a d rate/dt + D_a rate = k_a I_a
     L_a dI_a/dt              = u V - R_a I_a - k_ia rate
 
-moved exactly for a drive u that is held over the step. The P8-25-50-12 has a stroke of 25 mm, gears of 50:1 and is rated for
+solved exactly for a drive u that is held over the step. The P8-25-50-12 has a stroke of 25 mm, gears of 50:1 and is rated for
 12 V (its name); the rig runs it at 15 V. Stall current, free speed and efficiency are chosen as usual for a screw of this
 class (0.65 A at 12 V; 20 mm/s at 12 V), the lever such that 25 mm turn the blades by 30 deg. Free speed at full drive is
-then 30 deg/s, and 20 deg of pitch take 0.67 s: large steps are slow because of it, small ones because of the LAC's PD. A
-load on the blades doesn't push the screw back.
+then 30 deg/s, and 20 deg of pitch take 0.67 s. This speed limits large steps, the LAC's PD small ones. A load on the blades
+doesn't push the screw back.
 """
 
 from hil.physics.linear import Pair, integrals, moved

@@ -1,4 +1,4 @@
-"""The propeller's static maps C_T and C_Q over inflow ratio and pitch, and the inflow that momentum theory gives with them.
+"""The propeller's static maps C_T and C_Q over inflow ratio and pitch, and the induced inflow from momentum theory.
 
     thrust = rho A omega^2 R^2 C_T / 2        (paper, eq. 1)
     torque = rho A omega^2 R^3 C_Q / 2        (paper, section 2.1)
@@ -6,12 +6,12 @@
     C_T    = lift alpha (1 - bend |alpha|),   constant past its peak      the lift curve bends, then stalls
     C_Q    = induced |inflow C_T| + profile + profile_rise alpha^2
 
-Hover, so that momentum theory gives C_T = 4 inflow |inflow|; with C_T above a quadratic equation in the inflow.
+In hover, momentum theory gives C_T = 4 inflow |inflow|; with C_T above it is a quadratic equation in the inflow.
 
-The three numbers of C_T are a least-squares fit to the paper's published static map (section 4.1) over 2000 to 6000 rpm and
--5 to 10 deg: largest error 0.26 N, rms 0.08 N. The paper's map alone deviates from omega^2 (Reynolds number), which no
-map over inflow and pitch can follow: with C_T free at every pitch the errors would still be 0.19 N and 0.06 N. Slope and
-incidence agree with the part: a 1045 has 10.8 deg at three quarters of the radius over a cambered section. No torque was
+The three parameters of C_T are a least-squares fit to the paper's published static map (section 4.1) over 2000 to 6000 rpm and
+-5 to 10 deg: largest error 0.26 N, rms 0.08 N. The paper's map itself deviates from omega^2 (Reynolds number), which no map
+over inflow and pitch can represent: with C_T free at every pitch the errors would still be 0.19 N and 0.06 N. Slope and
+incidence agree with the part: a 1045 has 10.8 deg at three quarters of the radius and a cambered section. No torque was
 published; induced factor and profile drag are chosen so that the figure of merit goes from 0.58 at 0 deg to 0.65 at 10 deg,
 common for this size.
 """

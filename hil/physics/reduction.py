@@ -1,18 +1,18 @@
 """The paper's reductions, computed from the full model's parameters at an operating point (paper, section 2.2).
 
-Fast inflow and fast currents leave four states (eq. 12): speed, integral of its error, pitch, rate of pitch. Two lags a
-channel (eqs. 13 to 15) are left when zeros and the coupling K_beta go as well. Where rig or algebra differ from the text:
+With inflow and currents settled, four states remain (eq. 12): speed, integral of its error, pitch, rate of pitch. Without the
+zeros and the coupling K_beta, two lags a channel remain (eqs. 13 to 15). Differences of rig or algebra from the text:
 
 - The text's PI sets a current, the rig's a throttle. The back-EMF then damps too: k_omega + C_Q^omega becomes
   k_omega + C_Q^omega + k_Q k_i / R, and k_P becomes V k_P / R.
 - Signs. The text defines e = omega - omega_ref and adds k_P e to the current: with positive gains the printed matrix has the
   entries (K_P - 1) / tau and +K_I / tau, and is unstable for any K_I > 0 (here: a pole at +4 rad/s). The relations of the
   two-lag form hold for the opposite sign. `state_space` subtracts; `printed=True` gives the text's.
-- Linearising -Q_a gives -C_Q^beta: K_beta is negative where more pitch takes more torque. The text has +C_Q^beta.
-- The zero of the PI at k_I / k_P = 20 rad/s, whatever motor and load, is not far outside the loop's bandwidth: the poles lie
-  at 5 to 11 rad/s, a pair of them complex at most points. Left out, the step response is off by 0.13 to 0.15 of the step.
-  `two_lags` is the text's relation; `two_lags_with_zero` keeps the response up to s^2, and is off by 0.03 to 0.05:
-  tau_1 + tau_2 = 1 / K_I, tau_1 tau_2 = (tau - K_P / K_I) / K_I. That is what a fit to steps finds.
+- Linearising -Q_a gives -C_Q^beta: K_beta is negative if more pitch needs more torque. The text has +C_Q^beta.
+- The PI's zero at k_I / k_P = 20 rad/s, for any motor and load, is not far outside the loop's bandwidth: the poles lie at 5 to
+  11 rad/s, as a complex pair at most points. Without the zero the step response is off by 0.13 to 0.15 of the step. `two_lags`
+  is the text's relation. `two_lags_with_zero` keeps the response up to s^2, as a fit to steps does, and is off by 0.03 to 0.05:
+  tau_1 + tau_2 = 1 / K_I, tau_1 tau_2 = (tau - K_P / K_I) / K_I.
 - The LAC's PD acts on the measured rate alone: the column of d beta_ref/dt in B, and its zero, are the text's, not the rig's.
 """
 
@@ -98,7 +98,7 @@ def two_lags(r: Reduced) -> dict[str, tuple[complex, complex]]:
 
 
 def two_lags_with_zero(r: Reduced) -> tuple[complex, complex]:
-    """Time constants [s] of the speed loop whose step response is the loop's up to s^2, its zero counted."""
+    """Time constants [s] of two lags that equal the speed loop, including its zero, up to s^2."""
     return _lags(1.0 / r.k_i, (r.tau_omega - r.k_p / r.k_i) / r.k_i)
 
 
@@ -134,7 +134,7 @@ def _lags(total: float, product: float) -> tuple[complex, complex]:
 def poles(omega: float, beta: float, parameters: Mapping[str, float] | None = None, model: Model = FULL_RIG) -> np.ndarray:
     """Poles [1/s] of the full model around settled commands [rpm, deg], slowest first: differences of the kernel's own step.
 
-    What only hands a value on to the next step, or counts turns, is left out.
+    States that only pass a value to the next step, or count turns, are left out.
     """
     dt, values = 1e-4, model.values(parameters)
     inputs = model.measured_inputs | {"omega_ref": omega, "beta_ref": beta}

@@ -1,7 +1,7 @@
 """The rig as one physical model: the paper's electromechanical and aerodynamic equations 1 to 6 as effects on the kernel.
 
-`POWERTRAIN` has the throttle as its input, as the rig's own software commands it; `FULL_RIG` has the paper's speed loop in
-front and the plant FMU's interface. `powertrain` and `rig_model` switch hidden effects on by name.
+The input of `POWERTRAIN` is the throttle, which the rig's software commands; `FULL_RIG` adds the paper's speed loop and has the
+plant FMU's interface. `powertrain` and `rig_model` switch hidden effects on by name.
 """
 
 from collections.abc import Iterable
@@ -26,11 +26,11 @@ INNER = (
     Signal("torque", "N.m", "aerodynamic torque on the shaft", -10.0, 10.0),
     Signal("rod_ahead", "deg", "position of the pitch actuator as blade pitch", -45.0, 45.0, 10.0),
 )
-"""What only the physics knows. Thrust, omega and beta are true values; the emulated sensors read them with their errors."""
+"""Internal signals of the physics. Thrust, omega and beta are true values; the emulated sensors read them with their errors."""
 
 
 def library(commanded: bool) -> tuple[Effect, ...]:
-    """Every effect there is, each where it acts. `commanded`: the speed loop holds `omega_ref`, else `throttle` is given."""
+    """All effects in the order in which they act. `commanded`: the speed loop holds `omega_ref`, else `throttle` is given."""
     return (
         pitch.COMMAND_DELAY,
         pitch.PULSE_AVERAGE,
@@ -90,7 +90,7 @@ def _composed(commanded: bool, hidden: frozenset[str]) -> Model:
 
 
 def powertrain(hidden: Iterable[str] = ()) -> Model:
-    """Throttle, pitch command and supply to thrust, speed, pitch and what else the emulated rig needs. KeyError: unknown."""
+    """Throttle, pitch command and supply to thrust, speed, pitch and INNER signals. KeyError names an unknown effect."""
     return _composed(False, frozenset(hidden))
 
 

@@ -1,10 +1,10 @@
-"""The shaft: inertia and friction of rotor, hub and motor (paper, eq. 3), and where it turns when all is settled.
+"""The shaft: inertia and friction of rotor, hub and motor (paper, eq. 3), and its steady state.
 
     J d omega/dt = k_Q I - drag omega - dry_friction - Q_a
 
-Published before the step for whoever needs it: the speed loop, the inflow, the supply. `hil.physics.motor` moves it. The paper
-has viscous losses alone; dry friction is what makes a motor's no-load current nearly constant. It holds the shaft until the
-motor overcomes it; the rig's shaft does not turn backwards.
+The shaft's state is published before the step, for the speed loop, the inflow and the supply; `hil.physics.motor` integrates
+it. The paper has viscous losses only; dry friction makes a motor's no-load current nearly constant. It holds the shaft until
+the motor overcomes it; the rig's shaft does not turn backwards.
 """
 
 from math import pi
@@ -44,7 +44,7 @@ def settled_current(ops, s, machine, omega):
 
 
 def shaft(commanded: bool) -> Effect:
-    """The shaft's states. `commanded`: it starts at `omega_ref` (a speed loop holds it), else where `throttle` leads it."""
+    """The shaft's states. `commanded`: it starts at `omega_ref` (a speed loop holds it), else at the speed of `throttle`."""
 
     def speed(ops, s, p):
         if commanded:

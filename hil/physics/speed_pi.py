@@ -2,13 +2,13 @@
 
     throttle = clip(kp e + I),   dI/dt = ki e,   e = omega_ref - omega
 
-The law is one function: an effect of the full model uses it, and so does the rig's software at 250 Hz (`SpeedPi`). An output
-that is held over a step uses the integral at the middle of the step. The integral stops if the throttle is at a limit
-and the error would drive it further.
+The same function serves an effect of the full model and the rig's software at 250 Hz (`SpeedPi`). An output that is held over a
+step uses the integral at the middle of the step. The integral stops if the throttle is at a limit and the error would drive it
+further.
 
 The paper states no units. The mean lag of the loop is 1 / K_I (`hil.physics.reduction`): with throttle per rpm, a motor of
-550 rpm/V on 24 V would follow in 0.04 s, while the published time constants add up to 0.19 s (averaged) and 0.225 s
-(fine-tuned). They ask for a fifth of it, so one unit of the PI's output is UNIT = 0.2 of the throttle's range (chosen).
+550 rpm/V on 24 V would have 0.04 s, while the published time constants add up to 0.19 s (averaged) and 0.225 s (fine-tuned).
+These require a fifth of the gain, so one unit of the PI's output is UNIT = 0.2 of the throttle's range (chosen).
 """
 
 from hil.physics.propeller import RPM
@@ -30,14 +30,14 @@ def speed_pi(ops, error, integral, kp, ki, low, high, dt):
 
 
 class SpeedPi:
-    """The law with its memory, for a loop in software. Gains in units of the output per rpm, `unit` throttle per unit."""
+    """The PI controller with its state, for a loop in software. Gains in output units per rpm, `unit` throttle per unit."""
 
     def __init__(self, kp: float = KP, ki: float = KI, unit: float = UNIT, low: float = 0.0, high: float = 1.0):
         self.kp, self.ki, self.low, self.high = kp * unit, ki * unit, low, high
         self.reset()
 
     def reset(self, throttle: float = 0.0) -> None:
-        """Forget the past; without an error it will go on with `throttle`."""
+        """Reset the state; without an error the output is then `throttle`."""
         self.integral = self.throttle = min(max(throttle, self.low), self.high)
 
     def update(self, omega_ref: float, omega: float, dt: float, frozen: bool = False) -> float:

@@ -10,9 +10,9 @@ class Reaction(Enum):
     """How the loop leaves RUN."""
 
     RAMP_DOWN = "ramp down"
-    """The loop and its readings are good enough for a ramp: the commands go down along the slew limit to idle."""
+    """The loop can still ramp down: commands and throttle go to idle at limited rates."""
     IDLE = "idle now"
-    """Further thrust does harm, or a ramp is impossible: the idle pulse at once."""
+    """Further thrust is dangerous, or a ramp is impossible: the idle pulse at once."""
 
 
 class FaultKind(Enum):
@@ -64,7 +64,7 @@ class FaultKind(Enum):
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault: where (`device`, such as "adc", "tachometer", "esc", "loop"), what kind, and the numbers that show it."""
+    """One fault: its `device` (such as "adc", "tachometer", "esc", "loop"), its kind, and the numbers found."""
 
     device: str
     kind: FaultKind
@@ -75,7 +75,7 @@ class Fault:
 
 
 class DeviceFault(VppError):
-    """A device failed and its retry budget is used up. `fault` is the same as a value."""
+    """A device failed after all its retries. `fault` is the same as a value."""
 
     def __init__(self, device: str, kind: FaultKind, detail: str):
         self.fault = Fault(device, kind, detail)

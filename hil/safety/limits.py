@@ -17,16 +17,16 @@ from vpp_fmu.structured import read_json
 FORMAT = "vpp-limits/1"
 
 OVER_SPEED, OVER_THRUST = 1.15, 5.0 / 3.0
-"""What stops the rotor at once, as multiples of the rig's highest speed and of its largest thrust of either sign: beyond what
-overshoot and noise reach, 6900 rpm and 25 N for the paper's rig."""
+"""Levels that stop the rotor at once, as multiples of the rig's highest speed and largest absolute thrust: 6900 rpm and 25 N
+for the paper's rig, more than overshoot and noise reach."""
 
 SLEW = 5.0 / 3.0, 1.5
-"""Of the highest speed and of the pitch's range, what a command may run through in a time scale where the rig declares no slew:
-20 000 rpm/s and 60 deg/s for the paper's rig. The steepest that its rotor answers a step of 4000 rpm is 13 800 rpm/s (two lags,
-0.172 and 0.053 s), its fastest pitch 46 deg/s (15 deg, 0.207 and 0.05 s): limits above that take nothing from a step."""
+"""Default slew rates, in highest speeds and pitch ranges per time scale: 20 000 rpm/s and 60 deg/s for the paper's rig. They do
+not slow a step. Its rotor answers a step of 4000 rpm with at most 13 800 rpm/s (two lags, 0.172 and 0.053 s), its pitch a step
+of 15 deg with at most 46 deg/s (0.207 and 0.05 s)."""
 
 RAMP = 1.5, 1.0
-"""s that spin-up to the highest speed, and the whole of the pitch, take along the slow slopes; longer for a rig that is slower
+"""Durations, s, of a slow spin-up to the highest speed and of a slow move over the pitch range; longer for a rig that is slower
 than the paper's."""
 
 
@@ -57,7 +57,7 @@ _OF_PAPERS = _derived(PAPERS)
 
 
 def _limit(default: float | str, unit: str, lowest: float, highest: float, meaning: str):
-    """A field; its default is a number, or what follows from the paper's rig under a name."""
+    """A field; its default is a number, or the name of a limit of the paper's rig."""
     value = _OF_PAPERS[default] if isinstance(default, str) else default
     return field(default=value, metadata={"number": Number(unit, lowest, highest), "meaning": meaning})
 
@@ -66,7 +66,7 @@ def _limit(default: float | str, unit: str, lowest: float, highest: float, meani
 class Limits:
     """The limits with the paper's rig as default; each field's metadata hold its `number` (unit and range) and its `meaning`.
 
-    What is no rig's is refused: a rotor of 100 000 rpm, a thrust of a tonne.
+    Values beyond any rig's are refused: commands above 100 000 rpm, a thrust above 10 000 N.
     """
 
     omega_min: float = _limit("omega_min", "rpm", 0.0, 1e5, "lowest commanded speed of a run")
@@ -104,7 +104,7 @@ class Limits:
 
 
 def limits_of(rig: Rig, where: str = "rig") -> Limits:
-    """The limits that follow from a rig. BadInput names, under `where`, what no rig has."""
+    """The limits derived from a rig. BadInput names `where` and the value that is out of range."""
     try:
         return Limits(**_derived(rig))
     except ValueError as error:
@@ -113,11 +113,11 @@ def limits_of(rig: Rig, where: str = "rig") -> Limits:
 
 
 def read_limits(path: str | os.PathLike, rig: Rig = PAPERS, rest: Limits | None = None) -> Limits:
-    """Read `{"format": "vpp-limits/1", "limits": {NAME: {"value": x, "unit": u}}}`; what it doesn't name is as of `rest`
-    (default: what follows from the rig).
+    """Read `{"format": "vpp-limits/1", "limits": {NAME: {"value": x, "unit": u}}}`; other limits are those of `rest`
+    (default: derived from the rig).
 
-    BadInput names the field: unknown, without its unit or with another one, outside its range, at odds with another, or beyond
-    what a rig.json declares for the rig.
+    BadInput names the field: unknown, without its unit or with another one, outside its range, in conflict with another limit,
+    or beyond the range that a rig.json declares.
     """
     content = Entries(path, read_json(path), ("format", "limits"))
     content.choice("format", (FORMAT,))
@@ -136,7 +136,7 @@ def read_limits(path: str | os.PathLike, rig: Rig = PAPERS, rest: Limits | None 
 
 
 def _declared(rig: Rig, name: str, value: float) -> str:
-    """What a rig.json allows a limit to be, where this value is beyond it; else nothing."""
+    """The bound of a limit that a rig.json declares, in words, if the value is beyond it; else ""."""
     ranges = {"omega_min": ("speed", 0), "omega_max": ("speed", 1), "beta_min": ("pitch", 0), "beta_max": ("pitch", 1)}
     slews = {"omega_slew": "speed_slew", "omega_ramp": "speed_slew", "beta_slew": "pitch_slew", "beta_ramp": "pitch_slew"}
     if name in ranges:
@@ -163,7 +163,7 @@ class Cut(IntFlag):
 
 
 class Limited(NamedTuple):
-    """Commands [rpm, deg] that may go out, what was cut from those asked for, and a fault if these were no numbers."""
+    """Limited commands [rpm, deg], the limits that changed them, and a fault if the requested ones were not finite."""
 
     omega_ref: float
     beta_ref: float
@@ -172,8 +172,8 @@ class Limited(NamedTuple):
 
 
 class Limiter:
-    """Holds commands to the limits, one tick after another. It starts at `omega_ref` [rpm], `beta_ref` [deg], from where it
-    comes into the ranges along the slopes: a rotor is at rest at first, and blades may rest outside of their range."""
+    """Applies the limits tick by tick. It starts at `omega_ref` [rpm], `beta_ref` [deg] and enters the ranges at the slew
+    rates: the rotor is at rest at first, and blades may rest outside their range."""
 
     def __init__(self, limits: Limits, omega_ref: float = 0.0, beta_ref: float = 0.0):
         self.limits, self._omega, self._beta = limits, omega_ref, beta_ref
@@ -181,13 +181,13 @@ class Limiter:
     def apply(self, omega_ref: float, beta_ref: float, dt: float) -> Limited:
         """The limited commands for the next dt [s].
 
-        For commands that are not finite the last ones are kept, with a fault.
+        If a command is not finite the last ones are kept, with a fault.
         """
         own = self.limits
         return self._step(omega_ref, own.omega_min, own.omega_slew * dt, beta_ref, own.beta_slew * dt)
 
     def ramp(self, omega_ref: float, beta_ref: float, dt: float) -> Limited:
-        """The same along the slow slopes of spin-up and ramp-down, where speeds down to 0 are allowed."""
+        """The same at the slow rates of spin-up and ramp-down; speeds down to 0 are allowed."""
         own = self.limits
         return self._step(omega_ref, 0.0, own.omega_ramp * dt, beta_ref, own.beta_ramp * dt)
 

@@ -1,13 +1,13 @@
 """Test from the thrust whether the blades follow their command: the actuator has no position feedback.
 
-Over `span` seconds pitch and speed change the thrust. With the map h, the measured speed and the commanded pitch behind its
-two lags, before (0) and now (1):
+Pitch and speed change the thrust T. With the map h, the measured speed, and the commanded pitch filtered by its two lags, SPAN
+ago (0) and now (1):
 
-    G = h(omega1, beta1) - h(omega1, beta0)                    expected change from the blades' move
-    M = (T1 - T0) - (h(omega1, beta0) - h(omega0, beta0))      measured change less that of the speed
+    G = h(omega1, beta1) - h(omega1, beta0)                    expected change due to pitch
+    M = (T1 - T0) - (h(omega1, beta0) - h(omega0, beta0))      measured change minus that due to speed
 
-M = G for blades that follow, M = 0 for blades that do not move. `effect`, the slope of M over G with exponential forgetting, is
-1 or 0 then, and a map that is 15 % wrong gives 0.85 or 1.15.
+M = G if the blades follow their command, M = 0 if they do not move. `effect`, the slope of M against G with exponential
+forgetting, is then 1 or 0; a map that is 15 % wrong gives 0.85 or 1.15.
 """
 
 from collections import deque
@@ -20,24 +20,24 @@ from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.kernel.scales import PAPER
 
 BLOCK = 0.04
-"""Readings are averaged over this: faster than the actuator, slower than the noise. In the rig's time scales, half a second for
-the paper's, as all times here."""
+"""Averaging time of readings: faster than the actuator, slower than the noise. All times here are in the rig's time scale, half
+a second for the paper's."""
 
 SPAN = 2.0
-"""Between before and now: longer than the pitch actuator takes, shorter than the load cell drifts."""
+"""Time between before and now: longer than a move of the pitch actuator, shorter than a drift of the load cell."""
 
 FORGET = 4.0
 """Forgetting time, to a weight of 1 / e."""
 
 SPEED_UNCERTAINTY = 0.25
-"""Share of the speed's part of the change that may be wrong, as a stuck pitch and a wrong map make it."""
+"""Relative error of the change due to speed, which a stuck pitch or a wrong map may cause."""
 
 
 class PitchEffect:
     """`effect` [1] and its excitation `moved` [N^2 s], the integral of G^2. Both are 0 at the start.
 
-    `bound` [1] is as much as the effect can be if the speed's part is uncertain. `parameters`: of the plant, by the kernel's
-    names; what it doesn't name has its default. `dt`: s from one `update` to the next; `time_scale` [s]: of the rig.
+    `bound` [1]: the largest effect, given the error of the change due to speed. `parameters`: of the plant, by the kernel's
+    names; the others have their defaults. `dt` [s]: from one `update` to the next; `time_scale` [s]: of the rig.
     """
 
     def __init__(self, dt: float, parameters: Mapping[str, float] | None = None, time_scale: float = PAPER.time_scale):
@@ -61,7 +61,7 @@ class PitchEffect:
         return (self._product + self._uncertainty) / self.moved if self.moved else 0.0
 
     def update(self, thrust: float, omega: float, beta_ref: float) -> None:
-        """Readings [N, rpm] and the command [deg] that acted on them."""
+        """Add readings [N, rpm] and the command [deg] that acted on them."""
         if self._beta is None:
             self._inner = self._beta = beta_ref
         self._inner += self._gains[0] * (beta_ref - self._inner)

@@ -15,13 +15,13 @@ from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.rig import Rig
 
 HELD_REVOLUTIONS = 3
-"""A mark that is missed once makes one late pass and one halved speed; the revolution behind it is right again."""
+"""A mark that is missed once causes one late pass and one halved speed; the next revolution is right again."""
 
 SAME = 1e-4
 """s; conversions closer in time are one and the same."""
 
 BEYOND = 2
-"""In a row that must be beyond a limit: one can be a spark."""
+"""Readings in a row beyond a limit that are a fault: a single one can be a spark."""
 
 
 class Reading(NamedTuple):
@@ -49,14 +49,14 @@ class Reading(NamedTuple):
 class Thresholds:
     """Thresholds at which a reading is a fault.
 
-    `hold` [s]: how long a speed that can't be may last while the speed loop is frozen, three revolutions at least, which are
-    those of a rotor at `slow` [rpm] where the bounds know of no faster one. `stale`
-    [s]: oldest reading. `frozen`: equal ADC readings in a row; with an amplifier's noise of 2 counts two neighbours are equal
-    in 1 of 7, twelve in a row once in 100 days at 250 Hz, and the rig's noise is ten times that. `saturated`, `over_thrust`:
-    readings in a row, since one can be a spark. `starts` [s] with a throttle of `open` and no revolution is longer than an
-    ESC takes to start a motor; beyond a throttle of `wide` (2600 rpm without a load) it turns or never will, and a speed loop
-    that does not see it would open further. `effect` [1], `moved` [N^2 s]: the blades stand if less than this share of their
-    expected effect is seen, once so much was commanded (2 N for a quarter of a second).
+    `hold` [s]: tolerated duration of an impossible speed, with the speed loop frozen. It is at least three revolutions at the
+    lower speed bound, or at `slow` [rpm] if the bound is lower. `stale` [s]: largest age of a reading. `frozen`: equal ADC
+    readings in a row; with an amplifier's noise of 2 counts two neighbours are equal in 1 of 7 cases and twelve once in 100
+    days at 250 Hz, and the rig's noise is ten times that. `saturated`, `over_thrust`: readings in a row, since one can be a
+    spark. `starts` [s]: time at a throttle of `open` without a revolution, longer than an ESC takes to start a motor. Above a
+    throttle of `wide` (2600 rpm without a load) no time is allowed: the motor turns or never will, and the speed loop would
+    open it further. `effect` [1], `moved` [N^2 s]: the blades are stuck if less than this share of their expected effect is
+    measured, after this much excitation (2 N for a quarter of a second).
     """
 
     hold: float = 0.05
@@ -74,9 +74,9 @@ class Thresholds:
 
 
 def thresholds_of(rig: Rig) -> Thresholds:
-    """The thresholds of a rig: the paper's, what has a size in proportion to the rig's scales, which a narrowed range leaves as
-    they are. Its motor counts as having the paper's reserve of speed, since no file says better; the time constants' bounds
-    widen with the rig's and never narrow."""
+    """The thresholds of a rig: the paper's, scaled by the rig's scales, which a narrowed range does not change. The motor is
+    assumed to have the paper's reserve of speed, since no file states it. The time constants' bounds widen with the rig's time
+    scale and never narrow."""
     size, own, whole = rig.scales.omega_scale / PAPER.omega_scale, RotorPhysics(), Thresholds()
     force, longer = rig.scales.thrust_scale / PAPER.thrust_scale, rig.scales.time_scale / PAPER.time_scale
     rotor = replace(
@@ -92,8 +92,8 @@ def thresholds_of(rig: Rig) -> Thresholds:
 class Plausibility:
     """The checks with their memory. `speed_trusted`: whether the speed loop may use the last reading; frozen if not.
 
-    `parameters` of the plant by the kernel's names tell what pitch does to the thrust (default: the paper's), `time_scale` [s]
-    how long that takes.
+    `parameters`: of the plant by the kernel's names, for the effect of pitch on thrust (default: the paper's); `time_scale`
+    [s]: of the rig.
     """
 
     def __init__(
@@ -143,7 +143,7 @@ class Plausibility:
 
     def _adc(self, now: Reading, before: Reading) -> Fault | None:
         own, trip = self._thresholds, self._limits.thrust_trip
-        # A reading that a device held while its bus failed says nothing; its age does.
+        # A reading that was held while the bus failed is not counted; its age reveals it.
         if now.t - now.thrust_age > before.t - before.thrust_age + SAME:
             self._equal = self._equal + 1 if now.counts == before.counts else 1
         self._saturated = self._saturated + 1 if now.saturated else 0
@@ -209,11 +209,11 @@ class Plausibility:
 
 
 UNITS = NAMES | {"power": "W"}
-"""Of what is limited."""
+"""Units of the limited quantities."""
 
 
 class SupplyLimits:
-    """Looks at each new reading of the motor's supply while the rotor is driven."""
+    """Checks each new reading of the motor's supply while the rotor is driven."""
 
     def __init__(self, limits: Limits):
         self._ranges = {
@@ -225,7 +225,7 @@ class SupplyLimits:
         self._beyond: Counter[str] = Counter()
 
     def check(self, values: Mapping[str, float], new: Iterable[str]) -> Fault | None:
-        """Of the `values` by name those that are `new`; the first that is beyond its limit once more."""
+        """Check the `new` ones of the `values` by name; the fault of the first beyond its limit BEYOND times in a row."""
         read = {**values, "power": values.get("voltage", math.nan) * values.get("current", math.nan)}
         looked = [name for name in new if name in self._ranges]
         if math.isfinite(read["power"]) and {"voltage", "current"} & set(new):

@@ -1,11 +1,11 @@
-"""Signs before a loop is closed: at low speed the pitch goes a little up, and the thrust must rise about as the map says.
+"""Check of signs before a loop is closed: at low speed the pitch is increased, and thrust must change about as in the map.
 
 With the mean thrusts T1, T2 [N] at two pitches, and T1*, T2* of the map at the measured speeds,
 
     slope = (T2 - T1) / (T2* - T1*)
 
-is 1 on a rig that is its map, negative where the load cell or the pitch has the wrong sign. Where both have, the slope is right
-and the level (T1 + T2) is not. Where no map is known yet, thrust has to rise with the pitch.
+is 1 if the rig agrees with the map, and negative if either the load cell or the pitch has the wrong sign. If both have, the
+slope is right and the level (T1 + T2) is wrong. If no map is known yet, thrust must increase with pitch.
 """
 
 from collections.abc import Mapping
@@ -20,19 +20,19 @@ from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.rig import Rig
 
 SPEED = 1.0 / 3.0
-"""Of the rig's speed scale: 2000 rpm of 6000, where the paper's rig makes 1 N."""
+"""Share of the rig's speed scale: 2000 rpm of 6000, where the paper's rig makes 1 N."""
 
 SHARES = 0.25, 0.75
-"""Of the pitch's range: -5 and 5 deg of -10 to 10."""
+"""Shares of the pitch range: -5 and 5 deg of -10 to 10."""
 
 SETTLE, AVERAGE = 1.2, 1.0
-"""In the rig's time scales: 0.6 s and 0.5 s for the paper's. Its slower lag is 0.2 s: 5 % of the move is left."""
+"""Durations in the rig's time scale: 0.6 s and 0.5 s for the paper's. Its slower lag is 0.2 s: 5 % of the move remains."""
 
 SURE = 4.0
 """Standard errors: one check in 30 000 is wrong by chance."""
 
 SLOPES = 0.3, 3.0
-"""What the slope may be: dead bands, play and a gain that drifted make 0.6 to 1.5 of it."""
+"""Allowed range of the slope: dead bands, play and a drifted gain give 0.6 to 1.5."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,9 @@ class Level:
 
 
 class Polarity:
-    """What is commanded (`omega` [rpm], `betas` [deg], `settle` and `average` [s]) and how it is judged.
+    """The commands of the check (`omega` [rpm], `betas` [deg], `settle` and `average` [s]) and its verdict.
 
-    `parameters` of the plant by the kernel's names give the map (default: the paper's); `known`: whether there is one.
+    `parameters`: of the plant by the kernel's names, for the map (default: the paper's); `known`: whether the map is known.
     """
 
     def __init__(self, limits: Limits, rig: Rig, parameters: Mapping[str, float] | None = None, known: bool = True):
@@ -67,7 +67,7 @@ class Polarity:
         return self.betas[1] > self.betas[0]
 
     def judge(self, low: Level, high: Level) -> Fault | None:
-        """The fault that the two levels show with certainty, or None."""
+        """The fault that the two levels show significantly, or None."""
         rise, error = high.thrust - low.thrust, SURE * (low.error**2 + high.error**2) ** 0.5
         seen = f"found {low.thrust:.2f} to {high.thrust:.2f} N from {low.beta:g} to {high.beta:g} deg at {high.omega:.0f} rpm"
         expected = self._thrust(high) - self._thrust(low) if self._known else abs(rise)

@@ -4,8 +4,8 @@
     lower bound:  d omega/dt = (free (1 - tolerance) throttle - omega) / tau
                   tau = tau_fast while it falls (an ESC that brakes), tau_slow while it rises
 
-`free` is what throttle 1 would turn the motor at without a load. A reading of half or twice the speed (a mark missed or seen
-twice) cannot be reached by any motor within these bounds, nor can a standstill under an open throttle.
+`free` is the motor's no-load speed at throttle 1. No motor within these bounds can reach half or twice the speed (a mark missed
+or seen twice), or standstill at an open throttle.
 """
 
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ from math import exp
 
 @dataclass(frozen=True)
 class RotorPhysics:
-    """What bounds the rotor's motion. Defaults: 550 rpm/V on 24 V, the paper's motor and supply.
+    """Parameters of the bounds. Defaults: 550 rpm/V on 24 V, the paper's motor and supply.
 
-    `free` [rpm]: speed at throttle 1 without a load. `tolerance` [1]: by how much the speed at a throttle may differ from
-    proportion, for load, supply and the ESC's curve; below a third, or a doubled reading fits. `tau_fast`, `tau_slow` [s]:
+    `free` [rpm]: speed at throttle 1 without a load. `tolerance` [1]: relative deviation of the speed from proportionality to
+    throttle, for load, supply and the ESC's curve; below a third, else a doubled reading fits. `tau_fast`, `tau_slow` [s]:
     shortest and longest mechanical time constant J R / k^2 of motor and rotor (0.09 s with the rig's inertia). `error` [1]
     and `jitter` [rpm]: of a reading (the mark's edge, the 4 us timer).
     """
@@ -31,7 +31,7 @@ class RotorPhysics:
 
 
 class RotorBounds:
-    """`low` and `high` [rpm]: where the speed is now. `turning`: whether a reading above 0 has been believed."""
+    """`low` and `high` [rpm]: bounds of the present speed. `turning`: whether the last accepted reading is above 0."""
 
     def __init__(self, physics: RotorPhysics):
         self._physics = physics
@@ -39,14 +39,14 @@ class RotorBounds:
         self.turning = False
 
     def advance(self, throttle: float, dt: float) -> None:
-        """Hold the throttle [0..1] for dt [s]."""
+        """Advance the bounds by dt [s] at a constant throttle [0..1]."""
         self.low, self.high = self._moved(self.low, self.high, throttle, dt)
         if not self.turning:
             self.low = 0.0  # a motor may take its time to start
         self._lowest, self._highest = min(self._lowest, self.low), max(self._highest, self.high)
 
     def allows(self, omega: float) -> bool:
-        """Whether the mean speed [rpm] since the last believed reading can be this."""
+        """Whether the mean speed [rpm] since the last accepted reading can be this."""
         own = self._physics
         return self._lowest * (1.0 - own.error) - own.jitter <= omega <= self._highest * (1.0 + own.error) + own.jitter
 
@@ -55,11 +55,11 @@ class RotorBounds:
         return self._lowest * age * (1.0 - self._physics.error) > 60.0 + self._physics.jitter * age
 
     def believe(self, omega: float, throttle: float, old: float) -> None:
-        """The mean speed [rpm] over a revolution that began `old` [s] ago was this."""
+        """Accept this mean speed [rpm] over a revolution that began `old` [s] ago."""
         self.turning = omega > 0.0
         low, high = self._moved(omega, omega, throttle, old)
         own = self._physics
-        # The reading narrows the bounds; where it lies outside by its own error it moves them.
+        # The reading narrows the bounds; if it lies outside them by its own error, it moves them.
         self.low = max(min(self.low, omega), low * (1.0 - own.error) - own.jitter) if self.turning else 0.0
         self.high = min(max(self.high, omega), high * (1.0 + own.error) + own.jitter)
         self._lowest, self._highest = self.low, self.high

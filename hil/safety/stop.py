@@ -7,7 +7,7 @@ from hil.safety.faults import Fault, FaultKind
 
 
 class StopSignals:
-    """While entered, signals only leave a mark that the loop reads between ticks: nothing is torn out of a bus transfer.
+    """Within the context signals only set a flag that the loop reads between ticks: no bus transfer is interrupted.
 
     Enter it in the main thread. The previous handlers are restored at the end. `pressed`: whether an interrupt was STOP
     on the operator's page, which sends the same signal.
@@ -34,7 +34,7 @@ class StopSignals:
 
     @property
     def asked(self) -> Fault | None:
-        """What was asked for so far, the hardest of it. INTERRUPTED is no fault of the rig: it ends the run in order."""
+        """The most urgent stop request so far, or None. INTERRUPTED is no fault of the rig: it ends the run normally."""
         if self._ended:
             return Fault("operator", FaultKind.TERMINATED, self._ended)
         if not self._interrupts:

@@ -1,7 +1,7 @@
-"""The loop's side of the supervisor: start its process, show it life, hear whether it has stopped the rotor.
+"""The loop's side of the supervisor: start its process, send heartbeats, learn whether it has stopped the rotor.
 
 PWM outlives the process that set it: after a crash the last pulse stays on the pin. So a second process holds the duty files
-open and writes the idle pulse when the loop is gone or silent; see `hil/watchdog.py`.
+open and writes the idle pulse when the loop is gone or silent; see `hil/safety/watchdog.py`.
 """
 
 import mmap
@@ -16,27 +16,26 @@ from hil.safety import watchdog
 from hil.safety.faults import DeviceFault, Fault, FaultKind
 
 SILENCE = 0.05
-"""s without a heartbeat after which the rotor is stopped: twelve ticks."""
+"""Time without a heartbeat, s, after which the rotor is stopped: twelve ticks."""
 
 GRACE = 3.0
-"""s that a loop which was stopped for its silence has to come back, before it is killed."""
+"""Time, s, from the stop of the rotor until a loop that stays silent is killed."""
 
 LOST = 0.1
-"""s without a sign of the watchdog after which the loop gives up: five times its pace, so that a busy machine is no fault."""
+"""Time without a sign of the watchdog, s, that is a fault: five of its periods, so that a busy machine is none."""
 
 STARTED = 5.0
-"""s; a process that hasn't started by then won't."""
+"""Timeout of the process's start, s."""
 
 
 class Supervisor:
-    """A process of its own that watches this one.
+    """A separate process that monitors this one.
 
-    Outputs are (duty file, idle pulse [s]); the PWM must be set up already, since the idle pulse is written at the start to
-    show that it can be. `report` is a file that the process adds a line to if it has to act. From the first `beat` on,
-    `silence` s without one trips it, and `grace` s more end this process. `keep`: descriptors that it holds open with this
-    process, such as the rig's lock. `lifted`: the kernel's workers that `hil.realtime` has hurried for this process, to be put
-    back behind it. `fifo`: whether it runs in real time. DeviceFault NOT_READY: it could not start, or an output refused the
-    idle pulse.
+    `outputs`: (duty file, idle pulse [s]); the PWM must be set up already, since the supervisor first writes the idle pulse as
+    a test. `report`: a file to which it adds a line if it acts. From the first `beat` on, it stops the rotor after `silence` s
+    without one, and kills this process after `grace` s more. `keep`: descriptors that it also holds open, such as the rig's
+    lock. `lifted`: the kernel's workers whose priority `hil.realtime` raised; it restores them if this process dies. `fifo`:
+    whether it runs in real time. DeviceFault NOT_READY: it could not start, or an output refused the idle pulse.
     """
 
     def __init__(
@@ -62,7 +61,7 @@ class Supervisor:
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
-            start_new_session=True,  # what the terminal sends to its foreground is not for it
+            start_new_session=True,  # so that the terminal's signals do not reach it
         )
         os.close(shared)
         self._wait_until_ready()
@@ -80,13 +79,13 @@ class Supervisor:
 
     @property
     def pid(self) -> int:
-        """The process."""
+        """Number of the process."""
         return self._process.pid
 
     def beat(self) -> Fault | None:
-        """Once a tick, right before its pulses: the loop lives. Only without a fault may they be other than idle.
+        """Send a heartbeat, once a tick right before its pulses. If it returns a fault these must be idle pulses.
 
-        SUPERVISOR_TRIPPED: the outputs were taken to idle, for good. SUPERVISOR_LOST: nobody listens.
+        SUPERVISOR_TRIPPED: the supervisor has set the outputs to idle, for good. SUPERVISOR_LOST: it shows no sign of life.
         """
         now = time.monotonic()
         self._page[watchdog.BEAT] = now
@@ -100,10 +99,10 @@ class Supervisor:
         return None
 
     def close(self) -> None:
-        """Goodbye: the loop has written the idle pulse on every output. The supervisor writes it once more, and ends."""
+        """Say goodbye, after the idle pulse is on every output. The supervisor writes it once more, and ends."""
         try:
             self._process.communicate(b"q", timeout=1.0)
-        except subprocess.TimeoutExpired:  # stopped: it can't harm, but it mustn't stay
+        except subprocess.TimeoutExpired:  # a stopped process does no harm, but must not remain
             self._process.kill()
             self._process.communicate()
         self._page.release()

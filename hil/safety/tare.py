@@ -1,4 +1,4 @@
-"""The load cell's zero, measured before every run, and refused where it would be wrong."""
+"""The load cell's zero, measured before every run, and refused if it is implausible."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,21 +13,20 @@ BLOCKS = 10
 """The standard error is taken from the means of this many blocks: an amplifier's noise is coloured."""
 
 SURE = 4.0
-"""Standard errors by which a drift must be beyond what is allowed; with so few blocks three are not enough."""
+"""Standard errors by which a drift must exceed its limit; with so few blocks three are not enough."""
 
 
 class TareRefused(VppError):
-    """The readings are no zero: the message says why, with the numbers in N."""
+    """The readings are not accepted as a zero: the message says why, with the numbers in N."""
 
 
 @dataclass(frozen=True)
 class TareGate:
-    """What readings must keep to be taken as a zero.
+    """Conditions under which readings are accepted as a zero.
 
-    `noise_max` [N]: largest standard deviation. A turning rotor, a hand or wind give more than the amplifier does.
-    `drift_max` [N]: how far first and second half may differ beyond its own error. More: the rotor runs out, or the
-    cell warms up. `offset_max` [N]: how far the zero may be from the calibration's. More: something hangs on the cell, or it
-    is not connected. `samples_min`: fewest readings.
+    `noise_max` [N]: largest standard deviation; a turning rotor, a hand or wind exceed it. `drift_max` [N]: largest difference
+    of the halves' means, beyond its own error; a slowing rotor or a warming cell exceeds it. `offset_max` [N]: largest
+    distance from the calibration's zero; a load on the cell or a loose connection exceeds it. `samples_min`: fewest readings.
     """
 
     noise_max: float = 0.3
@@ -55,7 +54,7 @@ class Tare:
 def tare(counts: Sequence[float], newton_per_count: float, calibrated_zero: float, gate: TareGate | None = None) -> Tare:
     """The zero of `counts` (n,), readings of the unloaded cell with the rotor at rest.
 
-    `newton_per_count` and `calibrated_zero` [counts] come from the calibration. TareRefused says which gate was shut.
+    `newton_per_count` and `calibrated_zero` [counts] come from the calibration. TareRefused names the violated condition.
     """
     gate, counts = gate or TareGate(), np.asarray(counts, float)
     if len(counts) < gate.samples_min:
@@ -73,7 +72,7 @@ def tare(counts: Sequence[float], newton_per_count: float, calibrated_zero: floa
         )
     means = counts[: len(counts) // BLOCKS * BLOCKS].reshape(BLOCKS, -1).mean(axis=1)
     error = float(means.std(ddof=1)) / BLOCKS**0.5
-    # Neighbouring blocks tell the noise of a block's mean whether the zero drifts or not.
+    # Differences of neighbouring blocks give the noise of a block's mean even if the zero drifts.
     still = float(np.mean(np.diff(means) ** 2) / 2.0 * (4.0 / BLOCKS)) ** 0.5
     drift = abs(float(means[BLOCKS // 2 :].mean() - means[: BLOCKS // 2].mean()))
     if drift * scale > gate.drift_max + SURE * still * scale:

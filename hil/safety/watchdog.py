@@ -1,11 +1,10 @@
-"""The supervisor's own process: the idle pulse on every output as soon as the loop is gone or silent.
+"""The supervisor's process: it writes the idle pulse to every output as soon as the loop is gone or silent.
 
-Run as a script, with nothing but the standard library and no package around it, so that it starts at once and nothing of the
-loop's process is alive in it. Arguments: descriptor of the shared page, file of the report, silence allowed [s], grace [s], the
-kernel's workers that the loop has hurried (their processes and name, with commas), and for each output its duty file and idle
-pulse [ns]. Standard input is the pipe from the loop: its end means the loop is gone, a
-byte that it says goodbye. A loop that was stopped for its silence and does not come back within the grace is killed: it hangs
-in code that hears no signal, and whoever waits for it would wait for ever.
+It runs as a script with the standard library only and outside of any package, so that it starts at once and shares no state
+with the loop's process. Arguments: descriptor of the shared page, report file, allowed silence [s], grace [s], the kernel's
+workers whose priority the loop raised (process numbers and name, with commas), and for each output its duty file and idle pulse
+[ns]. Standard input is a pipe from the loop: its end means that the loop is gone, a byte means goodbye. A silent loop that does
+not come back within the grace is killed: it hangs in code that ignores signals, and its caller would wait for ever.
 """
 
 import contextlib
@@ -18,22 +17,23 @@ import sys
 import time
 
 SLOTS = READY, ALIVE, BEAT, TRIPPED, CONFIRMED, FIFO = range(6)
-"""Float64 numbers of the shared page. Times [s] on the monotonic clock, 0: not yet. READY, ALIVE, TRIPPED, FIFO (1: granted)
-are the watchdog's, BEAT and CONFIRMED (a beat of a loop that knows) the loop's. Each is aligned: read and written whole."""
+"""Float64 numbers of the shared page: times [s] on the monotonic clock, 0: not yet. The watchdog writes READY, ALIVE, TRIPPED
+and FIFO (1: granted), the loop BEAT and CONFIRMED (a beat that has seen TRIPPED). Each is aligned, so it is read and written
+whole."""
 
 PRIORITY = 90  # above the loop's
 WAKE = 0.02
-"""s; at least as often the watchdog shows that it lives."""
+"""Longest time between two signs of life of the watchdog, s."""
 HURRY = 0.001
-"""s between two idle pulses until the loop confirms: a loop that was stopped between its last look at the page and the write
-of a pulse does that write when it goes on. This is how long such a pulse can stand."""
+"""Interval of idle pulses until the loop confirms, s. A loop that was suspended between its last check of the page and the
+write of a pulse still writes it when it resumes; such a pulse lasts for this time at most."""
 CALM = 0.01
-"""s between two idle pulses after that, and how long after the loop's end they go on."""
+"""Interval of idle pulses after that, and how long they continue after the loop's end, s."""
 AFTER_END = 0.25
 
 
 def main(page: int, report: int, silence: float, grace: float, lifted: list[str], outputs: list[tuple[int, bytes]]) -> int:
-    """Watch until goodbye (returns 0) or until the loop is gone (returns 1)."""
+    """Watch until goodbye (returns 0) or until the loop is gone (returns 1); 2: an output refused the first idle pulse."""
     loop, ended = os.getppid(), False
     _not_for_the_oom_killer()
     numbers = memoryview(mmap.mmap(page, 8 * len(SLOTS))).cast("d")
@@ -71,7 +71,7 @@ def main(page: int, report: int, silence: float, grace: float, lifted: list[str]
 
 
 def _trip(numbers: memoryview, outputs: list[tuple[int, bytes]], report: int, why: str) -> None:
-    # The page first: a loop that comes back to life between the two must see it before it writes a pulse.
+    # First TRIPPED, then the pulses: a loop that resumes between the two must see it before it writes a pulse.
     numbers[TRIPPED] = time.monotonic()
     failed = write_idle(outputs)
     written = time.monotonic()
@@ -87,7 +87,7 @@ def _tell(report: int, what: str, at: float | None = None) -> None:
 
 
 def write_idle(outputs: list[tuple[int, bytes]]) -> list[str]:
-    """The idle pulse on every output; what failed. One that refuses must not keep the others waiting."""
+    """Write the idle pulse to every output, also if one refuses it; returns the failures in words."""
     failed = []
     for descriptor, pulse in outputs:
         try:
@@ -98,7 +98,7 @@ def write_idle(outputs: list[tuple[int, bytes]]) -> list[str]:
 
 
 def _keep_idle(outputs: list[tuple[int, bytes]]) -> None:
-    """A child of the loop may live a little longer than the loop."""
+    """Repeat the idle pulse for AFTER_END s, since a child of the loop may live a little longer than the loop."""
     end = time.monotonic() + AFTER_END
     while time.monotonic() < end:
         time.sleep(CALM)
@@ -106,7 +106,7 @@ def _keep_idle(outputs: list[tuple[int, bytes]]) -> None:
 
 
 def put_back(workers: list[int], name: str) -> None:
-    """The kernel's workers of this name at their ordinary priority again; the number of one that has ended may be another's."""
+    """Restore the ordinary priority of the kernel's workers; the name is checked, since process numbers are reused."""
     for worker in workers:
         with contextlib.suppress(OSError), open(f"/proc/{worker}/comm") as file:
             if file.read().startswith(name):
@@ -114,13 +114,13 @@ def put_back(workers: list[int], name: str) -> None:
 
 
 def _not_for_the_oom_killer() -> None:
-    """Memory that runs short must take any other process first; needs CAP_SYS_RESOURCE, as the unit in hil/systemd gives it."""
+    """If memory runs short, the kernel must end other processes first; needs CAP_SYS_RESOURCE, as in hil/systemd."""
     with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w") as file:
         file.write("-1000")
 
 
 def _real_time() -> bool:
-    """Whether SCHED_FIFO was granted; memory is locked where that is allowed."""
+    """Whether SCHED_FIFO was granted; memory is locked if that is allowed."""
     ctypes.CDLL(None).mlockall(1)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
@@ -130,7 +130,7 @@ def _real_time() -> bool:
 
 
 if __name__ == "__main__":
-    # The terminal, the shell and whoever else ends programs mean the loop; the watchdog goes when that is idle.
+    # Signals of the terminal or the shell are meant for the loop; the watchdog ends after the loop is idle.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
         signal.signal(number, signal.SIG_IGN)
     shared, file, allowed, patience, hurried, *rest = sys.argv[1:]

@@ -133,8 +133,8 @@ class Adaptive:
         return outputs
 
     def shown(self, outputs: Sequence[float]) -> tuple[float, float]:
-        """For the live view (`hil.columns.shown_beside`), from the outputs of `update`: 0, or during an alarm 1 plus the index
-        of its cause; the first adapted parameter."""
+        """Values of the live view (`hil.columns.shown_beside`) from the outputs of `update`: 0, or during an alarm 1 plus the
+        index of its cause; and the first adapted parameter."""
         return outputs[self._alarm] * (1.0 + outputs[self._points]), outputs[self._first]
 
     def _given(self, *values: float) -> list[float]:

@@ -37,12 +37,12 @@ def run_length(threshold: float, reference: float, mean: float) -> float:
 
 
 def _density(z: np.ndarray) -> np.ndarray:
-    """Of the standard normal distribution. scipy.stats has it, and takes a second to import."""
+    """Density of the standard normal distribution. It is in scipy.stats, which takes a second to import."""
     return np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
 
 
 def threshold_for(run: float, reference: float, mean: float, two_sided: bool = True) -> float:
-    """Threshold of the sum of z, and of that of -z if `two_sided`, for one alarm in `run` z's of this mean."""
+    """Threshold of the sum of z, and of that of -z if `two_sided`, for an average of one alarm in `run` z's of this mean."""
 
     def log_run_length(threshold):
         rate = 1.0 / run_length(threshold, reference, mean)

@@ -1,5 +1,5 @@
-/* The tachometer's protocol and what it makes of the mark's passes: plain C, nothing of the board in it, so that the
- * host compiles it too, for tests. hil/devices/frames.py describes the frames; both must say the same.
+/* The tachometer's protocol and its timing of the mark's passes, in plain C that does not depend on the board, so that tests
+ * compile it on the host, too. hil/devices/frames.py defines the same frames; both must agree.
  *
  * Times are ticks of 4 us on a counter of 32 bits that wraps after 4 h 46 min; differences are right across the wrap.
  */
@@ -12,7 +12,7 @@
 #define BAUD 500000UL
 #define TICK_US 4u
 #define REJECT_TICKS 1250u /* edges closer than 5 ms are no marks: 12 000 rpm */
-#define STALL_TICKS 50000u /* 200 ms without a mark: below 300 rpm it stands */
+#define STALL_TICKS 50000u /* 200 ms without a mark: below 300 rpm counts as standstill */
 #define SILENCE_TICKS 25000u /* 100 ms without a request: the relay opens. 25 ticks of the loop */
 
 #define VERSION 2u
@@ -53,18 +53,18 @@ typedef struct {
     uint32_t pulses; /* accepted since reset */
     uint32_t last;   /* time of the last one */
     uint16_t period; /* of the last whole revolution; 0: none since the last stall */
-    uint8_t turning; /* 0 after a stall: `last` says nothing then */
+    uint8_t turning; /* 0 after a stall: `last` is then invalid */
     uint8_t rejected;
 } Rotor;
 
-/* A 16-bit timer's count and its overflows as one time. `pending`: it has overflowed, but that was not counted yet, so a
- * small count is one of the new round; a large one was read just before the overflow. */
+/* A 16-bit timer's count and its overflows as one time. `pending`: an overflow is not counted yet. Then a small count belongs
+ * to the new round, and a large one was read just before the overflow. */
 static inline uint32_t ticks(uint16_t overflows, uint16_t count, uint8_t pending) {
     if (pending && count < 0x8000u) overflows++;
     return (uint32_t)overflows << 16 | count;
 }
 
-/* The sensor's output has fallen at time `now`. */
+/* Processes a falling edge of the sensor's output at time `now`. */
 static inline void rotor_edge(Rotor *rotor, uint32_t now) {
     uint32_t since = now - rotor->last;
     if (rotor->turning && since < REJECT_TICKS) {
@@ -77,7 +77,7 @@ static inline void rotor_edge(Rotor *rotor, uint32_t now) {
     rotor->pulses++;
 }
 
-/* Notes a stall; to be called often, at least once in 4 h. `now` must not be older than the last edge. */
+/* Notes a stall. Call it often, at least once in 4 h; `now` must not be older than the last edge. */
 static inline void rotor_watch(Rotor *rotor, uint32_t now) {
     if (rotor->turning && now - rotor->last > STALL_TICKS) {
         rotor->turning = 0;
@@ -85,7 +85,7 @@ static inline void rotor_watch(Rotor *rotor, uint32_t now) {
     }
 }
 
-/* The relay in the ESC's supply: closed by the word, held by requests. All zero: open. */
+/* The relay in the ESC's supply: closed by the word, kept closed by requests. All zero: open. */
 typedef struct {
     uint32_t heard; /* time of the last request */
     uint8_t closed;
@@ -102,7 +102,7 @@ static inline void relay_heard(Relay *relay, uint32_t now) { relay->heard = now;
 
 static inline void relay_stop(Relay *relay) { relay->closed = 0; }
 
-/* Opens it when nobody asks any more; to be called often. `now` must not be older than the last request. */
+/* Opens the relay when requests have stopped. Call it often; `now` must not be older than the last request. */
 static inline void relay_watch(Relay *relay, uint32_t now) {
     if (relay->closed && now - relay->heard > SILENCE_TICKS) {
         relay->closed = 0;
@@ -124,7 +124,7 @@ static inline uint8_t *put32(uint8_t *at, uint32_t value) {
     return put16(put16(at, (uint16_t)value), (uint16_t)(value >> 16));
 }
 
-/* Closes a frame whose payload ends at `end`; returns its bytes. */
+/* Completes a frame whose payload ends at `end`; returns its number of bytes. */
 static inline uint8_t frame_close(uint8_t *frame, uint8_t *end, uint8_t type, uint8_t sequence) {
     frame[0] = SYNC;
     frame[1] = (uint8_t)(end - frame - 4);
@@ -153,7 +153,7 @@ static inline uint8_t write_answer(uint8_t *frame, uint8_t sequence, const Rotor
     return frame_close(frame, at, ANSWER, sequence);
 }
 
-/* Looks for requests in what the host says: without a payload but for ARM's word. */
+/* Finds requests in the host's bytes. Only ARM has a payload, the word. */
 typedef struct {
     uint8_t buffer[OVERHEAD + WORD_LENGTH];
     uint8_t filled;
@@ -177,7 +177,7 @@ static inline uint8_t reader_fits(const Reader *reader) {
     return 1;
 }
 
-/* One byte more; the request that it completes. Where nothing fits one byte is dropped, and what is behind it looked at. */
+/* Takes one byte; returns the request that it completes. If no frame fits, a byte is dropped and the search continues. */
 static inline Request reader_take(Reader *reader, uint8_t byte) {
     Request request = {0, 0, 0};
     reader->buffer[reader->filled++] = byte;

@@ -1,13 +1,13 @@
-/* Tachometer of the propeller rig, for an Arduino Uno (ATmega328P at 16 MHz), and the relay that watches the Pi.
+/* Tachometer of the propeller rig, for an Arduino Uno (ATmega328P at 16 MHz), with a relay as watchdog of the Pi.
  *
  * Wiring: HW201 sensor, output to D2 (falls when the tape passes), 5 V, GND. D4 drives the relay in the ESC's supply: high
  * closes it. A pull-down of 10 kOhm from D4 to ground keeps it open while the board has no supply, resets or boots. USB to the
  * Pi, 500 000 baud.
- * Answers requests and says nothing else, but for one greeting after a reset. Built by the Arduino IDE as it stands, or by
- * avr-gcc alone:  avr-g++ -mmcu=atmega328p -DF_CPU=16000000UL -Os -x c++ tachometer.ino -o tachometer.elf
+ * It sends only answers to requests, and one greeting after a reset. Built by the Arduino IDE without changes, or by avr-gcc
+ * alone:  avr-g++ -mmcu=atmega328p -DF_CPU=16000000UL -Os -x c++ tachometer.ino -o tachometer.elf
  *
- * Registers, not the core's functions: Serial would block in write, micros() shares its timer, and attachInterrupt adds a
- * microsecond or two of call to every pass.
+ * It uses registers, not the core's functions: Serial would block in write, micros() shares its timer, and attachInterrupt adds
+ * a microsecond or two of call to every pass.
  */
 #include <avr/interrupt.h>
 #include <avr/io.h>
@@ -15,7 +15,7 @@
 #include "tachometer.h"
 
 #define RELAY _BV(PORTD4)
-#define HEARD 64u /* a power of two; bytes that wait to be looked at */
+#define HEARD 64u /* a power of two; size of the buffer of received bytes */
 
 static Rotor rotor;
 static Relay relay;
@@ -25,7 +25,7 @@ static uint8_t heard_out;
 static Reader reader;
 static uint8_t said[LONGEST], said_end, said_at;
 
-/* With interrupts off only, so that the overflow can't slip in between. */
+/* Call it with interrupts off only, so that no overflow occurs between the two reads. */
 static inline uint32_t now_locked(void) {
     uint16_t count = TCNT1;
     return ticks(overflows, count, TIFR1 & _BV(TOV1));
@@ -44,7 +44,7 @@ ISR(USART_RX_vect) {
     }
 }
 
-/* The relay's deadline, by the timer alone: it opens also if loop() hangs. */
+/* The relay's deadline, in a timer interrupt: it opens even if loop() hangs. */
 ISR(TIMER1_COMPB_vect) {
     relay_watch(&relay, now_locked() + 1u);
     if (!relay.closed) PORTD &= ~RELAY;
@@ -62,7 +62,7 @@ void setup() {
     TIFR1 = _BV(TOV1) | _BV(OCF1B);
 
     DDRD &= ~_BV(DDD2);
-    PORTD |= _BV(PORTD2); /* pull-up: a loose wire is a mark that never comes */
+    PORTD |= _BV(PORTD2); /* pull-up: with a loose wire no mark is seen */
     EICRA = _BV(ISC01);   /* falling edge */
     EIFR = _BV(INTF0);
     EIMSK = _BV(INT0);
@@ -76,7 +76,7 @@ void setup() {
     said_end = write_hello(said, 0);
 }
 
-/* The answer's bytes, of one moment: no pass comes between its numbers. */
+/* Writes the answer; all its numbers are of one moment, without a pass in between. */
 static uint8_t answer(uint8_t sequence) {
     cli();
     uint32_t now = now_locked();
@@ -87,7 +87,7 @@ static uint8_t answer(uint8_t sequence) {
     return write_answer(said, sequence, &seen, flags, now);
 }
 
-/* A request that is whole and good: the Pi lives. */
+/* Handles a valid request. */
 static void heard_from(Request request) {
     cli();
     uint32_t now = now_locked();

@@ -1,2 +1,2 @@
-"""What a rig may do beyond the paper's equations, each by option: written for the physical model, apart from the effects that
-the diagnosis knows (`vpp_fmu.kernel.effects`), so that the one can be tried on the other. Some are in no library at all."""
+"""Optional effects of a rig beyond the paper's equations. They are written independently of the diagnosis' effects
+(`vpp_fmu.kernel.effects`), so that the diagnosis can be tested on them. Some are in no library at all."""

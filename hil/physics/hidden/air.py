@@ -4,7 +4,7 @@ from hil.physics.propeller import force_factor, settled_inflow, thrust_coefficie
 from vpp_fmu.kernel.types import Effect, Parameter, State
 
 ROUNDS = 8
-"""Twist takes a tenth of the pitch's own effect or less: each round of the fixed point gains a digit."""
+"""Fixed-point iterations. Twist takes a tenth of the pitch's own effect or less, so each of them gains a digit."""
 
 
 def _settled_twist(ops, s, p):

@@ -1,6 +1,6 @@
 """Hidden effects between thrust and the load cell's reading.
 
-The amplifier is a resistor and a capacitor, taken by the trapezoidal rule; drift is a function of time.
+The amplifier is a resistor and a capacitor, integrated by the trapezoidal rule; drift is a function of time.
 """
 
 from math import pi

@@ -1,7 +1,7 @@
 """Hidden effects between the pitch command and the blades.
 
-The LAC hears its command in counts of its converter, and obeys a change of more than `half_width`. Play is a spring with a
-dead zone between rod and blades, which damping holds (Nordin and Gutman, Automatica 38, 2002).
+The LAC reads its command in counts of its converter, and ignores a change of up to `half_width`. Play is a spring with a dead
+zone between rod and damped blades (Nordin and Gutman, Automatica 38, 2002).
 """
 
 from math import pi
@@ -15,13 +15,13 @@ UNLIMITED = 1000.0  # deg/s
 NOW = 1e-9  # s
 
 COUNTS = 1024
-"""Of the LAC's converter, over the actuator's travel."""
+"""Counts of the LAC's converter over the actuator's travel."""
 
 WHOLE = 1.5 * 2.0**52
-"""Added and taken away again it leaves a whole number."""
+"""Adding and subtracting it rounds a number to a whole one."""
 
 CONTACT = 0.002
-"""s in which a linkage that is pushed takes the blades along, for their damping: the linkage is no rigid body."""
+"""Time constant, s, with which a pushed linkage moves the damped blades, since it is not rigid."""
 
 
 def _nothing(ops, s, p):
