@@ -1,6 +1,6 @@
-"""python -m tests.benchmarks: what a step and a fit cost, each beside a yardstick of the same run.
+"""python -m tests.benchmarks: time of an FMU step and of a fit, each beside a reference timed in the same run.
 
-Machines differ and are noisy, so the ratios are what to look at; every time is the best of several runs.
+Machines differ and are noisy, so compare the ratios; every time is the best of several runs.
 """
 
 import ctypes

@@ -1,8 +1,8 @@
-"""python -m tests.benchmarks.diagnose [CAMPAIGN ...] [--against CHECKOUT] [--dask]: what a diagnosis costs.
+"""python -m tests.benchmarks.diagnose [CAMPAIGN ...] [--against CHECKOUT] [--dask]: time and memory of a diagnosis.
 
 `vpp diagnose` of each campaign (default: the example, and the rigs of ../shared/data), twice: with an empty cache of compiled
-models (cold), and with that of the first run (warm). Seconds are those of the wall clock and of all processors, memory is the
-peak of the largest process. `--against`: another checkout runs each campaign between the two, warm, and the ratio is printed.
+models (cold), and with that of the first run (warm). The table has seconds of the wall clock and of all processors, and the
+peak memory of the largest process. `--against`: another checkout also runs each campaign warm, and the ratio is printed.
 `--dask`: a fleet of copies of one campaign on Dask clusters of 1, 2 and 4 workers, and on 2 of which one is killed.
 """
 
@@ -39,7 +39,7 @@ class Cost:
 
 
 def diagnosed(arguments: Sequence[str], cache: Path, checkout: Path = HERE) -> Cost:
-    """Cost of `vpp diagnose` with the code of a checkout and a folder of compiled models. RuntimeError where it fails."""
+    """Cost of `vpp diagnose` with the code of a checkout and a folder of compiled models. RuntimeError if it fails."""
     environment = {**os.environ, "XDG_CACHE_HOME": str(cache), "PYTHONPATH": str(checkout)}
     began = time.perf_counter()
     with tempfile.TemporaryFile() as said:
@@ -120,7 +120,7 @@ def on_dask(campaign: Path) -> None:
                 command = [sys.executable, "-m", "vpp_fmu", "diagnose", *arguments]
                 run = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
                 if killed:
-                    while run.poll() is None and not any(folder.glob("out/*/report.html")):  # it dies amid its second one
+                    while run.poll() is None and not any(folder.glob("out/*/report.html")):  # then in its second campaign
                         time.sleep(0.1)
                     processes[0].send_signal(signal.SIGKILL)
                 said, _ = run.communicate()

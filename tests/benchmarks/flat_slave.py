@@ -1,4 +1,4 @@
-"""The plain plant as a slave that a person would write by hand: the yardstick for the generated one."""
+"""The base plant as a slave written by hand: the reference for the generated one."""
 
 from math import exp
 

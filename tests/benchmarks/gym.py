@@ -1,8 +1,8 @@
 """python -m tests.benchmarks.gym: plant steps a second of the vectorised environment on one core, beside the FMU under fmpy,
 and an equal environment in JAX (`vmap`, `jit`, double precision; one thread), where JAX is installed.
 
-Machines differ and are noisy, so the ratio is what to look at; every time is the best of several runs. The actions are drawn
-beforehand. An environment's step has readings with noise, reward and limits; `hold` plant steps belong to one action.
+Machines differ and are noisy, so compare the ratios; every time is the best of several runs. The actions are drawn
+beforehand. An environment step includes noisy readings, reward and limits; an action is held for `hold` plant steps.
 """
 
 import os
@@ -64,8 +64,8 @@ def under_fmpy(fmu: bytes, folder: Path) -> float:
 
 
 def in_jax(hold: int) -> tuple[float, float]:
-    """(plant steps a second, largest difference of thrust [N] to the environment's after 50 actions without noise) of the same
-    plants in JAX: both lags of a channel exact for a held command, map, noise of two readings, reward. ImportError."""
+    """(plant steps a second, largest difference of thrust [N] from the environment after 50 actions without noise) in JAX. The
+    plants are the same: exact lags for a held command, map, noise of two readings, reward. Raises ImportError."""
     os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
     import jax
     import jax.numpy as jnp
@@ -111,8 +111,8 @@ def in_jax(hold: int) -> tuple[float, float]:
 
     def step():
         held[1], own = jax.random.split(held[1])
-        held[0], *told = many(held[0], jnp.array(actions), wanted, jax.random.split(own, ENVIRONMENTS))
-        jax.block_until_ready(told)
+        held[0], *readings = many(held[0], jnp.array(actions), wanted, jax.random.split(own, ENVIRONMENTS))
+        jax.block_until_ready(readings)
 
     return rate(step, ENVIRONMENTS * hold), off
 

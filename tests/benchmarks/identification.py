@@ -1,11 +1,11 @@
-"""python -m tests.benchmarks.identification [--full]: the refinement beside other ways to the same fit, in one run.
+"""python -m tests.benchmarks.identification [--full]: `refine` compared with other methods for the same fit.
 
-One synthetic record (60 s at 250 Hz, thrust with 0.3 N of white noise) and one start, the paper's averaged constants and static
-map; thrust alone, no prior. Cost and errors of every method come from the same exact model. The other ways are set up as an
+All fit one synthetic record (60 s at 250 Hz, thrust with 0.3 N of white noise) from one start, the paper's averaged constants
+and static map; thrust alone, no prior. One exact model computes cost and errors of every method. The others are set up as an
 expert would, with exact sensitivities and a least-squares solver, and out of the box, as their documentation shows them.
 Building and compiling are not counted. Ours also decides which parameters are identifiable, and computes their uncertainty.
-Machines differ and are noisy, so ratios are what to look at: of medians, with runs of ours before and after each other method.
-Numerical libraries may use one thread: matrices are small, and on a machine that others use threads wait for each other.
+Machines differ and are noisy, so compare ratios of medians; ours runs before and after each other method. Numerical libraries
+use one thread: the matrices are small, and on a shared machine threads wait for each other.
 """
 
 import argparse
@@ -42,12 +42,12 @@ from vpp_fmu.record import Record
 
 PAPER_ITERATIONS = 350
 TIMED_ITERATIONS = 20
-"""Of the paper's descent, unless --full is given; its time for all of them is then scaled."""
+"""Iterations of the paper's descent without --full; its time is then scaled to PAPER_ITERATIONS."""
 
 
 @dataclass(frozen=True)
 class Method:
-    """A way to fit: `build()` once, and `runs` fits; `times`: by what its seconds are scaled."""
+    """A way to fit: one `build()` and `runs` fits; `times` is the factor that scales its seconds."""
 
     name: str
     build: Callable[[], Fit]
@@ -56,7 +56,7 @@ class Method:
 
 
 class Timed:
-    """A method and its times: seconds of building, of each fit, and the last parameters. ImportError."""
+    """A method, its seconds of building and of each fit, and its last parameters. Raises ImportError."""
 
     def __init__(self, method: Method):
         began = time.perf_counter()
@@ -64,7 +64,7 @@ class Timed:
         self.build, self._seconds, self.parameters = time.perf_counter() - began, [], np.empty(0)
 
     def run(self, start: np.ndarray) -> None:
-        """Fit as often as the method wants."""
+        """Fit `method.runs` times."""
         for _ in range(self.method.runs):
             began = time.perf_counter()
             with contextlib.redirect_stdout(io.StringIO()):
@@ -73,12 +73,12 @@ class Timed:
 
     @property
     def seconds(self) -> np.ndarray:
-        """Of fits, (fits,)."""
+        """Seconds of the fits, (fits,)."""
         return self.method.times * np.array(self._seconds)
 
 
 class Yardstick:
-    """The record, and how costs and errors are measured on it."""
+    """The record, and the cost and the errors of parameters on it."""
 
     def __init__(self, seed: int = 0):
         rng = np.random.default_rng(seed)
@@ -98,7 +98,7 @@ class Yardstick:
         return paper_cost(self._problem, BASE.values(dict(zip(BASE_PARAMETERS, parameters, strict=True))))
 
     def off(self, parameters: np.ndarray, truth: np.ndarray) -> float:
-        """The largest distance of a parameter in standard deviations of the Cramer-Rao bound, slower constants first."""
+        """Largest difference of a parameter in standard deviations of the Cramer-Rao bound; lags are sorted by size first."""
         return float(np.max(np.abs(_slow_first(parameters) - _slow_first(truth)) / self._std))
 
 
@@ -107,7 +107,7 @@ def _slow_first(parameters: np.ndarray) -> np.ndarray:
 
 
 def ours(record: Record) -> Fit:
-    """`refine` as it is called. A process loads the compiled model once: that is the building."""
+    """`refine` as a user calls it; its building is the loading of the compiled model, once per process."""
     _runner.cache_clear()
     Simulator(BASE, BASE_PARAMETERS)
 
@@ -119,7 +119,7 @@ def ours(record: Record) -> Fit:
 
 
 def compiling() -> float:
-    """Seconds of the C compiler: once for a model, ever; later runs take the library from the cache."""
+    """Seconds of the C compiler, which runs once per model; later runs load the library from the cache."""
     seconds = []
     with tempfile.TemporaryDirectory() as folder, mock.patch.object(compiler, "cache_folder", return_value=Path(folder)):
         for _ in range(2):
@@ -145,7 +145,7 @@ def trf(record: Record, start: np.ndarray) -> Fit:
 
 
 def methods(yardstick: Yardstick, full: bool) -> dict[str, list[Method]]:
-    """All of them, by how they are set up; ours first."""
+    """All methods, grouped by their set-up; ours first."""
     scales, record, start = BASE.values(), yardstick.record, yardstick.start
     u = np.column_stack(
         [record["omega_ref"] / scales["omega_scale"], (record["beta_ref"] + scales["beta_offset"]) / scales["beta_scale"]]
@@ -196,8 +196,8 @@ def main(full: bool) -> None:
         for method in own:
             try:
                 one = Timed(method)
-            except ImportError as lacking:
-                missing.append(f"{method.name}: {lacking.name} is not installed (pip install '.[benchmarks]')")
+            except ImportError as error:
+                missing.append(f"{method.name}: {error.name} is not installed (pip install '.[benchmarks]')")
                 continue
             one.run(yardstick.start)
             others[group].append(one)

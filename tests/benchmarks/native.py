@@ -1,6 +1,6 @@
-"""python -m tests.benchmarks.native: what a step of the native FMUs costs, beside a C slave that does nothing.
+"""python -m tests.benchmarks.native: time of a step of the native FMUs, beside an empty C slave.
 
-Machines differ and are noisy, so the ratios are what to look at; every time is the best of several runs.
+Machines differ and are noisy, so compare the ratios; every time is the best of several runs.
 """
 
 import ctypes
@@ -86,7 +86,7 @@ def one_step(bound, component, at):
 
 
 def do_steps(*paths):
-    """For each FMU (seconds of a doStep through fmpy's wrapper, through a call bound once); taken in turn, for fairness."""
+    """For each FMU (seconds of a doStep through fmpy's wrapper, through a call bound once); measured in turn, for fairness."""
     slaves = [started(path) for path in paths]
     found = [[float("inf"), float("inf")] for _ in slaves]
     for _ in range(5):
@@ -98,7 +98,7 @@ def do_steps(*paths):
 
 
 def loop(plant_path, controller_path, short, long):
-    """Seconds of a communication step of `vpp_fmu.loop.run`; what a run costs once falls out of the difference."""
+    """Seconds of a communication step of `vpp_fmu.loop.run`, from two run lengths, without the constant cost of a run."""
     plant, controller = FmuPlant(plant_path, dt=STEP), FmuController(controller_path, dt=STEP)
 
     def whole(count):
@@ -109,8 +109,8 @@ def loop(plant_path, controller_path, short, long):
 
 
 def masters(*pairs, count=5000):
-    """For each pair of plant and controller, seconds of a communication step of the compiled master, and last those of the same
-    models in one C function without FMI; all in turn, for fairness."""
+    """Seconds of a communication step of the compiled master for each pair of plant and controller, and last those of the same
+    models in one C function without FMI; all are measured in turn, for fairness."""
     pairs = [(FmuPlant(plant, dt=STEP), FmuController(controller, dt=STEP)) for plant, controller in pairs]
     wanted, bare = np.full(count, 5.0), ClosedLoop(BASE)
     sets, course = bare.vectors({}, {}, {}), Course(wanted, np.zeros(count), STEP, 15.0)
@@ -131,14 +131,14 @@ def masters(*pairs, count=5000):
 
 
 def whole(plant_path, controller_path, count=10_000):
-    """Seconds of `vpp_fmu.loop.run` for each of its steps, with all that it does once."""
+    """Seconds per step of `vpp_fmu.loop.run`, including the constant cost of a run."""
     plant, controller = FmuPlant(plant_path, dt=STEP), FmuController(controller_path, dt=STEP)
     profile = Record({"time": np.array([0.0, count * STEP]), "thrust_set": np.array([5.0, 5.0])}, "constant")
     return best(lambda: run(plant, controller, profile), 1, 60) / count
 
 
 def foreign_calls(plant_path, controller_path, count=1000):
-    """Seconds of the same communication step's six foreign calls alone, the controller's outputs being the plant's inputs."""
+    """Seconds of the six foreign calls of such a step alone; the controller's outputs are the plant's inputs."""
     pair = FmuPlant(plant_path, dt=STEP), FmuController(controller_path, dt=STEP)
     for part, values in zip(pair, ((0.0, 0.0), (5.0, 0.0)), strict=True):
         part.start(*values)
@@ -184,7 +184,7 @@ def main():
             "two empty C slaves",
             whole(*empty) * 1e6,
         )
-        FmuInstance.entry = lambda self: None  # as it is where there is no compiler
+        FmuInstance.entry = lambda self: None  # as on a machine without a compiler
         here, floor = loop(*pair, 200, 600), foreign_calls(*pair)
         say("the same, call by call from Python", here * 1e6, "us", "its foreign calls", floor * 1e6)
 

@@ -35,7 +35,7 @@ def exact_step(x, u, p, exp):
 
 
 def by_scipy(evaluate: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], method: str, **options) -> Fit:
-    """scipy's `least_squares` on `evaluate(x) -> (residual, Jacobian)`, which is called once for a point."""
+    """scipy's `least_squares` on `evaluate(x) -> (residual, Jacobian)`, which is called once per point."""
 
     def fit(p: np.ndarray) -> np.ndarray:
         at, known = np.full(len(p), np.nan), (np.empty(0), np.empty(0))
@@ -56,18 +56,18 @@ def filters(u: np.ndarray, y: np.ndarray, method: str) -> Fit:
 
     def channel(command, tau_1, tau_2):
         """(response (rows,), its derivatives in both constants)."""
-        e_1, e_2, apart = np.exp(-STEP / tau_1), np.exp(-STEP / tau_2), tau_1 - tau_2
+        e_1, e_2, difference = np.exp(-STEP / tau_1), np.exp(-STEP / tau_2), tau_1 - tau_2
         d_1, d_2 = e_1 * STEP / tau_1**2, e_2 * STEP / tau_2**2
         # Numerator: the step response after one step; the rest gives a static gain of 1.
-        part = (tau_1 * e_1 - tau_2 * e_2) / apart
+        part = (tau_1 * e_1 - tau_2 * e_2) / difference
         first, total = 1.0 - part, (1.0 - e_1) * (1.0 - e_2)
-        first_1, total_1 = (part - e_1 - tau_1 * d_1) / apart, -d_1 * (1.0 - e_2)
-        first_2, total_2 = (e_2 + tau_2 * d_2 - part) / apart, -d_2 * (1.0 - e_1)
+        first_1, total_1 = (part - e_1 - tau_1 * d_1) / difference, -d_1 * (1.0 - e_2)
+        first_2, total_2 = (e_2 + tau_2 * d_2 - part) / difference, -d_2 * (1.0 - e_1)
         poles, moved = [1.0, -e_1 - e_2, e_1 * e_2], command - command[0]
-        shown = lfilter([0.0, first, total - first], poles, moved)
-        by_1 = lfilter([0.0, first_1, total_1 - first_1], poles, moved) + lfilter([0.0, d_1, -d_1 * e_2], poles, shown)
-        by_2 = lfilter([0.0, first_2, total_2 - first_2], poles, moved) + lfilter([0.0, d_2, -d_2 * e_1], poles, shown)
-        return command[0] + shown, by_1, by_2
+        response = lfilter([0.0, first, total - first], poles, moved)
+        by_1 = lfilter([0.0, first_1, total_1 - first_1], poles, moved) + lfilter([0.0, d_1, -d_1 * e_2], poles, response)
+        by_2 = lfilter([0.0, first_2, total_2 - first_2], poles, moved) + lfilter([0.0, d_2, -d_2 * e_1], poles, response)
+        return command[0] + response, by_1, by_2
 
     def evaluate(p):
         c, (w, w_1, w_2), (b, b_1, b_2) = p[4:], channel(u[:, 0], *p[:2]), channel(u[:, 1], *p[2:4])
@@ -112,10 +112,10 @@ def casadi_forward(u: np.ndarray, y: np.ndarray, is_compiled: bool) -> Fit:
 
     x, s, held, p = ca.SX.sym("x", 4), ca.SX.sym("s", 4, 9), ca.SX.sym("u", 2), ca.SX.sym("p", 9)
     ahead = ca.vertcat(*exact_step(ca.vertsplit(x), ca.vertsplit(held), ca.vertsplit(p), ca.exp))
-    shown = thrust(ca.vertsplit(x), ca.vertsplit(p)[4:])
-    moved, slopes = (ca.jacobian(f, x) @ s + ca.jacobian(f, p) for f in (ahead, shown))
-    state, following = ca.vertcat(x, ca.vec(s)), ca.vertcat(ahead, ca.vec(moved))
-    run = ca.Function("step", [state, held, p], [following, ca.horzcat(shown, slopes)]).mapaccum("run", len(y))
+    response = thrust(ca.vertsplit(x), ca.vertsplit(p)[4:])
+    moved, slopes = (ca.jacobian(f, x) @ s + ca.jacobian(f, p) for f in (ahead, response))
+    state, next_state = ca.vertcat(x, ca.vec(s)), ca.vertcat(ahead, ca.vec(moved))
+    run = ca.Function("step", [state, held, p], [next_state, ca.horzcat(response, slopes)]).mapaccum("run", len(y))
     if is_compiled:
         arguments = run.mx_in()
         options = {"jit": True, "compiler": "shell", "jit_options": {"flags": ["-O3"], "verbose": False}}

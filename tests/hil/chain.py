@@ -1,10 +1,9 @@
 """The whole chain on the emulated rig: `python -m tests.hil.chain [EFFECT[=SIZE]] [-o DIR] [--seed N]`.
 
-The rig as it is is measured once and its model diagnosed: what every later measurement is held against. Then an effect
-hides in the rig. A new campaign, `vpp identify`, `vpp diagnose --parameters` with the model of before, and `vpp export` make
-plant FMUs: the old one, one identified anew, and one with what was found. All predict records of the same rig that nobody
-has seen, and run beside it in the loop. Every step is a command that a user would type; the table says how far each FMU is
-from the rig.
+The unchanged rig is measured and diagnosed once; its model is the reference for later measurements. Then the rig gets a hidden
+effect. A new campaign, `vpp identify`, `vpp diagnose --parameters` with the reference, and `vpp export` make three plant FMUs:
+the reference, one identified anew, and one with the diagnosed effects. Each predicts a new record of the rig and runs beside it
+in the loop. Every step is a user's command; the table has the thrust error of each FMU.
 """
 
 import argparse
@@ -24,11 +23,11 @@ from vpp_fmu.record import Record, read_record, write_record
 
 STEPS = {"time": np.array([0.0, 3.0, 6.0, 9.0, 12.0, 15.0]), "thrust_set": np.array([1.5, 12.0, 1.5, 6.0, 8.0, 8.0])}
 LESS = ["--samples", "1000", "--levels", "3"]
-"""A fifth of the paper's readings a point and three levels: the static map takes 12 minutes then, 20 s in virtual time."""
+"""A fifth of the paper's readings per point and three levels: the static map then takes 12 minutes, 20 s in virtual time."""
 
 
 def command(*words: object) -> float:
-    """Run one; returns the seconds it took. The chain ends where one fails."""
+    """Run a command and return its seconds. The chain ends if a command fails."""
     print("\n$ vpp", *words, flush=True)
     began = time.perf_counter()
     code = vpp([str(word) for word in words])
@@ -44,7 +43,7 @@ def rmse(fmu: Path, record: Record) -> float:
 
 
 def chain(effect: str, out: Path, seed: int, more: list[str]) -> dict:
-    """Measure, identify, diagnose, export, measure and run again; what came of it."""
+    """Measure, identify, diagnose, export, measure and run again; return the results."""
     rig, known = ["--virtual", "--hide", effect], out / "known" / "parameters.json"
     command("hil", "campaign", "--virtual", "--seed", seed, *more, "-o", out / "campaign_before")
     took = {"diagnose, before": command("diagnose", out / "campaign_before", "-o", known.parent)}
@@ -57,7 +56,7 @@ def chain(effect: str, out: Path, seed: int, more: list[str]) -> dict:
     command("hil", "campaign", *rig, "--seed", seed + 1, "--commands", out / "new_commands.csv", "-o", out / "new")
     new = read_record(out / "new" / "record.csv", holes=("thrust",))
     verdict = json.loads((out / "diagnosed" / "diagnosis.json").read_text())
-    found = {"effect": effect, "verdict": verdict["verdict"], "effects": [_told(e) for e in verdict["effects"]]}
+    found = {"effect": effect, "verdict": verdict["verdict"], "effects": [_effect_text(e) for e in verdict["effects"]]}
     found |= {"noise": verdict["noise_floor_thrust"], "seconds": took, "models": {}}
     for name in ("known", "identified", "diagnosed"):
         parameters = out / name / "parameters.json"
@@ -70,7 +69,7 @@ def chain(effect: str, out: Path, seed: int, more: list[str]) -> dict:
     return found
 
 
-def _told(effect: dict) -> str:
+def _effect_text(effect: dict) -> str:
     sizes = (f"{n} {p['value']:.3g} {p['unit']}" for n, p in effect["parameters"].items() if n != "form")
     return f"{effect['name']} ({', '.join(sizes)})"
 

@@ -1,8 +1,8 @@
-"""A disk that is full before a run, in it, at its end, or in a campaign: the commands themselves, in real time.
+"""The commands in real time on a disk that fills before a run, during it, at its end, or during a campaign.
 
-Where mounting is allowed it is a tmpfs of its own in a namespace, and the refusal the kernel's ENOSPC. Elsewhere the processes'
-files may grow no further than ROOM (RLIMIT_FSIZE, refused as EFBIG): what is small can still be written, as the emulated
-outputs must, so a campaign is not tried there.
+Where mounting is allowed, the disk is a separate tmpfs in a namespace, and the kernel refuses with ENOSPC. Elsewhere the files
+of the processes are limited to ROOM bytes (RLIMIT_FSIZE, refused as EFBIG). Small files can still be written there, as the
+emulated outputs must be, so a campaign is not tried.
 """
 
 import contextlib
@@ -31,7 +31,7 @@ SMALL = ["--points", "2", "--samples", "250", "--settle", "0.5", "--parts", "sta
 
 @dataclass
 class Disk:
-    """`folder`: what a command is given as its output; `seen`: the same, from outside; `words`: what goes before a command."""
+    """`folder`: the output folder given to a command; `seen`: its path from outside; `words`: the command's prefix."""
 
     folder: Path
     seen: Path
@@ -39,7 +39,7 @@ class Disk:
     mounted: bool
 
     def fill(self, process: subprocess.Popen | None) -> None:
-        """No byte more, for a process that runs or the next one."""
+        """Fill the disk for `process`, or for the next process if it is None."""
         if not self.mounted:
             if process:
                 limit(process.pid)
@@ -51,13 +51,13 @@ class Disk:
                 file.write(bytes(4096))
 
     def free(self) -> None:
-        """Room again."""
+        """Free the disk."""
         (self.seen / "filler").unlink(missing_ok=True)
         self.words = self.words if self.mounted else []
 
 
 def limit(pid: int) -> None:
-    """A process, and those that it has started in sessions of their own, let no file grow."""
+    """Limit the files of a process and its descendants to ROOM bytes."""
     for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
         limit(int(child))
     resource.prlimit(pid, resource.RLIMIT_FSIZE, (ROOM, ROOM))
@@ -65,7 +65,7 @@ def limit(pid: int) -> None:
 
 @contextlib.contextmanager
 def small_disk() -> Iterator[Disk]:
-    """A disk of SIZE, else one whose processes are to be limited."""
+    """A disk of SIZE; without a mount, `fill` limits the files of the processes instead."""
     with tempfile.TemporaryDirectory() as name:
         mount = ["unshare", "-m", "sh", "-c", f'mount -t tmpfs -o size={SIZE} none "$0" && echo ready && exec cat', name]
         holder = subprocess.Popen(mount, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
@@ -87,8 +87,8 @@ def command(disk: Disk, *words: str) -> subprocess.Popen:
 
 @dataclass(frozen=True)
 class Became:
-    """`code` and `said` (standard error) of the command; `pulse`: what stood on the ESC's output last, None where nothing ever
-    opened it; `kept`: what can still be read; `wrong`: why that is not as it must be."""
+    """Result: `code` and `said` (standard error) of the command; `pulse`: last output of the ESC, None if it was never opened;
+    `kept`: description of the readable data; `wrong`: violated requirements."""
 
     code: int
     said: str
@@ -134,7 +134,7 @@ def full(phase: str) -> Became:
 
 
 def _kept(disk: Disk, phase: str) -> tuple[str, list[str]]:
-    """What is there once there is room again, and what of it should be and is not."""
+    """(description of the data that can be read once the disk is free, violated requirements)."""
     out = disk.seen / "out"
     if phase == "start":
         turned = any("run" in path.read_text() for path in out.rglob("*.events.jsonl"))
@@ -155,13 +155,13 @@ def _kept(disk: Disk, phase: str) -> tuple[str, list[str]]:
         text=True,
         check=False,
     )
-    told = json.loads((folder / "hil.json").read_text())
+    summary = json.loads((folder / "hil.json").read_text())
     wrong = [f"report: {again.stderr.strip()}"] * (again.returncode != 0) + ["no rows"] * (rows < 500)
-    return f"{rows} rows in the log, of which a report was made", wrong + ["it still runs"] * (told["status"] == "running")
+    return f"{rows} rows in the log, of which a report was made", wrong + ["it still runs"] * (summary["status"] == "running")
 
 
 def _until(process: subprocess.Popen, out: Path, reached: Callable[[dict], bool]) -> int | None:
-    """Wait for an event beside a log; the file of the ESC's pulse, which stays open."""
+    """Wait for an event beside a log; return the open file of the ESC's pulse."""
     end, esc = time.monotonic() + PATIENCE, None
     while time.monotonic() < end and process.poll() is None:
         if esc is None:

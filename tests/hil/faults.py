@@ -1,9 +1,9 @@
-"""Every fault of the rig, injected for real: `python -m tests.hil.faults [WORD ...]` (rows with a WORD in their name, or all).
+"""Inject every fault of the rig in real time: `python -m tests.hil.faults [WORD ...]` (rows with a WORD in their name, or all).
 
-A process of its own runs the closed loop on the emulated rig in real time, with its supervisor. When the thrust stands, the
-fault is injected: through the emulated buses, by a signal, or in the controller. The duty file of the ESC is watched from
-outside: how long until the idle pulse stood, for good. Exit code 1 if a row is not as it must be. What all this depends on, the
-machine's load, is printed at both ends.
+A separate process runs the closed loop and its supervisor on the emulated rig in real time. Once the thrust has settled, the
+fault is injected through the emulated buses, by a signal, or in the controller. The ESC's duty file is watched from outside, to
+measure the time until the idle pulse is permanent. Exit code 1 if a row fails. The times depend on the machine's load, which is
+printed before and after.
 """
 
 import contextlib
@@ -48,29 +48,29 @@ RAMP = 1800.0
 """ms: half a second to be sure of the fault at most, 1.5 s of ramp from a fully open throttle, the emulation's own delays."""
 
 CUT = 100.0
-"""ms, as the project promises for a loop that is gone, hung or told to stop at once."""
+"""ms: the project's promise for a loop that is killed, hung or ordered to stop at once."""
 
 OPEN = 120.0
-"""ms: the board's 100 ms behind the last request, a tick that it may lie back, and the board's own pace."""
+"""ms: the board's 100 ms after the last request, up to a tick since that request, and the board's loop time."""
 
 REOPENED = 5.0
-"""ms that the throttle may be seen open after the first idle pulse: a loop that was stopped right before a pulse writes it
-when it goes on, and the supervisor writes the idle pulse over it within 1 ms."""
+"""ms for which the throttle may be open after the first idle pulse: a loop that is suspended right before a pulse writes it
+on resuming, and the supervisor overwrites it with the idle pulse within 1 ms."""
 
 ALARM = 2000.0
-"""ms that the twin may take for a change of 5 N in whole blocks of half a second, beside what its reaction takes."""
+"""ms until the twin's alarm for a change of 5 N, in whole blocks of half a second; its reaction takes additional time."""
 
 TRIES = 3
-"""Runs until the thrust stands: the emulation itself may starve on a busy machine, which is no row's fault."""
+"""Runs until the thrust settles: on a busy machine the emulation itself may starve, which is not the injected fault."""
 
 SEEN = 300.0
-"""ms for what must first be seen in the revolutions: 50 ms or three of them, and the board's 200 ms for a stall."""
+"""ms for a fault that is detected from revolutions: 50 ms or three revolutions, and the board's 200 ms for a stall."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """A fault and what must come of it: the loop's last state ("gone": it has none to tell), what it names as the cause, how
-    soon the idle pulse stands [ms]; None: not before the run's own end. `load`: four other processes are busy."""
+    """A fault and the required outcome: the loop's last state ("gone": it reports none), the start of the reported cause, and
+    the latest time of the idle pulse [ms] (None: only at the run's end). `load`: four other processes are busy."""
 
     name: str
     must: str
@@ -81,14 +81,14 @@ class Row:
     task: dict = field(default_factory=dict)
     load: bool = False
     relay: bool = False
-    """Watched is the relay in the ESC's supply: nobody is left to write a pulse."""
+    """Watch the relay in the ESC's supply, because no process is left to write a pulse."""
     alone: Callable[[], "Outcome"] | None = None
-    """A row that is tried in a way of its own."""
+    """Runs the row in place of the closed loop."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of it; `wrong`: why that is not as it must be."""
+    """Outcome of a row; `wrong`: violated requirements."""
 
     happened: str
     state: str
@@ -97,7 +97,7 @@ class Outcome:
 
 
 def disk_full(phase: str, name: str, must: str) -> Row:
-    """The command itself, on a disk that is full from a phase on."""
+    """A row for a command on a disk that is full from a phase on."""
 
     def alone() -> Outcome:
         became = full(phase)
@@ -117,7 +117,7 @@ STUCK = {
     "physics": {"hidden": ["rod_stuck"], "parameters": {"rod_stuck.after": STUCK_AFTER}},
 }
 FAST = {"limits": {"omega_max": 5500.0, "omega_trip": 5501.0}, "sabotage": "flat out"}
-"""The speed loop cannot hold the limit to one rpm."""
+"""The trip speed is one rpm above the limit, closer than the speed loop can hold it."""
 
 LINGERS = {"physics": {"lingers": 8.0}}
 TWIN_RAMPS, TWIN_IDLES = ({"twin": what, "seconds": 10} for what in ("ramp", "idle"))
@@ -219,7 +219,7 @@ ROWS = (
 
 
 def tried(row: Row) -> Outcome:
-    """Inject a row's fault and judge what came of it."""
+    """Inject a row's fault and judge the outcome."""
     if row.alone:
         return row.alone()
     for _ in range(TRIES):
@@ -230,16 +230,16 @@ def tried(row: Row) -> Outcome:
 
 
 def once(row: Row) -> Outcome | str:
-    """One run; if it ended before the fault could be injected, why."""
-    with tempfile.TemporaryDirectory() as folder, started(row.task, Path(folder)) as (process, told):
-        here = wait_for(told, "esc", process)
+    """Outcome of one run, or the reason why it ended before the fault could be injected."""
+    with tempfile.TemporaryDirectory() as folder, started(row.task, Path(folder)) as (process, messages):
+        here = wait_for(messages, "esc", process)
         if here is None:
-            end = wait_for(told, "ended", process)
-            return judged(row, end, None) if row.inject is nothing else told_by(end)
+            end = wait_for(messages, "ended", process)
+            return judged(row, end, None) if row.inject is nothing else causes_of(end)
         rig = Injected(process, Path(here["at"]), Path(here["esc"]), b"%d" % here["idle"], here["heard"], Path(folder))
-        if not wait_for(told, "running", process):
-            end = wait_for(told, "ended", process)
-            return judged(row, end, None) if row.within == 0.0 else told_by(end)
+        if not wait_for(messages, "running", process):
+            end = wait_for(messages, "ended", process)
+            return judged(row, end, None) if row.within == 0.0 else causes_of(end)
         with load(row.load):
             time.sleep(0.2 * row.load)
             seen = (until_open if row.relay else until_idle)(rig, row.inject)
@@ -248,11 +248,11 @@ def once(row: Row) -> Outcome | str:
                 process.wait(5.0 if "fmu" in row.task else 0.0)  # the supervisor ends one that hangs
             process.kill()
             return judged(row, None, seen, left_behind(Path(folder)))
-        return judged(row, wait_for(told, "ended", process), seen)
+        return judged(row, wait_for(messages, "ended", process), seen)
 
 
-def told_by(end: dict | None) -> str:
-    """The cause in full, and the kinds of what followed."""
+def causes_of(end: dict | None) -> str:
+    """The cause in full, and the kinds of the later causes."""
     if end is None:
         return "it said nothing"
     causes = [why for _, state, why in end["transitions"] if state in ("ramp down", "fault")]
@@ -261,8 +261,8 @@ def told_by(end: dict | None) -> str:
 
 
 def judged(row: Row, end: dict | None, seen: Watched | None, left: str = "") -> Outcome:
-    """Hold what came against what must."""
-    state, happened = (end["state"], told_by(end)) if end else ("gone", left)
+    """Compare the outcome with the row's requirements."""
+    state, happened = (end["state"], causes_of(end)) if end else ("gone", left)
     wrong = []
     if state != row.state:
         wrong.append(f"state {state}, must be {row.state}")
@@ -279,7 +279,7 @@ def judged(row: Row, end: dict | None, seen: Watched | None, left: str = "") -> 
 
 
 def main(words: list[str]) -> int:
-    """Try the rows and print them; 1 if one is wrong."""
+    """Run the rows and print them; 1 if one fails."""
     rows = [row for row in ROWS if not words or any(word in row.name for word in words)]
     print(_load())
     print(f"{'fault':39} {'must':34} {'idle [ms]':>9}  {'state':6} what happened", flush=True)

@@ -1,4 +1,4 @@
-/* The firmware's header behind functions that Python can call. */
+/* Functions of the firmware's header for Python. */
 #include "tachometer.h"
 
 static Rotor rotor;
@@ -28,13 +28,13 @@ void asked(uint32_t now) { relay_heard(&relay, now); }
 
 void stop(void) { relay_stop(&relay); }
 
-/* The answer's flags of the relay, once it was looked at. */
+/* Check the relay, then return its flags of the answer. */
 unsigned relay_at(uint32_t now) {
     relay_watch(&relay, now);
     return relay_flags(&relay);
 }
 
-/* Whether the word was in it (bit 16), type and sequence of the request that the byte completes; 0: none. */
+/* The request that the byte completes: whether it has the word (bit 16), its type and sequence; 0: no request. */
 unsigned take(unsigned byte) {
     Request request = reader_take(&reader, (uint8_t)byte);
     return (unsigned)request.word << 16 | (unsigned)request.type << 8 | request.sequence;

@@ -1,4 +1,4 @@
-"""The loop under test: started in a process of its own, faults put into it from outside, its ESC's duty file watched."""
+"""Start the loop under test in a separate process, inject faults from outside and watch the duty file of its ESC."""
 
 import contextlib
 import json
@@ -22,12 +22,12 @@ from hil.emulator.shared import SharedNumbers
 HERE = Path(__file__).resolve().parent
 
 STUCK_AFTER = 8.0
-"""s from the emulation's start until its pitch actuator gets stuck, where it is to."""
+"""s from the emulation's start until its pitch actuator sticks, if that is the fault."""
 
 
 @dataclass
 class Injected:
-    """The process under test: where its files are, and the numbers of its buses."""
+    """The process under test, its files, and the shared numbers of its buses."""
 
     process: subprocess.Popen
     at: Path
@@ -46,7 +46,7 @@ class Injected:
             shared.close()
 
     def supervisor(self) -> int:
-        """Its process."""
+        """Process number of the supervisor."""
         return next(pid for pid, words in children_of(self.process.pid) if "watchdog" in words)
 
 
@@ -65,7 +65,7 @@ def bus(name: str, value: float = math.inf):
 
 
 def line(name: str, value: float = math.inf, times: int = 1):
-    """`times`: so often, 30 ms apart."""
+    """Set a fault of the serial line `times` times, 30 ms apart."""
 
     def inject(rig: Injected) -> None:
         with rig.numbers(LINE) as numbers:
@@ -98,7 +98,7 @@ def to_supervisor(number: int):
 
 
 def to_all(rig: Injected) -> None:
-    """SIGKILL to the loop and to all that it has started but the emulated rig, which is no program on a real one."""
+    """SIGKILL to the loop and its children, except the emulated rig, which is no process on a real rig."""
     for pid, words in children_of(rig.process.pid):
         if "emulator" not in words:
             os.kill(pid, signal.SIGKILL)
@@ -106,13 +106,13 @@ def to_all(rig: Injected) -> None:
 
 
 def to_loop_and_supervisor(rig: Injected) -> None:
-    """SIGKILL to both that could write a pulse; the log's writer lives on."""
+    """SIGKILL to both processes that can write a pulse; the log's writer continues."""
     for pid in (rig.supervisor(), rig.process.pid):
         os.kill(pid, signal.SIGKILL)
 
 
 def pulls(force: float):
-    """A force [N] on the stand that no thrust makes."""
+    """An external force [N] on the stand, beside the thrust."""
 
     def inject(rig: Injected) -> None:
         shared = SharedNumbers(rig.at / HAND, PULLED)
@@ -127,12 +127,12 @@ def to_writer(rig: Injected) -> None:
 
 
 def now(rig: Injected) -> None:
-    """What the FMU waits for."""
+    """Create the file for which the FMU waits."""
     (rig.folder / "now").touch()
 
 
 def second_opener(rig: Injected) -> None:
-    """Another process that wants the same outputs."""
+    """Another process tries to open the same outputs."""
     text = "import sys; from pathlib import Path; from hil.bench import locked; locked(Path(sys.argv[1]))"
     environment = {**os.environ, "PYTHONPATH": str(HERE.parents[1])}
     command = [sys.executable, "-c", text, str(rig.esc.parents[1])]
@@ -141,7 +141,7 @@ def second_opener(rig: Injected) -> None:
 
 
 def writes(file: str, text: str):
-    """Somebody else writes to one of the ESC's files."""
+    """Another program writes to one of the ESC's files."""
 
     def inject(rig: Injected) -> None:
         rig.esc.with_name(file).write_text(text)
@@ -150,11 +150,11 @@ def writes(file: str, text: str):
 
 
 def nothing(rig: Injected) -> None:
-    """What is wrong was wrong from the start."""
+    """No injection: the fault exists from the start."""
 
 
 def stuck(rig: Injected) -> float:
-    """Wait for the time at which the emulated actuator gets stuck; it counts from the emulation's start."""
+    """Wait until the emulated actuator sticks; the time counts from the emulation's start."""
     time.sleep(max(0.0, rig.opened + STUCK_AFTER - time.monotonic()))
     return time.monotonic()
 
@@ -173,8 +173,9 @@ def load(wanted: bool) -> Iterator[None]:
 
 @contextlib.contextmanager
 def started(task: dict, folder: Path) -> Iterator[tuple[subprocess.Popen, list[dict]]]:
-    """The process in a session of its own, and what it has said so far; on a disk of 64 kB if the task says `full`."""
-    told, words = [], [sys.executable, str(HERE / "rig_process.py"), json.dumps({"seconds": 3, **task, "folder": str(folder)})]
+    """The process in its own session, and its messages so far; on a disk of 64 kB if the task says `full`."""
+    messages: list[dict] = []
+    words = [sys.executable, str(HERE / "rig_process.py"), json.dumps({"seconds": 3, **task, "folder": str(folder)})]
     if task.get("full"):
         words = ["unshare", "-m", "sh", "-c", 'mount -t tmpfs -o size=64k none "$0" && exec "$@"', str(folder), *words]
     environment = {**os.environ, "PYTHONPATH": str(HERE.parents[1])}
@@ -182,31 +183,31 @@ def started(task: dict, folder: Path) -> Iterator[tuple[subprocess.Popen, list[d
 
     def read():
         for each in process.stdout:
-            told.append({**json.loads(each), "heard": time.monotonic()})
+            messages.append({**json.loads(each), "heard": time.monotonic()})
 
     reader = threading.Thread(target=read, daemon=True)
     reader.start()
     try:
-        yield process, told
+        yield process, messages
     finally:
         process.kill()
         process.wait()
         reader.join(5.0)
         process.stdout.close()
-        for each in told[:1]:
+        for each in messages[:1]:
             shutil.rmtree(each.get("at", folder), ignore_errors=True)
 
 
-def wait_for(told: list[dict], key: str, process: subprocess.Popen, seconds: float = 60.0) -> dict | None:
-    """What the process says with this key; None if it ends without, or does not say it for so long."""
+def wait_for(messages: list[dict], key: str, process: subprocess.Popen, seconds: float = 60.0) -> dict | None:
+    """The first message with this key; None if the process ends without it, or after `seconds`."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
-        for each in list(told):
+        for each in list(messages):
             if key in each:
                 return each
-        if process.poll() is not None and not any(key in each for each in told):
+        if process.poll() is not None and not any(key in each for each in messages):
             time.sleep(0.2)  # the reader may still be at it
-            return next((each for each in told if key in each), None)
+            return next((each for each in messages if key in each), None)
         time.sleep(0.005)
     return None
 
@@ -219,7 +220,7 @@ class Watched(NamedTuple):
 
 
 def until_idle(rig: Injected, inject: Callable[[Injected], float | None]) -> Watched | None:
-    """Inject, and watch the ESC until it has idled for 0.8 s at a stretch; None if it doesn't within a minute."""
+    """Inject, and watch the ESC until it has idled for 0.8 s without interruption; None if it does not within a minute."""
     file, began, moment = os.open(rig.esc, os.O_RDONLY), time.monotonic(), []
     injector = threading.Thread(target=lambda: moment.append(inject(rig)))
     injector.start()
@@ -254,7 +255,7 @@ def until_open(rig: Injected, inject: Callable[[Injected], None]) -> Watched | N
 
 
 def left_behind(folder: Path) -> str:
-    """What a loop that is gone has left: its supervisor's report, and the log that its writer finishes."""
+    """Summary of the files of a loop that is gone: its supervisor's report, and the log that its writer finishes."""
     end = time.monotonic() + 5.0
     while not (folder / "log.csv").exists() and time.monotonic() < end:
         time.sleep(0.05)

@@ -1,4 +1,4 @@
-"""python -m tests.hil.physics_numbers: the physical rig beside the paper, in numbers."""
+"""python -m tests.hil.physics_numbers: compare the physical rig model with the paper's numbers."""
 
 import numpy as np
 from scipy.optimize import least_squares

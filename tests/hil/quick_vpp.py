@@ -8,7 +8,7 @@ from vpp_fmu.app.cli import main
 
 
 def shorten_waits(put=setattr) -> None:
-    """Of the check of signs, the rest before the tare, the tare and the wait at the first command."""
+    """Shorten the polarity check, the rest before the tare, the tare and the wait at the first command."""
     for module, name, value in (
         (polarity, "SETTLE", 0.8),
         (polarity, "AVERAGE", 0.5),

@@ -1,11 +1,11 @@
-"""A closed loop on the emulated rig in real time, in a process of its own, to have faults injected into: `rig_process.py TASK`.
+"""A closed loop on the emulated rig in real time, as a separate process for fault injection: `rig_process.py TASK`.
 
-TASK is JSON: `folder` for the log, `seconds` of profile, `swing` (thrust steps instead of standing still), `limits` (changes),
-`physics` (`hidden`, `parameters`, `lingers`), `seed`, `fmu` (what its FMU does once the file "now" stands in the folder),
-`wrong` (whose sign the loop's calibration has wrong: "load cell" or "pitch"), `refuse` (name of a PWM file whose writes are
-refused), `twin`: what its twin's alarm does ("note", "ramp" or "idle"), `sabotage`: what SIGUSR1 makes the controller do
-("nan", "flat out", "clock back", or a pause of so many seconds). Says in JSON, a line each: where the rig's files are; that it
-runs; how it ended.
+TASK is JSON: `folder` for the log, `seconds` of profile, `swing` (thrust steps instead of a constant set-point), `limits`
+(changes), `physics` (`hidden`, `parameters`, `lingers`), `seed`, `fmu` (fault of its FMU once the file "now" exists in the
+folder), `wrong` (part with the wrong sign in the loop's calibration: "load cell" or "pitch"), `refuse` (name of a PWM file
+whose writes are refused), `twin` (reaction to its twin's alarm: "note", "ramp" or "idle"), `sabotage` (reaction of the
+controller to SIGUSR1: "nan", "flat out", "clock back", or a pause of so many seconds). It prints a line of JSON with the paths
+of the rig's files, one when the thrust has settled, and one at the end.
 """
 
 import json
@@ -36,17 +36,17 @@ from vpp_fmu.record import Record
 CALIBRATION = Path(__file__).parents[2] / "hil" / "emulator" / "calibration.json"
 WRONG = json.loads(sys.argv[1]).get("wrong")
 BAND = Band(0.12, 0.047, 0.13, steady=0.12)
-"""Of the paper's model beside the emulated rig."""
+"""Band of the paper's model on the emulated rig."""
 SETTLED = 250
-"""Steps of the controller after which the thrust stands."""
+"""Steps of the controller after which the thrust has settled."""
 
 
-def say(**told):
-    print(json.dumps(told), flush=True)
+def say(**message):
+    print(json.dumps(message), flush=True)
 
 
 class SpokenSetup(Setup):
-    """Says where the rig's files are."""
+    """A set-up that prints the paths of the rig's files."""
 
     def bench(self):
         bench = super().bench()
@@ -60,7 +60,7 @@ class SpokenSetup(Setup):
 
 
 class Saboteur:
-    """The paper's controller, until SIGUSR1 comes."""
+    """A controller that fails as TASK says once SIGUSR1 arrives."""
 
     def __init__(self, sabotage, controller):
         self._controller, self._sabotage, self._asked, self._steps = controller, sabotage, False, 0
@@ -101,7 +101,7 @@ def profile(seconds, swing):
 
 
 def main(task):
-    signal.signal(signal.SIGQUIT, signal.SIG_DFL)  # a shell that starts this in the background has it ignored
+    signal.signal(signal.SIGQUIT, signal.SIG_DFL)  # a shell ignores it in background jobs
     if refuse := task.get("refuse"):
         pwm_tree.attached = partial(pwm_tree.attached, refuse=lambda file: file == refuse)
     physics = task.get("physics", {})
@@ -133,5 +133,5 @@ def main(task):
 
 
 if __name__ == "__main__":
-    shorten_waits()  # fifty faults are to be tried
+    shorten_waits()  # there are fifty faults to test
     main(json.loads(sys.argv[1]))

@@ -1,4 +1,4 @@
-"""Readings as the rig's loop gets them, from the physical model under the speed loop: what plausibility is tried on."""
+"""Readings of the rig's loop from the physical model under the speed loop, to test the plausibility checks."""
 
 import math
 import random
@@ -22,7 +22,7 @@ class Tachometer:
         self.pulses, self.last, self.period, self.angle = 0, 0.0, math.inf, 0.0
 
     def see(self, t, dt, angle):
-        """The shaft goes on to `angle` [turns] from t to t + dt [s]."""
+        """The shaft turns to `angle` [turns] from t to t + dt [s]."""
         if math.floor(angle) > math.floor(self.angle):
             passed = t + dt * (math.floor(angle) - self.angle) / (angle - self.angle)
             passed = round(passed / 4e-6) * 4e-6
@@ -35,15 +35,15 @@ class Tachometer:
 
 
 def probes(hidden):
-    """The parameters at which the hidden effects show, by full name."""
+    """Parameter values at which the hidden effects are visible, by full name."""
     return {e.full(name): value for e in library(False) if e.name in hidden for name, value in e.probe.items()}
 
 
 def run(profile, seconds, spoil=lambda t, reading: reading, stuck_at=math.inf, hidden=(), seed=0):
     """(first fault or None, its time [s]) of a run that starts at rest and follows `profile(t) -> (rpm, deg)`.
 
-    `spoil` may change what is read; the speed loop is fed with that, and frozen when plausibility says so. From `stuck_at`
-    on the blades stand. Time 0 is the end of the spin-up.
+    `spoil` may change a reading; the speed loop gets the changed one, and is frozen while plausibility distrusts the speed.
+    From `stuck_at` on the blades do not move. Time 0 is the end of the spin-up.
     """
     rig = Stepper(powertrain(hidden), probes(hidden), {"throttle": 0.0, "beta_ref": 0.0, "supply": 24.0})
     thrust, angle = rig.outputs.index("thrust"), rig.outputs.index("angle")
@@ -69,7 +69,7 @@ def run(profile, seconds, spoil=lambda t, reading: reading, stuck_at=math.inf, h
 
 
 def steps(seed, hold=2.0):
-    """Speed and pitch anywhere in their range, anew every `hold` seconds."""
+    """Random speed and pitch, drawn anew every `hold` seconds."""
     dice = random.Random(seed)
     levels = [(dice.uniform(2000.0, 6000.0), dice.uniform(-8.0, 10.0)) for _ in range(200)]
     return lambda t: levels[int(max(t, 0.0) / hold)]

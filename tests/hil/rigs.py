@@ -52,7 +52,7 @@ def serial_faults(rig) -> SharedNumbers:
 
 
 def duties(rig) -> tuple[int, int]:
-    """What stands on the ESC's and the LAC's output [ns]."""
+    """Duty of the ESC's and the LAC's output [ns]."""
     files = (rig.bench.esc.duty_file, rig.bench.lac.duty_file)
     return tuple(int(file.read_text().split()[0]) for file in files)
 
@@ -66,5 +66,5 @@ def step_profile(first=1.5, second=12.0, hold=2.0) -> Record:
 
 
 def asked(fault):
-    """Signals that ask for `fault`, or for nothing."""
+    """Signals that request `fault`, or nothing."""
     return SimpleNamespace(asked=fault)

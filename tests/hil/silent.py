@@ -1,13 +1,13 @@
-"""python -m tests.hil.silent [--runs N] [--seconds S] [--kept FILE]: how often is a board silent that answers, and why?
+"""python -m tests.hil.silent [--runs N] [--seconds S] [--kept FILE]: how often is an answering board taken for silent, and why?
 
-Runs of the closed loop on the emulated rig in real time, idle and then beside `--load` busy processes and programs that start
-and end. Counted are runs that end with "silent" or "stale" of the tachometer; beside each stand the longest time that a core
-stood still meanwhile (`tests/stalls.py`: the host has taken it away), and how long bytes took through a pseudo-terminal of
-their own with both ends in real time. The kernel carries these by workers of ordinary priority: where they are not hurried
-(`hil/realtime.py`), a program that starts holds them up although no core stands still.
+The closed loop runs on the emulated rig in real time, alone and then beside `--load` busy processes and programs that start
+and end. Runs that end with "silent" or "stale" of the tachometer are counted. Each line has the longest stall of a core
+(`tests/stalls.py`: the host suspended it) and the longest transit of bytes through a separate pseudo-terminal, both ends in
+real time. Kernel workers of ordinary priority carry these bytes: unless they are hurried (`hil/realtime.py`), a starting
+program delays them although no core stalls.
 
-Each run is a rig of its own (`seed`). With `--kept` a line of JSON for each is added to FILE as soon as it is over; runs that
-stand there are counted and not made again, so that a series which was interrupted goes on by the same command.
+Each run has its own rig (`seed`). `--kept` appends a line of JSON to FILE after each run; runs found there are counted and not
+repeated, so the same command continues an interrupted series.
 """
 
 import argparse
@@ -28,20 +28,20 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from tests.hil.faults import told_by
+from tests.hil.faults import causes_of
 from tests.hil.injection import started, wait_for
 from tests.stalls import Stalls
 
 AIM = 0
-"""Of the runs in which no core stood still, so many may end for a silent board."""
+"""Highest number of runs that may end for a silent board while no core stalls."""
 PATIENCE = 0.05
 """s of silence that end a run."""
 BYTES = 20
-"""About an answer of the board."""
+"""Approximate length of an answer of the board."""
 
 
 def carried(seconds: float) -> None:
-    """Print the longest time [s] that bytes took through a pseudo-terminal within `seconds`: run as a process of its own."""
+    """Print the longest transit [s] of bytes through a pseudo-terminal within `seconds`; runs as a separate process."""
     ours, theirs = pty.openpty()
     tty.setraw(theirs)
     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(80))
@@ -59,7 +59,7 @@ def carried(seconds: float) -> None:
 
 @contextmanager
 def busy(count: int):
-    """`count` processes that compute, and one program after the other that starts and ends, as on a machine that is used."""
+    """`count` busy processes, and programs that start and end one after the other, as on a machine in use."""
     stop = threading.Event()
 
     def programs():
@@ -82,12 +82,12 @@ def busy(count: int):
 
 
 STARTS = 60.0
-"""s beside its own that a run may take; one that has said nothing then is ended, and counts as something else."""
+"""s that a run may take beyond its own seconds; without an answer until then it is ended and counts as something else."""
 
 
 class Made(NamedTuple):
-    """A run: busy processes beside it and its number; why it ended early, "" if it did not; the longest stall and the longest
-    that a pseudo-terminal took [s]."""
+    """A run: number of busy processes, number of the run, reason of an early end ("" if none), longest stall and longest
+    transit through the pseudo-terminal [s]."""
 
     load: int
     run: int
@@ -104,15 +104,15 @@ def once(seconds: float, load: int, run: int, stalls: Stalls) -> Made:
         command = [sys.executable, "-m", "tests.hil.silent", "--carried", str(seconds)]
         probe = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         began = time.monotonic()
-        process, told = ends.enter_context(started({"seconds": seconds, "seed": run}, folder))
-        end = wait_for(told, "ended", process, seconds + STARTS)
+        process, messages = ends.enter_context(started({"seconds": seconds, "seed": run}, folder))
+        end = wait_for(messages, "ended", process, seconds + STARTS)
         stood = stalls.longest(since=began)
         took = float(probe.communicate()[0] or "nan")
-        return Made(load, run, told_by(end) if end is None or end["ended"] else "", stood, took)
+        return Made(load, run, causes_of(end) if end is None or end["ended"] else "", stood, took)
 
 
 def main(arguments: list[str]) -> int:
-    """Run and print; 1 where more than AIM runs ended for a silent board while no core stood still."""
+    """Run and print; 1 if more than AIM runs end for a silent board while no core stalls."""
     parser = argparse.ArgumentParser(prog="python -m tests.hil.silent", description=__doc__)
     parser.add_argument("--runs", type=int, default=200, metavar="N", help="idle, and as many loaded (default: 200)")
     parser.add_argument("--seconds", type=float, default=20.0, metavar="S", help="of each (default: 20)")
@@ -123,7 +123,7 @@ def main(arguments: list[str]) -> int:
     if options.carried:
         carried(options.carried)
         return 0
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # what runs beside a run ends with it
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # leave the contexts, so that the busy processes end
     made = {(one.load, one.run): one for one in kept(options.kept)} if options.kept else {}
     stalls, bad = Stalls(), 0
     try:
@@ -135,7 +135,7 @@ def main(arguments: list[str]) -> int:
 
 
 def kept(path: Path) -> list[Made]:
-    """The runs in a file of `--kept`; a line that an interruption has cut off is none."""
+    """The runs in a file of `--kept`; an incomplete line is ignored."""
     found, text = [], path.read_text() if path.exists() else ""
     for line in text.splitlines():
         with suppress(ValueError, TypeError):
@@ -159,8 +159,8 @@ def _series(options, load: int, stalls: Stalls, made: dict[tuple[int, int], Made
         alone, stood_still = alone + (of_board and not one.stood), stood_still + bool(one.stood)
         said = f"stall {1e3 * one.stood:3.0f} ms, pseudo-terminal {1e3 * one.took:5.1f} ms, {one.why or 'ran to its end'}"
         print(f"load {load}, run {k} of {options.runs}{before}: {said}", flush=True)
-    told = f"{silent} of {options.runs} ended for a silent board, {alone} of them while no core stood still (aim: {AIM})"
-    print(f"load {load}: {told}; {other} ended for something else; in {stood_still} runs a core stood still\n", flush=True)
+    counts = f"{silent} of {options.runs} ended for a silent board, {alone} of them while no core stood still (aim: {AIM})"
+    print(f"load {load}: {counts}; {other} ended for something else; in {stood_still} runs a core stood still\n", flush=True)
     return alone
 
 

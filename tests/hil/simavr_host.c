@@ -1,7 +1,7 @@
 /* Runs the tachometer's firmware on a simulated ATmega328P (libsimavr), its sensor pin driven and its line connected.
  *
  *   simavr_host FIRMWARE.elf script < SCRIPT     lines "edge CYCLE", "byte CYCLE VALUE", "end CYCLE", cycles rising;
- *                                                prints "CYCLE VALUE" for each byte that the board says, and
+ *                                                prints "CYCLE VALUE" for each byte that the board sends, and
  *                                                "relay CYCLE VALUE" for each change of its pin
  *   simavr_host FIRMWARE.elf pty PERIOD_US       in real time: prints the name of a terminal, serves it until it is hung
  *                                                up, the mark passing every PERIOD_US

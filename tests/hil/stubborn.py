@@ -1,4 +1,4 @@
-"""Controller FMUs that fail in flight: the paper's controller in C, whose step does something else from a count on."""
+"""Controller FMUs that fail during a run: the paper's controller in C with a fault in its step."""
 
 import zipfile
 from pathlib import Path
@@ -14,14 +14,14 @@ HOW = {
     "errs": "return fmi2Error;",
     "slow": "{ struct timespec t = {0, 6000000}; nanosleep(&t, NULL); }",
 }
-"""What it does: C that takes the place of a step."""
+"""C statement of each fault, which replaces a step."""
 
 _STEP = 'return (fmi2Status)do_step(c, "fmi2DoStep", time, size);'
 
 
 def stubborn(folder: Path, how: str, after: int | Path) -> Path:
-    """The FMU, in `folder`. Good are its first `after` steps, counted over all instances, a rehearsal too; or, of a path, its
-    steps until a file stands there."""
+    """Make the FMU in `folder`. Its first `after` steps are good, counted over all instances, also in a rehearsal; if `after`
+    is a path, steps are good until that file exists."""
     good = folder / "good.fmu"
     good.write_bytes(native_fmu(CONTROLLER))
     with zipfile.ZipFile(good) as archive:

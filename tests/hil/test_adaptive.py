@@ -1,4 +1,4 @@
-"""The adaptive twin of an identified rig: its values, a sample a tick, and `vpp export|cosim|hil run --twin`."""
+"""The adaptive twin of an identified rig: its values, one update per tick, and `vpp export|cosim|hil run --twin`."""
 
 import json
 import zipfile
@@ -28,8 +28,8 @@ def identified():
 
 
 @pytest.fixture(scope="module")
-def told(identified, tmp_path_factory):
-    """A folder with what `vpp identify` leaves of such a plant."""
+def results(identified, tmp_path_factory):
+    """A folder with the results of `vpp identify` for such a plant."""
     folder = tmp_path_factory.mktemp("identified")
     identified.save(folder)
     error = {"steady": 0.1, "moving": 0.04, "freedom": 20}
@@ -40,7 +40,7 @@ def told(identified, tmp_path_factory):
     return folder
 
 
-def test_its_values_are_the_bands_and_the_identifications(identified):
+def test_values_come_from_the_band_and_the_identification(identified):
     values = adaptive(adaptable(identified, "here"), BAND).values
     steady = 0.1 * t.isf(0.025, 20.0) / 1.96
     assert values["steady"] == pytest.approx(steady)
@@ -52,14 +52,14 @@ def test_its_values_are_the_bands_and_the_identifications(identified):
     assert chosen["prior.c20"] == 0.002
 
 
-def test_the_plants_own_effects_stay_where_they_act():
+def test_the_plants_effects_keep_their_places():
     wider = adaptable(ParameterSet(plant(["pitch_backlash", "pitch_offset"])), "here").model
     assert [e.name for e in wider.effects] == [
         e.name for e in plant(["pitch_backlash", *(n.split(".")[0] for n in DAILY)]).effects
     ]
 
 
-def test_ticks_that_were_missed_are_gone_through(identified):
+def test_missed_ticks_are_simulated_with_the_last_inputs(identified):
     twin = adaptive(adaptable(identified, "here"), BAND)
     one, other = Adaptive(twin, DT), Adaptive(twin, DT)
     for each in (one, other):
@@ -71,7 +71,7 @@ def test_ticks_that_were_missed_are_gone_through(identified):
 
 
 class Seen(NoView):
-    """Keeps what the live view is told, by its labels."""
+    """A live view that keeps its values by label."""
 
     def __init__(self):
         self.rows = []
@@ -80,7 +80,7 @@ class Seen(NoView):
         self.rows.append(dict(zip((name for name, *_ in SHOWN), values, strict=True)))
 
 
-def test_the_live_view_is_told_while_a_loop_is_closed(identified):
+def test_the_live_view_gets_the_twins_values_in_a_closed_loop(identified):
     twin, seen = Adaptive(adaptive(adaptable(identified, "here"), BAND), DT), Seen()
     columns = (*COLUMNS, *(Column(LEARNED + name) for name in twin.outputs))
     rig, log = virtual_rig(columns, adaptive=twin, view=seen)
@@ -96,22 +96,22 @@ def test_the_live_view_is_told_while_a_loop_is_closed(identified):
     assert shown[before : before + 5, 0].tolist() == [0.0] * 5
 
 
-def test_what_an_alarm_points_to_is_a_word_of_the_live_view(identified):
+def test_the_live_view_shows_the_parameter_of_an_alarm(identified):
     twin = Adaptive(adaptive(adaptable(identified, "here"), BAND), DT)
-    told = dict.fromkeys(twin.outputs, 0.0) | {"adapted.sensor_gain.gain": 0.9, "direction": 2.0}
-    assert twin.shown(list(told.values())) == (0.0, 0.9)  # of an alarm that is over
-    assert twin.shown(list((told | {"alarm": 1.0}).values())) == (3.0, 0.9)
-    assert twin.shown(list((told | {"alarm": 1.0, "direction": 0.0}).values())) == (1.0, 0.9)  # no parameter
+    outputs = dict.fromkeys(twin.outputs, 0.0) | {"adapted.sensor_gain.gain": 0.9, "direction": 2.0}
+    assert twin.shown(list(outputs.values())) == (0.0, 0.9)  # of an alarm that is over
+    assert twin.shown(list((outputs | {"alarm": 1.0}).values())) == (3.0, 0.9)
+    assert twin.shown(list((outputs | {"alarm": 1.0, "direction": 0.0}).values())) == (1.0, 0.9)  # no parameter
 
 
-def test_export_and_cosim(told, tmp_path, capsys):
-    """Beside the plant that it is made of, the twin says that nothing is amiss, whatever its flavour."""
-    files = ["--parameters", str(told / "parameters.json"), "--twin", "--flavour", "both", "-o", str(tmp_path / "fmus")]
+def test_export_and_cosim(results, tmp_path, capsys):
+    """Beside the plant of which it is made, the twin has no residual and no alarm, in both flavours."""
+    files = ["--parameters", str(results / "parameters.json"), "--twin", "--flavour", "both", "-o", str(tmp_path / "fmus")]
     assert main(["export", *files]) == 0
     runs = []
     for flavour in ("", ".native"):
         plant_fmu, controller, twin = (str(tmp_path / "fmus" / f"Vpp{n}{flavour}.fmu") for n in ("Plant", "Controller", "Twin"))
-        loop = ["--twin", twin, "--profile", str(told / "profile.csv"), "-o", str(tmp_path / f"run{flavour}")]
+        loop = ["--twin", twin, "--profile", str(results / "profile.csv"), "-o", str(tmp_path / f"run{flavour}")]
         assert main(["cosim", plant_fmu, controller, *loop]) == 0
         runs.append((tmp_path / f"run{flavour}" / "run.csv").read_bytes())
         assert "Adapted parameters" in (tmp_path / f"run{flavour}" / "report.html").read_text()
@@ -135,16 +135,16 @@ def test_export_and_cosim(told, tmp_path, capsys):
     ],
     ids=["no parameters", "nothing to adapt", "no such parameter", "no identification", "hil without a twin"],
 )
-def test_bad_input_is_one_clear_line(words, said, told, tmp_path, capsys):
-    assert main([*(word.format(told) for word in words), "-o", str(tmp_path / "out")]) == 2
+def test_bad_input_is_one_clear_line(words, said, results, tmp_path, capsys):
+    assert main([*(word.format(results) for word in words), "-o", str(tmp_path / "out")]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1
     assert said in lines[0]
 
 
-def test_it_runs_in_the_loop_of_a_rig(told, tmp_path, capsys):
-    rig = ["--rig", "emulated", "--virtual", "--parameters", str(told / "parameters.json"), "--twin"]
-    assert main(["hil", "run", *rig, "--profile", str(told / "profile.csv"), "-o", str(tmp_path)]) in (0, 3)
+def test_it_runs_in_the_loop_of_a_rig(results, tmp_path, capsys):
+    rig = ["--rig", "emulated", "--virtual", "--parameters", str(results / "parameters.json"), "--twin"]
+    assert main(["hil", "run", *rig, "--profile", str(results / "profile.csv"), "-o", str(tmp_path)]) in (0, 3)
     (folder,) = (tmp_path / "runs").iterdir()
     assert "adaptive twin: " in capsys.readouterr().out
     head, *rows = (folder / "log.csv").read_text().splitlines()

@@ -30,7 +30,7 @@ class Bench:
 
 @pytest.fixture
 def bench(tmp_path):
-    """The input follows `bench.input`, and moves by a count a millisecond as noise would."""
+    """The input is `bench.input` plus a sawtooth of a count a millisecond in place of noise."""
     made = Bench(tmp_path, lambda t: made.input + LSB * math.floor(1e3 * t % 7))
     made.input = 1.0
     with i2c.attached(made.path, made.clock):
@@ -62,7 +62,7 @@ def kind(call) -> FaultKind:
     ],
 )
 def test_transfers_are_those_of_the_data_sheet(tmp_path, monkeypatch, options, config):
-    """What the driver asks of Linux, byte for byte, and nothing else."""
+    """The driver's ioctl calls, byte for byte."""
     (tmp_path / "bus").touch()
     asked = []
 
@@ -112,7 +112,7 @@ def test_single_shot_sets_its_ready_bit_and_continuous_mode_never_does(bench):
         first = bus.read_i2c_block_data(0x48, 0, 2)
         bench.input = 2.0
         bench.tick(0.1)
-        assert bus.read_i2c_block_data(0x48, 0, 2) == first  # no second one without being asked
+        assert bus.read_i2c_block_data(0x48, 0, 2) == first  # no second conversion without a request
         bus.write_i2c_block_data(0x48, 1, [0xC2, 0xE3])
         for _ in range(100):
             bench.tick()
@@ -120,7 +120,7 @@ def test_single_shot_sets_its_ready_bit_and_continuous_mode_never_does(bench):
 
 
 def test_every_kind_of_transfer_reaches_the_same_register(bench):
-    """smbus2's bytes, words, blocks and plain messages: the wire has only one form."""
+    """smbus2's bytes, words, blocks and plain messages are the same on the wire."""
     with smbus2.SMBus(bench.path) as bus:
         bus.write_word_data(0x48, 2, 0x3412)
         assert bus.read_i2c_block_data(0x48, 2, 2) == [0x12, 0x34]
@@ -196,10 +196,10 @@ def test_the_last_reading_is_held_for_50_ms_and_then_it_is_a_fault(bench, adc):
     assert kind(adc.read) is FaultKind.REFUSED
     bench.bus["not_acknowledged"] = 0
     bench.tick()
-    assert adc.read().fresh  # it works on: the ramp down needs readings too
+    assert adc.read().fresh  # it continues, because the ramp down needs readings
 
 
-def test_what_stands_in_before_the_first_reading_is_a_reading_too(bench, adc):
+def test_the_value_held_before_the_first_reading_is_a_reading(bench, adc):
     bench.bus["not_acknowledged"] = math.inf
     held = adc.read()
     assert not held.fresh
@@ -222,7 +222,7 @@ def test_a_timeout_costs_20_ms_and_is_not_tried_again_in_the_same_tick(bench, ad
     assert bench.clock.now() - before < 0.1
 
 
-def test_a_program_that_does_not_say_how_long_waits_a_second(bench):
+def test_the_default_timeout_is_a_second(bench):
     with smbus2.SMBus(bench.path) as bus:
         bench.bus["timeout"] = 1
         before = bench.clock.now()
@@ -260,7 +260,7 @@ def test_a_second_brown_out_within_ten_seconds_is_a_fault(bench, adc):
 
 
 def test_settings_that_somebody_has_changed_are_found_within_a_second(bench, adc):
-    """Another program has set another full scale: the data move on, twice as large; only the settings tell."""
+    """Another program sets another full scale: the readings continue, twice as large; only the settings reveal it."""
     with smbus2.SMBus(bench.path) as bus:
         bus.write_i2c_block_data(0x48, 1, [0xC4, 0xE3])  # 2.048 V
     found = bench.clock.now()
@@ -270,7 +270,7 @@ def test_settings_that_somebody_has_changed_are_found_within_a_second(bench, adc
         assert bench.clock.now() - found < 1.0 + TICK
 
 
-def test_a_frozen_chip_shows_in_the_repeats(bench, adc):
+def test_a_frozen_chip_repeats_its_reading(bench, adc):
     bench.tick()
     adc.read()
     bench.bus["frozen"] = 1
@@ -290,7 +290,7 @@ def test_a_frozen_chip_shows_in_the_repeats(bench, adc):
         (lambda bench: bench.bus.__setitem__("timeout", math.inf), "timed out"),
     ],
 )
-def test_what_is_not_there_at_the_start_is_said(bench, spoil, says):
+def test_a_missing_device_is_reported_at_the_start(bench, spoil, says):
     spoil(bench)
     adc = Ads1115(bench.path, clock=bench.clock)
     with pytest.raises(DeviceFault, match=says) as raised:
@@ -300,7 +300,7 @@ def test_what_is_not_there_at_the_start_is_said(bench, spoil, says):
 
 
 def test_another_chip_at_the_address_is_found_out(bench, monkeypatch):
-    monkeypatch.setattr(i2c._Kernel, "_store", lambda self, bus, name, word: None)  # its registers take nothing
+    monkeypatch.setattr(i2c._Kernel, "_store", lambda self, bus, name, word: None)  # its registers ignore writes
     adc = Ads1115(bench.path, clock=bench.clock)
     with pytest.raises(DeviceFault, match=r"0x8583, expected 0x42e3, as written: is it an ADS1115\?"):
         adc.start()

@@ -1,4 +1,4 @@
-"""The guided calibration: its line in closed form, and an emulated rig whose truth is known, by scripted answers."""
+"""The guided calibration: its line fit in closed form, and scripted answers on an emulated rig with known parameters."""
 
 import contextlib
 import io
@@ -24,11 +24,11 @@ TRUTH = replace(
     pitch_min=-10.0,
     pitch_max=10.0,
 )
-"""A rig that is not as its driver takes it for: another slope with another sign, another zero, idle pulse and pitch table."""
+"""A rig that differs from its driver's calibration: slope and its sign, zero, idle pulse and pitch table."""
 
 
 class Person:
-    """Does all that is asked, and reads the pitch off a rod with `play` [deg], to a tenth."""
+    """Follows all requests, and reads the pitch of a rod with `play` [deg] to 0.1 deg."""
 
     def __init__(self, play=0.0):
         self.asked, self._play, self._before = [], play, 0.0
@@ -79,7 +79,7 @@ def test_the_load_cells_truth_is_found(bench, with_thrust):
 
 def test_weights_that_pull_the_other_way_are_found_out(bench):
     hand = bench.hand
-    bench.hand = lambda force: hand(-force if force < -1e-9 or force > 2.1 else force)  # the weights' sign alone is wrong
+    bench.hand = lambda force: hand(-force if force < -1e-9 or force > 2.1 else force)  # only the sign of the weights is wrong
     with pytest.raises(CalibrationRefused, match="polarity: found"):
         weighed(bench, Person(), (0.0, 0.5, 1.0), True)
 
@@ -168,7 +168,7 @@ def test_a_part_alone_leaves_the_rest_and_says_what_is_missing(tmp_path, capsys)
         (lambda lines: [*lines[:14], "steep", *lines[15:]], "found steep, expected a number"),
     ],
 )
-def test_wrong_answers_are_told_in_one_line_and_nothing_is_written(tmp_path, capsys, change, said):
+def test_wrong_answers_are_reported_in_one_line_and_nothing_is_written(tmp_path, capsys, change, said):
     assert calibrated(tmp_path, change(answers())) == 2
     error = capsys.readouterr().err
     assert said in error

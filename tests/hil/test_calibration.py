@@ -75,7 +75,7 @@ def test_pitch_is_straight_between_the_tables_points_both_ways(tmp_path, content
     for k in range(201):
         pitch = -10.0 + 0.1 * k
         assert calibration.pitch(calibration.lac_pulse(pitch)) == pytest.approx(pitch, abs=1e-9)
-    assert calibration.pitch(0.0) == -12.0 * sign  # the rod stands at its stop
+    assert calibration.pitch(0.0) == -12.0 * sign  # the rod is at its stop
     assert calibration.pitch(0.001) == 12.0 * sign
     assert calibration.lac_idle == pytest.approx(calibration.lac_pulse(0.0))
 

@@ -7,20 +7,20 @@ from hil.clock import MonotonicClock, VirtualClock
 
 
 def test_the_virtual_clock_moves_only_when_somebody_waits():
-    clock, told = VirtualClock(5.0), []
-    clock.listeners.append(told.append)
+    clock, notified = VirtualClock(5.0), []
+    clock.listeners.append(notified.append)
     assert clock.now() == 5.0
     assert clock.wait_until(5.004) == 0.0
     assert clock.now() == 5.004
-    assert told == [5.004]
+    assert notified == [5.004]
 
 
 def test_the_virtual_clock_never_goes_back():
-    clock, told = VirtualClock(5.0), []
-    clock.listeners.append(told.append)
+    clock, notified = VirtualClock(5.0), []
+    clock.listeners.append(notified.append)
     assert clock.wait_until(4.75) == 0.25
     assert clock.now() == 5.0
-    assert told == []
+    assert notified == []
 
 
 def test_the_monotonic_clock_is_the_systems():

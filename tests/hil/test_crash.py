@@ -1,4 +1,4 @@
-"""A loop that ends as nobody planned: the rotor idles, the command comes back, and its files stand."""
+"""A loop that ends unexpectedly: the rotor idles, the command returns, and its files are complete."""
 
 import json
 import os
@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def begun(folder, *words):
-    """`vpp hil run` in real time, in a process of its own."""
+    """`vpp hil run` in real time, in a separate process."""
     profile = write_record(OutputFolder(folder), "step.csv", step_profile(hold=4.0))
     given = ["--profile", str(profile), "-o", str(folder / "out"), *words]
     command = [sys.executable, "-m", "tests.hil.quick_vpp", "hil", "run", *given]
@@ -41,18 +41,18 @@ def wait_for(done, seconds=60.0):
 
 
 def ended(out):
-    """hil.json, once it says how the run ended and all files stand."""
-    told = {}
+    """hil.json, once the run has ended and all files exist."""
+    summary = {}
 
     def over():
-        told.update(json.loads((out / "hil.json").read_text()))
-        return told["status"] != "running" and (out / "report.html").exists()
+        summary.update(json.loads((out / "hil.json").read_text()))
+        return summary["status"] != "running" and (out / "report.html").exists()
 
     wait_for(over)
     assert read_log(out / "log.csv")["state"][0] == "safe"
     assert len(read_table(out / "run.csv").columns["time"]) > 100
-    assert told["operator"]
-    return told
+    assert summary["operator"]
+    return summary
 
 
 @pytest.mark.parametrize(
@@ -63,16 +63,16 @@ def ended(out):
         ("errs", 2, "controller: failed"),
     ],
 )
-def test_an_fmu_that_fails_in_flight_leaves_a_rig_at_idle_and_all_files(tmp_path, how, code, cause):
+def test_an_fmu_that_fails_during_a_run_leaves_a_rig_at_idle_and_all_files(tmp_path, how, code, cause):
     fmu = stubborn(tmp_path, how, 500)
     process = begun(tmp_path, "--controller", str(fmu))
     _, said = process.communicate(timeout=90)
     assert process.returncode == code, said
-    told = ended(tmp_path / "out")
-    assert told["status"] == "ended early"
-    assert cause in told["ended"]
-    assert [t["state"] for t in told["transitions"]].count("run") == 1
-    assert told["tares"]
+    summary = ended(tmp_path / "out")
+    assert summary["status"] == "ended early"
+    assert cause in summary["ended"]
+    assert [t["state"] for t in summary["transitions"]].count("run") == 1
+    assert summary["tares"]
 
 
 def test_a_killed_loop_leaves_all_files(tmp_path):
@@ -85,15 +85,15 @@ def test_a_killed_loop_leaves_all_files(tmp_path):
     try:
         wait_for(lambda: running() or process.poll() is not None)
         assert process.poll() is None, process.communicate()[1]
-        assert json.loads((out / "hil.json").read_text())["status"] == "running"  # it says what runs before anything turns
-        time.sleep(4.0)  # of these about two on the way to where the loop begins
+        assert json.loads((out / "hil.json").read_text())["status"] == "running"  # written before anything turns
+        time.sleep(4.0)  # the loop begins after about two of them
         assert process.poll() is None, process.communicate()[1]
     finally:
         process.kill()
         process.communicate()
-    told = ended(out)
-    assert "the loop is " in told["ended"]
-    assert told["made_from"] == "the log"
+    summary = ended(out)
+    assert "the loop is " in summary["ended"]
+    assert summary["made_from"] == "the log"
 
 
 def test_a_log_whose_writer_died_too_is_cut_behind_its_last_whole_row(tmp_path, capsys):
@@ -101,15 +101,15 @@ def test_a_log_whose_writer_died_too_is_cut_behind_its_last_whole_row(tmp_path, 
     profile = write_record(OutputFolder(tmp_path), "step.csv", step_profile(hold=1.0))
     assert main(["hil", "run", "--virtual", "--profile", str(profile), "-o", str(out)]) == 0
     folder = (out / "log.csv").resolve().parent
-    told = json.loads((folder / "hil.json").read_text())
+    summary = json.loads((folder / "hil.json").read_text())
     whole = (folder / "run.csv").read_bytes()
-    (folder / "hil.json").write_text(json.dumps(told | {"status": "running"}))
+    (folder / "hil.json").write_text(json.dumps(summary | {"status": "running"}))
     text = (folder / "log.csv").read_bytes()
     (folder / ".log.csv.part").write_bytes(text[: len(text) * 9 // 10])
     for name in ("log.csv", "run.csv", "report.html"):
         (folder / name).unlink()
     assert main(["hil", "report", str(folder)]) == 0
-    assert whole.startswith((folder / "run.csv").read_bytes()[:-1])  # the same bits, as far as they go
+    assert whole.startswith((folder / "run.csv").read_bytes()[:-1])  # the same bytes, up to the cut
     assert json.loads((folder / "hil.json").read_text())["status"] == "ended early"
     wrong = {
         "transitions": ([{"time": 0.0, "state": "safe"}], "transitions, 1, why: found nothing, expected a text"),
@@ -119,7 +119,7 @@ def test_a_log_whose_writer_died_too_is_cut_behind_its_last_whole_row(tmp_path, 
         "twin": ({"delay": 1}, "twin, false_alarms_per_hour: found nothing, expected a number"),
     }
     for name, (found, says) in wrong.items():
-        (folder / "hil.json").write_text(json.dumps(told | {name: found}))
+        (folder / "hil.json").write_text(json.dumps(summary | {name: found}))
         capsys.readouterr()
         assert main(["hil", "report", str(folder)]) == 2
         assert f"{folder / 'hil.json'}: {says}\n" in capsys.readouterr().err
@@ -142,7 +142,7 @@ def test_a_report_of_nothing_or_of_a_log_that_grows_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(("size", "rows"), [(0, 0), (300_000, 1000)], ids=["from the start", "at the end"])
-def test_a_disk_that_is_full_costs_no_row_that_was_written(tmp_path, size, rows):
+def test_a_full_disk_loses_no_row_that_was_written(tmp_path, size, rows):
     profile = write_record(OutputFolder(tmp_path), "step.csv", step_profile(hold=1.0))
     words = ["hil", "run", "--virtual", "--profile", str(profile), "-o", str(tmp_path / "out")]
     text = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)\n"
@@ -205,6 +205,6 @@ def test_an_error_that_nobody_foresaw_keeps_what_was_measured(tmp_path, monkeypa
     profile = write_record(OutputFolder(tmp_path), "step.csv", step_profile(hold=1.0))
     with pytest.raises(ZeroDivisionError):
         main(["hil", "run", "--virtual", "--profile", str(profile), "-o", str(tmp_path / "out")])
-    told = json.loads((tmp_path / "out" / "hil.json").read_text())
-    assert (told["status"], told["ended"]) == ("ended early", "by chance")
+    summary = json.loads((tmp_path / "out" / "hil.json").read_text())
+    assert (summary["status"], summary["ended"]) == ("ended early", "by chance")
     assert len(read_table(tmp_path / "out" / "run.csv").columns["time"]) == 300

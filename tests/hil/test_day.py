@@ -1,4 +1,4 @@
-"""A rig's day: its costs by closed forms, its search and its referee, rounds on the emulated rig."""
+"""A day of the rig (`vpp twin`): costs in closed form, the gain search, its referee, and rounds on the emulated rig."""
 
 import argparse
 import json
@@ -30,21 +30,21 @@ from vpp_fmu.record import Record
 
 IDENTIFIED = {"tau_beta_1": 0.164, "tau_beta_2": 0.024, "tau_omega_1": 0.15, "tau_omega_2": 0.046}
 IDENTIFIED |= {"c20": 0.2, "c11": 0.0695, "c21": 0.769, "c12": -0.0933, "c30": 0.0071}
-"""Of a campaign on the emulated rig: 36 points of the map, steps, 60 s."""
+"""Identified from a campaign on the emulated rig: 36 points of the map, steps, 60 s."""
 
 SETTINGS = CONTROLLER.values()
 PLANT = ParameterSet(plant()).replaced({"tau_beta_2": 0.05})
 
 
 def test_a_constant_error_costs_its_square_and_the_gains_theirs():
-    """Eq. 21: 500 readings of 4 ms that are 3 N of 15 N off: 0.04 times 2 s."""
+    """Eq. 21: an error of 3 N of 15 N in 500 readings of 4 ms costs 0.04 times 2 s."""
     record = Record({"time": PERIOD * np.arange(500), "thrust_set": np.full(500, 8.0), "thrust": np.full(500, 5.0)}, "")
     gains = sum(SETTINGS[name] ** 2 for name in GAINS)
     assert measured_cost(record, SETTINGS) == pytest.approx(0.04 * 2.0 + 1e-8 * gains, rel=1e-12)
 
 
 def test_a_profile_again_and_again_is_one_profile_and_costs_each_time():
-    """A step of 1 s up and 2 s down, three times: what is 1.5 N off the second time costs 0.01 times 3 s more."""
+    """A step of 1 s up and 2 s down, three times: an error of 1.5 N in the second pass costs 0.01 times 3 s more."""
     once = Record({"time": np.array([0.0, 1.0, 3.0]), "thrust_set": np.array([9.0, 2.0, 2.0])}, "")
     thrice = repeated(once, 3)
     assert thrice.time.tolist() == [0.0, 1.0, 3.0, 4.0, 6.0, 7.0, 9.0]
@@ -57,8 +57,9 @@ def test_a_profile_again_and_again_is_one_profile_and_costs_each_time():
     assert np.subtract(costs, costs[0]) == pytest.approx([0.0, 0.03, 0.0], abs=1e-12)
 
 
-def test_what_flies_is_replaced_by_what_is_cheaper_for_certain_only():
-    """Four times each: 0.01 below at a standard error of 0.006 (t = 1.66, 6 degrees of freedom): p = 0.07; half of it, 0.22."""
+def test_gains_are_replaced_only_by_significantly_cheaper_ones():
+    """Four flights each: a cost 0.01 lower with a standard error of 0.006 (t = 1.66, 6 degrees of freedom) has p = 0.07; a cost
+    0.005 lower has 0.22."""
     scatter = np.array([-0.01, -0.003, 0.003, 0.01])
     flew = tuple(0.2 + scatter)
     assert days.best_of({"what flew": flew, "model-based": tuple(0.19 + scatter)}) == "model-based"
@@ -92,16 +93,16 @@ def scaled(factor):
     return SETTINGS | {name: factor * SETTINGS[name] for name in GAINS}
 
 
-def test_the_model_lets_fly_what_flies_and_refuses_what_swings(referee):
+def test_the_referee_accepts_the_current_gains_and_refuses_oscillation(referee):
     assert referee.predicted(SETTINGS) == (pytest.approx(1.0), True)
     assert referee.predicted(scaled(0.9))[1]
     swings = next(f for f in np.geomspace(1.0, 100.0, 60) if referee.sensitivity(scaled(f)) > SENSITIVITY)
     assert not referee.predicted(scaled(swings))[1]
-    assert not referee.predicted(scaled(0.02))[1]  # so slow that it costs more than half as much again
+    assert not referee.predicted(scaled(0.02))[1]  # so slow that it costs more than 1.5 times as much
 
 
-def test_the_search_goes_where_it_costs_less():
-    """A paraboloid in the gains' logarithms about 1.3 times the first ones: ten generations take nine tenths of its height."""
+def test_the_search_decreases_the_cost():
+    """A paraboloid in the gains' logarithms about 1.3 times the first ones: ten generations decrease it by nine tenths."""
     best = np.log(1.3)
     search = Search(SETTINGS, GAINS, seed=5)
     for _ in range(10):
@@ -116,8 +117,8 @@ def test_the_search_goes_where_it_costs_less():
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory):
-    """A folder with what `vpp identify` makes of a campaign on the emulated rig."""
+def results(tmp_path_factory):
+    """A folder with the results of `vpp identify` for a campaign on the emulated rig."""
     folder = tmp_path_factory.mktemp("identified")
     ParameterSet(plant()).replaced(IDENTIFIED).save(folder)
     content = {"noise_floor_thrust": 0.128, "model_error": {"steady": 0.142, "moving": 0.066, "freedom": 34}, "effects": []}
@@ -126,13 +127,13 @@ def told(tmp_path_factory):
     return folder
 
 
-def test_a_day_leaves_its_rounds_and_goes_on_with_what_flies(told, tmp_path, capsys, monkeypatch):
+def test_a_day_writes_its_rounds_and_continues_with_its_gains(results, tmp_path, capsys, monkeypatch):
     shorten_waits(monkeypatch.setattr)
     monkeypatch.setattr(flight, "MISSION", 15.0)
     monkeypatch.setattr(days, "rig_profile", lambda *_: SHORT)
     monkeypatch.setattr(days, "TIMES", 2)
     folder = tmp_path / "day"
-    options = ["--virtual", "--rounds", "1", "--policy", "fixed", "--parameters", str(told / "parameters.json")]
+    options = ["--virtual", "--rounds", "1", "--policy", "fixed", "--parameters", str(results / "parameters.json")]
     assert main(["twin", str(folder), *options]) == 0
     said = capsys.readouterr()
     assert "what flew flies next" in said.out
@@ -140,19 +141,19 @@ def test_a_day_leaves_its_rounds_and_goes_on_with_what_flies(told, tmp_path, cap
     (only,) = json.loads((folder / "day.json").read_text())["rounds"]
     assert (only["flies_next"], list(only["costs"])) == ("what flew", ["what flew"])
     flights = sorted(path.parent.name for path in (folder / "round_1").glob("*/run.csv"))
-    assert len(flights) >= 2  # the mission, and what flew through the profile
+    assert len(flights) >= 2  # the mission, and its gains on the profile
     assert len(only["costs"]["what flew"]) == days.TIMES
     again = read_parameters(folder / "parameters.json", plant)
-    assert again.values == read_parameters(told / "parameters.json", plant).values or only["model"] != "as it was"
+    assert again.values == read_parameters(results / "parameters.json", plant).values or only["model"] != "as it was"
     assert "<title>A day of the rig" in (folder / "report.html").read_text()
     assert main(["twin", str(folder), *options]) == 2
     assert "DAY" in capsys.readouterr().err
 
 
-def test_after_a_loss_of_thrust_the_adapted_model_explains_the_alarm(told, tmp_path, monkeypatch):
-    """The load cell reads 0.85 of the thrust: nothing is left for a diagnosis."""
+def test_after_a_loss_of_thrust_the_adapted_model_explains_the_alarm(results, tmp_path, monkeypatch):
+    """The load cell reads 0.85 of the thrust: the adapted model explains it, so no diagnosis is made."""
     quick(monkeypatch)
-    done = a_round(told, tmp_path, "load_cell_gain=0.85")
+    done = a_round(results, tmp_path, "load_cell_gain=0.85")
     assert done.alarm
     assert done.verdict == ""
     was, adapted = (next(m for m in done.models if m.name == name) for name in ("as it was", "adapted"))
@@ -163,20 +164,20 @@ def test_after_a_loss_of_thrust_the_adapted_model_explains_the_alarm(told, tmp_p
     assert np.sqrt(np.mean(done.usual)) == pytest.approx(adapted.unseen, rel=0.2)  # levels are of unequal length
 
 
-def test_what_hides_within_the_models_own_error_shows_from_mission_to_mission(told, tmp_path, monkeypatch):
-    """An actuator that moves only after 3 deg, which no parameter of a twin explains."""
+def test_an_effect_within_the_model_error_is_detected_between_missions(results, tmp_path, monkeypatch):
+    """An actuator with a dead band of 3 deg, which no parameter of a twin explains."""
     quick(monkeypatch)
-    before = a_round(told, tmp_path / "before", "")
+    before = a_round(results, tmp_path / "before", "")
     assert not before.alarm
     with pytest.raises(AssertionError, match="diagnose"):
-        a_round(told, tmp_path / "after", "lac_command_deadband=3", before)
+        a_round(results, tmp_path / "after", "lac_command_deadband=3", before)
 
 
 SHORT = Record({"time": np.array([0.0, 1.0, 2.0]), "thrust_set": np.array([4.0, 8.0, 8.0])}, "step")
 
 
 def quick(monkeypatch):
-    """A mission of 30 s, and no comparison of gains to speak of."""
+    """A mission of 30 s, and one short flight to compare gains."""
     shorten_waits(monkeypatch.setattr)
     monkeypatch.setattr(flight, "MISSION", 30.0)
     monkeypatch.setattr(days, "rig_profile", lambda *_: SHORT)
@@ -188,18 +189,18 @@ def no_diagnosis(*_, **__):
     raise AssertionError("nothing is left to diagnose")
 
 
-def a_round(told, folder, hidden, before=None):
+def a_round(results, folder, hidden, before=None):
     """The next round of a day with fixed gains on the emulated rig."""
-    day = days.new_day(read_parameters(told / "parameters.json", plant), SETTINGS)
+    day = days.new_day(read_parameters(results / "parameters.json", plant), SETTINGS)
     day.rounds += [before] if before else []
-    setup = days_setup(told, hidden)
+    setup = days_setup(results, hidden)
     rig = days.Rig(
         lambda number, flight: replace(setup, emulated=replace(setup.emulated, seed=number)),
         lambda what: None,
         lambda number: (),
     )
     folder.mkdir(exist_ok=True)
-    return days.next_round(day, rig, read_band(told / "identification.json"), "fixed", folder, 0, 1, lambda text: None)
+    return days.next_round(day, rig, read_band(results / "identification.json"), "fixed", folder, 0, 1, lambda text: None)
 
 
 def test_the_error_of_a_mission_by_level():
@@ -213,8 +214,8 @@ def test_the_error_of_a_mission_by_level():
     assert days.by_level(PLANT, record, profile) == pytest.approx([4.0, 9.0])
 
 
-def test_a_mission_again_is_judged_level_for_level():
-    """Signed ranks by their definition: ten levels that are all worse come up once in 2^10."""
+def test_a_repeated_mission_is_judged_level_by_level():
+    """Signed-rank test by definition: ten levels that are all worse have p = 2^-10."""
     usual = np.linspace(1.0, 5.0, 10)
     assert days.worse(usual * np.linspace(1.01, 1.1, 10), usual) == pytest.approx(2.0**-10)
     assert days.worse(usual / 1.1, usual) == pytest.approx(1.0)
@@ -224,15 +225,15 @@ def test_a_mission_again_is_judged_level_for_level():
     assert days.worse(unread, np.r_[usual, 1.0]) == pytest.approx(2.0**-10)
 
 
-def days_setup(told, hidden):
-    """The emulated rig in virtual time with something hidden, as the command has it."""
+def days_setup(results, hidden):
+    """The command's set-up of the emulated rig in virtual time with a hidden effect."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--parameters", default=str(told / "parameters.json"))
+    parser.add_argument("--parameters", default=str(results / "parameters.json"))
     hil_verb.add_rig(parser)
     return hil_verb.setup_of(parser.parse_args(["--virtual", *(["--hide", hidden] if hidden else [])]))
 
 
-def test_a_flight_that_ends_early_is_the_last_one(told, tmp_path, monkeypatch):
+def test_a_flight_that_ends_early_is_the_last_one(results, tmp_path, monkeypatch):
     """An operator's stop in the middle of a search must not begin the next flight."""
     flown = []
 
@@ -241,10 +242,10 @@ def test_a_flight_that_ends_early_is_the_last_one(told, tmp_path, monkeypatch):
         return SimpleNamespace(ended="operator: Ctrl-C")
 
     monkeypatch.setattr(days, "fly", stopped)
-    day = days.new_day(read_parameters(told / "parameters.json", plant), SETTINGS)
+    day = days.new_day(read_parameters(results / "parameters.json", plant), SETTINGS)
     rig = days.Rig(lambda number, flight: None, lambda what: None, lambda number: ())
     with pytest.raises(RunEnded, match="Ctrl-C"):
-        days.next_round(day, rig, read_band(told / "identification.json"), "both", tmp_path, 0, 1, lambda text: None)
+        days.next_round(day, rig, read_band(results / "identification.json"), "both", tmp_path, 0, 1, lambda text: None)
     assert flown == ["flight_01"]
 
 
@@ -256,11 +257,11 @@ def test_a_flight_that_ends_early_is_the_last_one(told, tmp_path, monkeypatch):
         (["--parameters", "{}/parameters.json", "--gains", "{}/parameters.json"], "parameters.json"),
     ],
 )
-def test_what_is_wrong_is_one_line_and_leaves_no_folder(told, tmp_path, capsys, options, said):
-    (told / "alone").mkdir(exist_ok=True)
-    (told / "alone" / "parameters.json").write_text((told / "parameters.json").read_text())
+def test_bad_input_is_one_line_and_leaves_no_folder(results, tmp_path, capsys, options, said):
+    (results / "alone").mkdir(exist_ok=True)
+    (results / "alone" / "parameters.json").write_text((results / "parameters.json").read_text())
     virtual = [] if "real" in options else ["--virtual"]
-    assert main(["twin", str(tmp_path / "day"), *virtual, *(option.format(told) for option in options)]) == 2
+    assert main(["twin", str(tmp_path / "day"), *virtual, *(option.format(results) for option in options)]) == 2
     line = capsys.readouterr().err
     assert line.count("\n") == 1
     assert said in line
@@ -275,10 +276,10 @@ def mad(policy, factor=100.0):
 
 
 @pytest.mark.parametrize("guarded", [True, False])
-def test_a_policy_that_goes_mad_stays_within_the_limits_of_the_rig(told, tmp_path, guarded):
-    """Behind its box the PID takes over, longer each time, and the thrust comes to the set-point; without a box the limits of
-    the rig hold it."""
-    setup = days_setup(told, None)
+def test_a_policy_that_goes_mad_stays_within_the_limits_of_the_rig(results, tmp_path, guarded):
+    """Outside its box the PID takes over, for longer each time, and the thrust reaches the set-point; without a box the
+    limits of the rig contain it."""
+    setup = days_setup(results, None)
     tuning = task(PLANT, rig_profile(PLANT, {"dual": SETTINGS}), 0.1, PERIOD, 0)
     policy = mad(learn(tuning, SETTINGS, 4, 2, 2).policy)
     if not guarded:
@@ -296,4 +297,4 @@ def test_a_policy_that_goes_mad_stays_within_the_limits_of_the_rig(told, tmp_pat
     if guarded:
         assert np.std(done.record["thrust"][-250:] - 8.0) < 0.3
         assert np.mean(done.record["thrust"][-250:]) == pytest.approx(8.0, abs=0.1)
-    assert log["throttle"][-1] < 0.01  # down again, whoever ended it
+    assert log["throttle"][-1] < 0.01  # throttled down, however the run ended

@@ -1,4 +1,4 @@
-"""The emulated buses with their two ends in two processes, in real time, as the emulated rig has them."""
+"""The emulated buses in real time, their two ends in two processes, as in the emulated rig."""
 
 import math
 import os
@@ -84,7 +84,7 @@ def test_a_pulse_written_here_comes_back_as_volts_and_marks_as_revolutions(folde
 
         within(10.0, turning)
 
-        bus["frozen"] = 1  # a fault that is set here acts there
+        bus["frozen"] = 1  # a fault set in this process acts in the other
         time.sleep(0.02)
         adc.read()
         esc.set(0.001)

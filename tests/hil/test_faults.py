@@ -1,4 +1,4 @@
-"""The fault table in short: bus faults in virtual time, one row for real. `python -m tests.hil.faults` tries all for real."""
+"""A part of the fault table: bus faults in virtual time, and one row in real time. `python -m tests.hil.faults` runs all."""
 
 from dataclasses import replace
 
@@ -45,13 +45,13 @@ def test_a_fault_on_a_bus_ends_as_it_must(monkeypatch, name):
             assert duties(rig) == IDLE
             assert (len(log.rows) - began) * rig.dt <= 1e-3 * row.within + 0.1
             opened = log["throttle"][began:]
-            assert opened.max() <= 1.1 * opened[0]  # nothing that was wrong was believed
+            assert opened.max() <= 1.1 * opened[0]  # no wrong reading opened the throttle
     finally:
         rig.close()
 
 
 def test_a_killed_loop_leaves_an_idle_rotor_and_its_log():
     row = next(row for row in ROWS if row.name == "SIGKILL")
-    outcome = tried(replace(row, within=10.0 * row.within))  # the machine may have others to serve
+    outcome = tried(replace(row, within=10.0 * row.within))  # tolerates a busy machine
     assert not outcome.wrong, outcome
     assert "rows in the log" in outcome.happened

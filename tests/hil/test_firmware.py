@@ -1,4 +1,4 @@
-"""The tachometer's firmware: its header on the host's compiler, and the whole of it on a simulated ATmega328P."""
+"""The tachometer's firmware: its header compiled on the host, and the whole firmware on a simulated ATmega328P."""
 
 import ctypes
 import random
@@ -41,7 +41,7 @@ SKETCH = files("hil") / "firmware" / "tachometer"
 CORE = Path("/usr/share/arduino/hardware/arduino/avr")
 HZ = 16_000_000
 CYCLES = 64
-"""Of the processor in a tick of 4 us."""
+"""Processor cycles in a tick of 4 us."""
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def edges(board, *times):
 
 
 class TestHeader:
-    """What the board makes of passes and bytes."""
+    """The board's treatment of mark passes and bytes."""
 
     def test_crc(self, board):
         assert board.crc(b"123456789", 9) == 0x29B1
@@ -126,14 +126,14 @@ class TestHeader:
         assert answer(board, STALL + 1)[2] == 0
 
     def test_an_edge_after_a_whole_turn_of_the_counter_is_no_bounce(self, board):
-        """4 h 46 min after the last mark the difference is small again: only the stall that was noted tells."""
+        """4 h 46 min after the last mark the difference is small again; only the recorded stall excludes a bounce."""
         edges(board, 1000)
         board.watch(ctypes.c_uint32(1000 + STALL + 1))
         edges(board, 1000 + 100)
         assert answer(board, 1200) == (2, 1100, 0, 100, 0, 0)
 
     def test_the_timers_16_bits_become_32_whenever_it_is_read(self, board):
-        """A read just before the overflow and its flag just after, and all other orders."""
+        """All orders of a read, the overflow and its flag."""
         for true in [*range(0x1FFF0, 0x20010), 0xFFFFFFFF, 0xFFFF0000]:
             count, rounds = true & 0xFFFF, true >> 16 & 0xFFFF
             assert board.extended(rounds, count, 0) == true
@@ -144,7 +144,7 @@ class TestHeader:
 
     @pytest.mark.parametrize("seed", range(5))
     def test_the_emulated_board_does_the_same(self, board, seed):
-        """Random passes, bounces, stalls and questions, from a counter about to wrap."""
+        """Random passes, bounces, stalls and requests, from a counter about to wrap."""
         chance, rotor, now = random.Random(seed), Rotor(), 2**32 - 100_000
         for k in range(3000):
             now = now + chance.choice((3, 700, 1249, 1250, 2500, 2503, 7500, STALL, STALL + 1, 90_000)) & 0xFFFFFFFF
@@ -157,7 +157,7 @@ class TestHeader:
         assert rotor.rejected > 0
 
     @pytest.mark.parametrize("seed", range(5))
-    def test_requests_are_found_among_damage_as_the_host_would(self, board, seed):
+    def test_board_and_host_find_the_same_requests_among_damage(self, board, seed):
         chance, reader, stream = random.Random(seed), FrameReader(FROM_HOST), bytearray()
         for k in range(500):
             kind = chance.choice((ASK_ANSWER, ASK_HELLO, ARM, STOP))
@@ -238,7 +238,7 @@ def simulator(tmp_path_factory):
 
 
 def simulated(simulator, firmware, events, end):
-    """[(time [s], frame)] that the board says to events (time [s], "edge" or bytes), and the bytes that were in none."""
+    """[(time [s], frame)] that the board sends on events (time [s], "edge" or bytes), and the number of bytes in no frame."""
     done = run_script(simulator, firmware, events, end)
     reader, said = FrameReader(FROM_BOARD), []
     for line in done.splitlines():
@@ -256,7 +256,7 @@ def switched(simulator, firmware, events, end):
 
 
 def run_script(simulator, firmware, events, end):
-    """What the simulated board says to events."""
+    """Output of the simulated board for events."""
     lines = []
     for when, what in events:
         cycle = round(when * HZ)
@@ -276,7 +276,7 @@ def asked(times):
 
 @pytest.fixture(scope="module")
 def zero(simulator, firmware):
-    """When its timer starts [s]: some microseconds after the reset, once memory is cleared."""
+    """Start of the board's timer [s]: some microseconds after the reset, once memory is cleared."""
     said, _ = simulated(simulator, firmware, [(0.1, "edge"), *asked([0.101])], 0.11)
     start = 0.1 - read_answer(said[-1][1]).stamp * CYCLES / HZ
     assert 0.0 < start < 100e-6
@@ -302,8 +302,8 @@ class TestSimulated:
         assert max(when - t for (when, _), t in zip(said[1:], times, strict=True)) < 0.001
 
     @pytest.mark.parametrize("omega", [2000.0, 4000.0, 6000.0])
-    def test_it_says_what_the_emulated_board_says(self, simulator, firmware, zero, omega):
-        """Random bounces and a stop, while the line is busy: counts alike, times within two ticks."""
+    def test_it_answers_as_the_emulated_board(self, simulator, firmware, zero, omega):
+        """Random bounces and a stop, while the line is busy: equal counts, times within two ticks."""
         chance, rotor, period = random.Random(omega), Rotor(), 60.0 / omega
         passes = [0.01 + period * k for k in range(round(1.2 / period)) if not 0.5 < period * k < 0.8]
         bounces = [t + chance.uniform(0.0005, 0.0045) for t in passes if chance.random() < 0.2]
@@ -314,8 +314,8 @@ class TestSimulated:
         assert len(said) == len(times) + 1
         waiting = iter(all_edges)
         upcoming = next(waiting)
-        for told, frame in zip(times, (frame for _, frame in said[1:]), strict=True):
-            now = told + 6 * 20e-6  # when the request was whole
+        for sent, frame in zip(times, (frame for _, frame in said[1:]), strict=True):
+            now = sent + 6 * 20e-6  # the request is complete
             while upcoming is not None and upcoming < now:
                 rotor.edge(int((upcoming - zero) * HZ / CYCLES))
                 upcoming = next(waiting, None)
@@ -323,10 +323,10 @@ class TestSimulated:
             assert (real.pulses, real.rejected, real.flags) == (ours.pulses, ours.rejected, ours.flags)
             assert real.period == pytest.approx(ours.period, abs=2)
             assert real.stamp == pytest.approx(ours.stamp, abs=2)
-            assert real.age == pytest.approx(ours.age, abs=20)  # it looks at a byte only when it comes round to it
+            assert real.age == pytest.approx(ours.age, abs=20)  # the board's loop takes a while to look at a byte
 
     def test_a_pass_is_timed_right_whenever_the_timer_overflows(self, simulator, firmware, zero):
-        """Edges from 12 us before to 12 us after an overflow of the 16 bits: a carry that is lost would be 262 ms."""
+        """Edges from 12 us before to 12 us after an overflow of the 16 bits: a lost carry would be an error of 262 ms."""
         overflow = 65536 * CYCLES / HZ
         passes = [zero + (k + 1) * overflow + (k - 12) * 1e-6 for k in range(25)]
         times = [t + 0.003 for t in passes]
@@ -386,7 +386,7 @@ class TestSimulated:
             tachometer.close()
             assert process.wait(20) == 0
         good = [a for a in answers if a is not None]
-        assert len(good) > 15  # all but a few where the machine is not busy
+        assert len(good) > 15  # nearly all, unless the machine is busy
         assert good[-1].omega == pytest.approx(4000.0, rel=2e-3)
         assert tachometer.counters["damaged"] == 0
 

@@ -23,7 +23,7 @@ from hil.devices.frames import (
 )
 
 ANSWERED = Frame(ANSWER, 0x7E, Answer(123456, 0x7E7E0001, 2500, 7, 2, 0).packed())
-"""With sync bytes where they hurt most: in the sequence number and in the payload."""
+"""A frame with sync bytes at the worst places: in the sequence number and in the payload."""
 NEXT = Frame(ANSWER, 0x7F, Answer(123457, 0x7E7E09C5, 2500, 507, 2, 0).packed())
 
 
@@ -82,7 +82,7 @@ def test_types_are_four_bits_apart():
 
 
 def damages():
-    """Every flip of one and of two bits, many of three, every burst of up to 16 bits by its ends and a random inside."""
+    """Every flip of one and of two bits, many of three, and every burst of 3 to 16 bits with a random inside."""
     chance, bits = random.Random(1), range(8 * len(encoded(ANSWERED)))
     yield from ((bit,) for bit in bits)
     yield from itertools.combinations(bits, 2)
@@ -106,7 +106,7 @@ def test_random_bytes_hold_no_frame_and_hide_none():
     chance, reader = random.Random(2), FrameReader(FROM_BOARD)
     for _ in range(2000):
         noise = chance.randbytes(chance.randint(1, 60))
-        assert set(reader.feed(noise + encoded(NEXT) + bytes(40))) == {NEXT}  # the zeros end what noise has begun
+        assert set(reader.feed(noise + encoded(NEXT) + bytes(40))) == {NEXT}  # the zeros complete a frame in the noise
     assert reader.received == reader.dropped + 2000 * len(encoded(NEXT))
 
 

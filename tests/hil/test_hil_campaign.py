@@ -53,17 +53,17 @@ def test_the_grid_and_the_steps_are_the_papers():
 
 
 def test_the_open_loop_moves_speed_then_pitch_then_both():
-    told = open_loop(1, 30.0, PERIOD)
-    speed, pitch = told["omega_ref"].reshape(3, -1), told["beta_ref"].reshape(3, -1)
+    given = open_loop(1, 30.0, PERIOD)
+    speed, pitch = given["omega_ref"].reshape(3, -1), given["beta_ref"].reshape(3, -1)
     assert [np.ptp(s) > 0 for s in speed] == [True, False, True]
     assert [np.ptp(b) > 0 for b in pitch] == [False, True, True]
     other = validation(1, 90.0, PERIOD)
-    assert not np.array_equal(other["omega_ref"], told["omega_ref"])
-    assert same_commands(told, open_loop(1, 30.0, PERIOD))
-    assert not same_commands(told, open_loop(2, 30.0, PERIOD))
+    assert not np.array_equal(other["omega_ref"], given["omega_ref"])
+    assert same_commands(given, open_loop(1, 30.0, PERIOD))
+    assert not same_commands(given, open_loop(2, 30.0, PERIOD))
 
 
-def test_a_static_point_is_the_mean_that_physics_say(rig):
+def test_a_static_point_is_the_mean_of_the_physical_model(rig):
     found = measure(rig, "static", Plan(points=2, settle=2.0, samples=500), quiet)
     physics = Simulation(FULL_RIG)
     for k, point in enumerate(zip(found["omega_ref"], found["beta_ref"], strict=True)):
@@ -74,7 +74,7 @@ def test_a_static_point_is_the_mean_that_physics_say(rig):
     assert (found["samples"] == 500).all()
 
 
-def test_a_step_starts_settled_and_answers_only_behind_its_command(rig):
+def test_a_step_starts_settled_and_responds_only_after_its_command(rig):
     plan = Plan(settle=2.0, before=1.0, after=2.0)
     found = step_responses(rig, [Step((3000.0, 5.0), (5000.0, 5.0))], plan, quiet)
     time, thrust = found["time"], found["thrust"]
@@ -99,7 +99,7 @@ def test_steps_read_back_as_a_campaigns(rig, tmp_path):
 
 
 def test_a_row_of_a_record_holds_the_sample_before_its_command(rig):
-    told = np.array([[3000.0, 5.0]] * 3 + [[3010.0, 5.5]] * 3)
+    given = np.array([[3000.0, 5.0]] * 3 + [[3010.0, 5.5]] * 3)
     rig.start(3000.0, 5.0)
     shown = []
     step = rig.step
@@ -109,9 +109,9 @@ def test_a_row_of_a_record_holds_the_sample_before_its_command(rig):
         return step(*commands)
 
     rig.step = spy
-    found = recorded(rig, told)
-    assert [tuple(row) for row in zip(found["omega"], found["thrust"], *told.T, strict=True)] == shown
-    np.testing.assert_array_equal(np.column_stack([found["omega_ref"], found["beta_ref"]]), told)
+    found = recorded(rig, given)
+    assert [tuple(row) for row in zip(found["omega"], found["thrust"], *given.T, strict=True)] == shown
+    np.testing.assert_array_equal(np.column_stack([found["omega_ref"], found["beta_ref"]]), given)
 
 
 def test_a_missed_slot_leaves_its_row_empty(rig):
@@ -132,15 +132,15 @@ def test_a_missed_slot_leaves_its_row_empty(rig):
 
 
 def test_any_commands_are_brought_to_the_loops_own_times():
-    told = Record({"time": np.array([0.0, 0.1, 0.2]), "omega_ref": np.array([3.0, 4.0, 5.0]), "beta_ref": np.zeros(3)}, "r")
-    found = resampled(told, PERIOD)
+    given = Record({"time": np.array([0.0, 0.1, 0.2]), "omega_ref": np.array([3.0, 4.0, 5.0]), "beta_ref": np.zeros(3)}, "r")
+    found = resampled(given, PERIOD)
     assert len(found) == 51
     assert [found["omega_ref"][k] for k in (0, 24, 25, 49, 50)] == [3.0, 3.0, 4.0, 4.0, 5.0]
 
 
 @pytest.fixture
 def short_steps(monkeypatch):
-    """Half a second behind a step is recorded, instead of five."""
+    """Record half a second after a step instead of five."""
     monkeypatch.setattr("vpp_fmu.app.cli.hil.plan_for", lambda rig: replace(plan_for(rig), after=0.5))
 
 
@@ -158,9 +158,9 @@ def test_the_command_writes_a_campaign_that_reads_back(tmp_path, capsys):
     assert not np.array_equal(found.open_loop["thrust"], found.repeat["thrust"])  # the same commands, other noise
     noise = (found.open_loop["thrust"] - found.repeat["thrust"]).std() / np.sqrt(2.0)
     assert noise == pytest.approx(np.hypot(0.12, 0.047), rel=0.15)
-    told = json.loads((out / "hil.json").read_text())
-    assert list(told["parts"]) == parts
-    for part in told["parts"].values():
+    facts = json.loads((out / "hil.json").read_text())
+    assert list(facts["parts"]) == parts
+    for part in facts["parts"].values():
         assert part["log"]["rows"] == part["log"]["ticks"]
         assert part["log"]["lost"] == 0
     assert capsys.readouterr().err == ""  # quiet in a pipe
@@ -170,8 +170,8 @@ def test_parts_can_be_chosen_and_any_commands_followed(tmp_path):
     out = tmp_path / "one"
     assert main(["hil", "campaign", "--virtual", *SMALL, "--parts", "validation", "-o", str(out)]) == 0
     assert sorted(os.listdir(out)) == ["hil.json", "log_validation.csv.gz", "log_validation.events.jsonl", "validation.csv"]
-    told = {"time": np.array([0.0, 1.0, 2.0]), "omega_ref": np.array([3e3, 4e3, 4e3]), "beta_ref": np.array([0.0, 5.0, 5.0])}
-    write_record(OutputFolder(tmp_path), "orders.csv", Record(told, ""))
+    given = {"time": np.array([0.0, 1.0, 2.0]), "omega_ref": np.array([3e3, 4e3, 4e3]), "beta_ref": np.array([0.0, 5.0, 5.0])}
+    write_record(OutputFolder(tmp_path), "orders.csv", Record(given, ""))
     out = tmp_path / "own"
     assert main(["hil", "campaign", "--virtual", "--commands", str(tmp_path / "orders.csv"), "-o", str(out)]) == 0
     record = read_record(out / "record.csv")
@@ -201,11 +201,11 @@ def test_a_campaign_stays_within_what_the_rig_json_declares_and_says_so(tmp_path
         assert set(record["beta_ref"]) == {4.0}
         assert np.abs(np.diff(record["omega_ref"])).max() <= 3000.0 * PERIOD * (1.0 + 1e-9)
     assert max(np.ptp(r["omega_ref"]) for r in found.steps) == 4000.0 - 2513.4
-    assert found.rig.origin["speed"] == "rig.json"  # it stands beside the records now
+    assert found.rig.origin["speed"] == "rig.json"  # rig.json is now beside the records
     assert json.loads((out / "hil.json").read_text())["parts"]["steps"]["allowed"]["speed"]["max"] == 4000.0
 
 
-def test_limits_narrow_what_a_campaign_asks_for(tmp_path):
+def test_limits_narrow_the_commands_of_a_campaign(tmp_path):
     limits = {"format": "vpp-limits/1", "limits": {"omega_max": {"value": 3000, "unit": "rpm"}}}
     (tmp_path / "limits.json").write_text(json.dumps(limits))
     words = ["--limits", str(tmp_path / "limits.json"), "--parts", "static", "--points", "2", "--samples", "5"]
@@ -213,18 +213,18 @@ def test_limits_narrow_what_a_campaign_asks_for(tmp_path):
     assert set(read_campaign(tmp_path).static.omega_ref) == {2000.0, 3000.0}
 
 
-def test_what_the_limits_would_cut_is_not_begun(tmp_path, capsys):
-    told = {"time": np.array([0.0, 1.0]), "omega_ref": np.array([3e3, 6500.0]), "beta_ref": np.zeros(2)}
-    write_record(OutputFolder(tmp_path), "orders.csv", Record(told, ""))
+def test_commands_beyond_the_limits_are_not_begun(tmp_path, capsys):
+    given = {"time": np.array([0.0, 1.0]), "omega_ref": np.array([3e3, 6500.0]), "beta_ref": np.zeros(2)}
+    write_record(OutputFolder(tmp_path), "orders.csv", Record(given, ""))
     words = ["hil", "campaign", "--virtual", "-o", str(tmp_path)]
     assert main([*words, "--commands", str(tmp_path / "orders.csv")]) == 2
     assert "omega_ref, row 2 of the data: found 6500, expected 2000 to 6000 rpm" in capsys.readouterr().err
     far = declared(tmp_path / "far.json", pitch={"min": 12.0, "max": 25.0})
     assert main([*words, "--rig", str(far)]) == 2
-    assert "for a rig of 2000 to 6000 rpm, 12 to 25 deg" in capsys.readouterr().err  # beyond what the rod reaches
+    assert "for a rig of 2000 to 6000 rpm, 12 to 25 deg" in capsys.readouterr().err  # beyond the rod's range
 
 
-def test_a_slow_rig_is_given_time():
+def test_a_slow_rig_gets_longer_times():
     slow = plan_for(PAPERS.timed(5.0))
     assert (slow.settle, slow.after, slow.section, slow.points) == (30.0, 50.0, 300.0, 10)
     assert plan_for(PAPERS.timed(0.05)) == Plan()
@@ -246,7 +246,7 @@ def test_sizes_that_make_no_sense_are_refused(capsys, words, tmp_path):
     assert words[0] in capsys.readouterr().err
 
 
-def test_a_part_that_a_fault_ends_is_told_and_its_log_kept(tmp_path, capsys):
+def test_a_part_ended_by_a_fault_is_reported_and_its_log_kept(tmp_path, capsys):
     limits = {"format": "vpp-limits/1", "limits": {"run_time": {"value": 5.0, "unit": "s"}}}
     (tmp_path / "limits.json").write_text(json.dumps(limits))
     out, own = tmp_path / "out", ["--limits", str(tmp_path / "limits.json"), "--parts", "validation"]
@@ -300,7 +300,7 @@ def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_no
     np.testing.assert_array_equal(first.validation["omega_ref"], second.validation["omega_ref"])
 
 
-def test_a_piece_of_the_log_is_what_the_loop_recorded(tmp_path, short_steps):
+def test_the_log_gives_the_record_of_the_loop(tmp_path, short_steps):
     out = tmp_path / "out"
     assert main(["hil", "campaign", "--virtual", *SMALL, "--parts", "steps", "-o", str(out)]) == 0
     write_record(OutputFolder(tmp_path), "again.csv", partial("steps", measured_so_far(out, "steps")))

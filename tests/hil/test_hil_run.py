@@ -59,7 +59,7 @@ def test_a_command_reaches_as_far_as_every_limit_allows():
 
 
 def test_a_set_point_beyond_the_limits_is_said_to_be_out_of_reach(tmp_path, capsys):
-    """By the run, and by the report of its log: the paper's rig has less at the limits of its controller."""
+    """By the run and the report of its log; at its controller's limits the paper's rig has less thrust than the set-point."""
     (tmp_path / "far.csv").write_text("time,thrust_set\n0,2\n2,22\n5,22\n")
     assert main(["hil", "run", "--virtual", "--profile", str(tmp_path / "far.csv"), "-o", str(tmp_path)]) == 0
     (folder,) = (tmp_path / "runs").iterdir()
@@ -118,8 +118,8 @@ def test_a_run_that_a_fault_ends_keeps_what_was_measured(tmp_path):
     assert len(found.record) == 699
     assert found.log["state"][-1] in ("ramp down", "fault")
     assert found.log["throttle"][-1] < 0.01
-    told = found.session.summary()
-    assert [t["state"] for t in told["transitions"]][-2:] == ["ramp down", "fault"]
+    facts = found.session.summary()
+    assert [t["state"] for t in facts["transitions"]][-2:] == ["ramp down", "fault"]
 
 
 def test_a_run_that_never_began_has_no_record(tmp_path):
@@ -136,7 +136,7 @@ def twinned(tmp_path, emulated):
     return twin, run_on_rig(setup(emulated), KernelController(), profile, tmp_path, twin=twin)
 
 
-def test_a_twin_is_at_peace_with_the_rig_it_was_made_for_and_sees_a_new_effect(tmp_path):
+def test_a_twin_has_no_alarm_on_its_own_rig_and_detects_a_new_effect(tmp_path):
     calm, run = twinned(tmp_path, Emulated(seed=1))
     assert not calm.alarmed
     residual = run.log["residual"][np.isfinite(run.log["residual"])]
@@ -148,7 +148,7 @@ def test_a_twin_is_at_peace_with_the_rig_it_was_made_for_and_sees_a_new_effect(t
 
 
 @pytest.mark.parametrize(("what", "state"), [("note", "safe"), ("ramp", "fault"), ("idle", "fault")])
-def test_the_twins_alarm_is_told_and_may_end_the_run(tmp_path, what, state):
+def test_the_twins_alarm_is_reported_and_may_end_the_run(tmp_path, what, state):
     twin = Twin(KernelPlant(BASE, BASE.values()), Band(0.12, 0.047, 0.13, 0.08))
     gain = setup(Emulated({"load_cell_gain.gain": 1.4}, ("load_cell_gain",), seed=1))
     profile = step_profile(4.0, 8.0, hold=3.0)
@@ -174,19 +174,19 @@ def test_the_command_writes_run_facts_and_report(tmp_path, profile, capsys, fmu_
     assert main([*words, "--beside", str(fmu_files["plain"])]) == 0
     assert sorted(os.listdir(out)) == ["hil.json", "log.csv", "report.html", "run.csv", "runs"]
     (own,) = (out / "runs").iterdir()
-    assert (out / "run.csv").resolve() == (own / "run.csv").resolve()  # the newest run's files, its own folder below
-    told = json.loads((out / "hil.json").read_text())
-    assert told["rig"] == "emulated"
-    assert told["status"] == "ended"
-    assert told["profile"] == {"file": "step.csv", "file_sha256": sha256_of(profile)}
-    assert told["controller"]["kind"] == "kernel"
-    assert {"begun", "completed", "host", "operator", "command", "versions"} <= set(told)
-    assert told["hidden"] == ["linkage_play"]
-    assert told["physics"]["linkage_play.half_gap"] == 0.4
-    assert told["calibration"]["sha256"] == CALIBRATION.sha256
-    assert told["log"]["rows"] == told["log"]["ticks"] == len(read_log(out / "log.csv"))
-    assert [t["state"] for t in told["transitions"]] == ["safe", "safe", "armed", "run", "ramp down", "safe"]
-    assert 0.0 < told["beside"]["rms_thrust"] < 2.0
+    assert (out / "run.csv").resolve() == (own / "run.csv").resolve()  # a link to the newest run
+    facts = json.loads((out / "hil.json").read_text())
+    assert facts["rig"] == "emulated"
+    assert facts["status"] == "ended"
+    assert facts["profile"] == {"file": "step.csv", "file_sha256": sha256_of(profile)}
+    assert facts["controller"]["kind"] == "kernel"
+    assert {"begun", "completed", "host", "operator", "command", "versions"} <= set(facts)
+    assert facts["hidden"] == ["linkage_play"]
+    assert facts["physics"]["linkage_play.half_gap"] == 0.4
+    assert facts["calibration"]["sha256"] == CALIBRATION.sha256
+    assert facts["log"]["rows"] == facts["log"]["ticks"] == len(read_log(out / "log.csv"))
+    assert [t["state"] for t in facts["transitions"]] == ["safe", "safe", "armed", "run", "ramp down", "safe"]
+    assert 0.0 < facts["beside"]["rms_thrust"] < 2.0
     page = (out / "report.html").read_text()
     assert "Hardware in the loop" in page
     assert "linkage_play" in page
@@ -217,7 +217,7 @@ def test_the_plant_fmu_takes_the_rigs_place_by_one_option(tmp_path, profile, fmu
         (["--controller", "c.fmu", "--gains", "g.json"], "only one of them"),
     ],
 )
-def test_wrong_options_are_told_in_one_line(profile, capsys, words, said, tmp_path):
+def test_wrong_options_are_reported_in_one_line(profile, capsys, words, said, tmp_path):
     assert main(["hil", "run", "--profile", str(profile), "-o", str(tmp_path / "out"), *words]) == 2
     error = capsys.readouterr().err
     assert said in error
@@ -237,7 +237,7 @@ def test_a_profile_that_the_limits_would_end_is_not_begun(time, thrust, said, tm
     assert said in capsys.readouterr().err
 
 
-def test_the_real_rig_wants_a_typed_word(profile, capsys, monkeypatch, tmp_path):
+def test_the_real_rig_requires_a_typed_word(profile, capsys, monkeypatch, tmp_path):
     calibration = tmp_path / "calibration.json"
     calibration.write_text(to_json(CALIBRATION))
     words = ["hil", "run", "--calibration", str(calibration), "--profile", str(profile), "--rig", "real"]
@@ -245,7 +245,7 @@ def test_the_real_rig_wants_a_typed_word(profile, capsys, monkeypatch, tmp_path)
     assert "source: found no operator and date for load_cell, esc, pitch" in capsys.readouterr().err
     calibration.write_text(to_json(replace(CALIBRATION, source={"who": "Ada", "when": "2026-03-07"})))
     assert main([*words, "-o", str(tmp_path / "out")]) == 2
-    assert "a real rig of unknown range" in capsys.readouterr().err  # nobody has said how fast it may turn
+    assert "a real rig of unknown range" in capsys.readouterr().err  # its highest speed is not declared
     rig = {"format": "vpp-rig/1", "speed": {"min": 2000, "max": 5000}, "pitch": {"min": -5, "max": 8}}
     (tmp_path / "rig.json").write_text(json.dumps({**rig, "thrust": {"min": 0, "max": 12}}))
     words.append(str(tmp_path / "rig.json"))
@@ -259,9 +259,9 @@ def test_the_real_rig_wants_a_typed_word(profile, capsys, monkeypatch, tmp_path)
 
     monkeypatch.setattr("sys.stdin", Typed("yes\n"))
     assert main([*words, "-o", str(tmp_path / "out")]) == 2
-    told = capsys.readouterr()
-    assert "typed word" in told.err
-    assert "speed 2000 to 5000 rpm (rig.json), pitch -5 to 8 deg (rig.json)" in told.out
+    printed = capsys.readouterr()
+    assert "typed word" in printed.err
+    assert "speed 2000 to 5000 rpm (rig.json), pitch -5 to 8 deg (rig.json)" in printed.out
     monkeypatch.setattr("sys.stdin", Typed("spin\n"))
     assert main([*words, "-o", str(tmp_path / "out")]) == 2
     assert "pwm: not ready" in capsys.readouterr().err  # this machine has no rig

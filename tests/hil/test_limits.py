@@ -1,4 +1,4 @@
-"""Limits: their file, and that nothing the limiter lets out is ever outside them."""
+"""Limits: their file, and the limiter, whose outputs never exceed them."""
 
 import dataclasses
 import json
@@ -22,7 +22,7 @@ def written(path, limits, **more):
     return path
 
 
-def test_a_file_changes_what_it_names(tmp_path):
+def test_a_file_changes_only_the_limits_in_it(tmp_path):
     path = written(tmp_path / "limits.json", {"omega_max": {"value": 5000, "unit": "rpm"}})
     assert read_limits(path) == dataclasses.replace(Limits(), omega_max=5000.0)
 
@@ -50,7 +50,7 @@ def test_a_wrong_file_is_refused(tmp_path, limits, said):
     assert str(path) in str(raised.value)
 
 
-def test_the_papers_limits_are_what_follows_from_its_rig():
+def test_the_papers_limits_follow_from_its_rig():
     own = Limits()
     assert own == limits_of(PAPERS)
     assert (own.omega_min, own.omega_max, own.omega_trip) == (2000.0, 6000.0, 6900.0)
@@ -78,7 +78,7 @@ def test_another_rigs_limits_are_its_ranges_and_trips_beyond_them(speed, pitch, 
 
 @pytest.mark.parametrize(("time_scale", "longer"), [(0.5, 1.0), (2.0, 4.0), (0.1, 1.0)])
 def test_a_slower_rig_ramps_longer_and_a_faster_one_no_quicker(time_scale, longer):
-    """The paper's rig has a time scale of 0.5 s and takes 1.5 s to its highest speed and 1 s over its pitch."""
+    """The paper's rig has a time scale of 0.5 s; it ramps to its highest speed in 1.5 s and over its pitch range in 1 s."""
     own = limits_of(Rig(speed=(0.0, 3000.0), pitch=(-10.0, 20.0), scales=dataclasses.replace(PAPER, time_scale=time_scale)))
     assert own.omega_ramp == pytest.approx(3000.0 / (1.5 * longer))
     assert own.beta_ramp == pytest.approx(30.0 / longer)
@@ -91,12 +91,12 @@ def test_a_slower_rig_ramps_longer_and_a_faster_one_no_quicker(time_scale, longe
         (Rig(thrust=(0.0, 90000.0)), "thrust_trip: found 150000"),
     ],
 )
-def test_what_is_no_rig_has_no_limits(rig, said):
+def test_a_rig_beyond_the_bounds_is_refused(rig, said):
     with pytest.raises(BadInput, match=said):
         limits_of(rig, "rig.json")
 
 
-def test_a_file_goes_no_further_than_a_rig_json_and_as_far_as_it_wants_where_none_declares(tmp_path):
+def test_a_file_may_exceed_a_measured_range_but_not_a_rig_json(tmp_path):
     path = written(tmp_path / "limits.json", {"omega_max": {"value": 5500, "unit": "rpm"}})
     measured = Rig(speed=(2000.0, 5000.0), origin={"speed": "the campaign"})
     assert read_limits(path, measured).omega_max == 5500.0
@@ -144,16 +144,16 @@ def test_spin_up_and_ramp_down_take_the_slow_slope_and_reach_standstill():
 def test_blades_that_rest_outside_their_range_come_into_it_along_the_slope():
     limits = limits_of(Rig(pitch=(12.0, 25.0), pitch_slew=30.0))
     limiter = Limiter(limits, 0.0, 0.0)
-    told = [limiter.ramp(2000.0, 14.0, DT).beta_ref for _ in range(600)]
-    steps = [b - a for a, b in zip([0.0, *told], told, strict=False)]
+    pitches = [limiter.ramp(2000.0, 14.0, DT).beta_ref for _ in range(600)]
+    steps = [b - a for a, b in zip([0.0, *pitches], pitches, strict=False)]
     assert max(steps) <= limits.beta_ramp * DT * (1 + 1e-9)
     assert limits.beta_ramp <= 30.0
-    assert told[-1] == 14.0
+    assert pitches[-1] == 14.0
 
 
 @pytest.mark.parametrize("bad", [(math.nan, 0.0), (3000.0, math.nan), (math.inf, 0.0), (3000.0, -math.inf)])
 @pytest.mark.parametrize("move", ["apply", "ramp"])
-def test_no_number_never_passes(bad, move):
+def test_nan_and_infinity_never_pass(bad, move):
     limiter = Limiter(Limits(), 3000.0, 2.0)
     out = getattr(limiter, move)(*bad, DT)
     assert out[:2] == (3000.0, 2.0)
@@ -161,7 +161,7 @@ def test_no_number_never_passes(bad, move):
     assert limiter.apply(3000.0, 2.0, DT) == (3000.0, 2.0, Cut.NONE, None)
 
 
-def test_whatever_comes_in_what_goes_out_is_within_range_and_slope():
+def test_outputs_are_within_range_and_slope_for_any_input():
     dice, limits = random.Random(5), Limits()
     limiter = Limiter(limits)
     omega, beta, reached = 0.0, 0.0, False
@@ -176,6 +176,6 @@ def test_whatever_comes_in_what_goes_out_is_within_range_and_slope():
         assert limits.beta_min <= beta <= limits.beta_max
 
 
-def test_each_cut_has_a_bit_of_its_own():
-    """A log has their sum."""
+def test_each_cut_has_its_own_bit():
+    """The log has their sum."""
     assert [int(cut) for cut in (Cut.OMEGA_RANGE, Cut.OMEGA_SLEW, Cut.BETA_RANGE, Cut.BETA_SLEW)] == [1, 2, 4, 8]

@@ -17,36 +17,36 @@ LABELS = (("state", "s", ""), ("thrust", "6.2f", "N"), ("speed", "5.0f", "rpm"))
 WORDS = {"state": ("safe", "run")}
 
 
-def test_a_line_tells_names_numbers_and_units():
+def test_a_line_shows_names_numbers_and_units():
     assert line(LABELS, WORDS, (1.0, 7.256, 4321.4), 80) == "run       | thrust   7.26 N | speed  4321 rpm"
 
 
-def test_what_is_not_known_is_left_out_and_a_narrow_terminal_is_not_broken():
+def test_unknown_values_are_omitted_and_a_line_fits_a_narrow_terminal():
     assert line(LABELS, WORDS, (0.0, math.nan, 10.0), 80) == "safe      | speed    10 rpm"
     assert line(LABELS, WORDS, (math.nan, 7.256, math.nan), 80) == "thrust   7.26 N"
     assert len(line(LABELS, WORDS, (1.0, 7.256, 4321.4), 20)) == 19
 
 
 def test_every_label_of_the_rig_can_be_shown():
-    told = line(SHOWN, SHOWN_WORDS, [0.0] * len(SHOWN), 500)
-    assert told.count("|") == len(SHOWN) - 4  # the twins and the page have nothing to say
+    text = line(SHOWN, SHOWN_WORDS, [0.0] * len(SHOWN), 500)
+    assert text.count("|") == len(SHOWN) - 4  # the twins and the page show nothing
     alarmed = line(SHOWN, SHOWN_WORDS, [1.0 if name == "twin" else 0.0 for name, *_ in SHOWN], 500)
     assert "| ALARM: not as its model |" in alarmed
 
 
-def test_an_adaptive_twin_tells_the_first_that_it_adapts_and_what_its_alarm_is_most_like():
+def test_an_adaptive_twin_shows_its_first_parameter_and_that_of_its_alarm():
     names = [name for name, *_ in SHOWN]
     labels, words = shown_beside({"pitch_offset.offset": "deg", "sensor_gain.gain": "1"})
 
-    def told(alarm, value, labels=labels, words=words):
+    def text(alarm, value, labels=labels, words=words):
         own = {"adaptive twin": alarm, "adapted": value, "thrust": 5.0}
         return line(labels, words, [own.get(name, math.nan) for name in names], 500)
 
-    assert told(0.0, -0.25) == "thrust   5.00 N | pitch_offset.offset -0.2500 deg"
-    assert told(1.0, 0.5).startswith("thrust   5.00 N | adaptive twin: most like no parameter | pitch")
-    assert told(3.0, 0.5).startswith("thrust   5.00 N | adaptive twin: most like sensor_gain.gain | pitch")
-    assert told(math.nan, math.nan) == "thrust   5.00 N"  # while no loop is closed
-    assert told(math.nan, math.nan, SHOWN, SHOWN_WORDS) == "thrust   5.00 N"  # where none runs
+    assert text(0.0, -0.25) == "thrust   5.00 N | pitch_offset.offset -0.2500 deg"
+    assert text(1.0, 0.5).startswith("thrust   5.00 N | adaptive twin: most like no parameter | pitch")
+    assert text(3.0, 0.5).startswith("thrust   5.00 N | adaptive twin: most like sensor_gain.gain | pitch")
+    assert text(math.nan, math.nan) == "thrust   5.00 N"  # while no loop is closed
+    assert text(math.nan, math.nan, SHOWN, SHOWN_WORDS) == "thrust   5.00 N"  # without an adaptive twin
     assert shown_beside({"sensor_gain.gain": "1"})[0][names.index("adapted")] == ("sensor_gain.gain", "#7.4g", "")
 
 
@@ -96,7 +96,7 @@ shown.close()
     assert seen.endswith("\r\x1b[K")  # the line is gone at the end
 
 
-def test_a_terminal_that_takes_nothing_does_not_hold_the_loop():
+def test_a_blocked_terminal_does_not_delay_the_loop():
     ours, theirs = os.openpty()
     text = f"""
 import time

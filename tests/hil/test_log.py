@@ -48,7 +48,7 @@ def test_a_packed_log_that_waited_before_its_end_is_whole(tmp_path, monkeypatch)
     assert len(read(tmp_path / "run.csv.gz")) == 10
 
 
-def test_another_reads_along_and_gets_every_row_but_the_newest(tmp_path):
+def test_a_second_reader_gets_every_row_but_the_newest(tmp_path):
     log = ProcessLog(tmp_path / "run.csv", COLUMNS)
     reader = Reader(log.shared, log.slots, len(COLUMNS))
     found = []
@@ -77,7 +77,7 @@ def test_a_row_that_finds_no_room_is_counted_and_the_loop_does_not_wait(tmp_path
     assert done.rows + done.lost == 80_000
     times = np.array([float(c["time"]) for c in read(tmp_path / "run.csv")])
     assert len(times) == done.rows
-    assert (np.diff(times) == 1.0).all()  # the newest went, no older one was spoilt
+    assert (np.diff(times) == 1.0).all()  # the newest rows are lost, the older ones are intact
 
 
 def test_a_killed_loop_leaves_a_complete_log(tmp_path):
@@ -96,7 +96,7 @@ os.kill(os.getpid(), signal.SIGKILL)
     assert [float(c["value"]) for c in read(tmp_path / "run.csv")] == list(range(1000))
 
 
-def test_a_full_disk_costs_rows_and_is_said_but_stops_nobody(tmp_path):
+def test_a_full_disk_loses_rows_and_is_reported_but_stops_nothing(tmp_path):
     text = f"""
 import json, resource, signal
 from hil.log import Column, MemoryLog
@@ -107,11 +107,11 @@ for k in range(5000):
 done = log.close()
 print(json.dumps([done.rows, done.lost, done.failure]))
 """
-    told = subprocess.run([sys.executable, "-c", text], check=True, capture_output=True, text=True).stdout
-    rows, lost, failure = json.loads(told)
+    printed = subprocess.run([sys.executable, "-c", text], check=True, capture_output=True, text=True).stdout
+    rows, lost, failure = json.loads(printed)
     assert rows + lost == 5000
     assert lost > 0
-    assert "too large" in failure  # the system's own word for a file at its limit
+    assert "too large" in failure  # the system's message for a file at its limit
     assert [float(c["value"]) for c in read(tmp_path / "run.csv")] == list(range(rows))  # whole lines only
 
 
@@ -126,7 +126,7 @@ def test_a_row_costs_the_loop_little(tmp_path):
     assert spent / len(ROWS) < 100e-6  # of a tick of 4 ms; it takes 2
 
 
-def test_a_writer_that_died_is_told(tmp_path):
+def test_a_writer_that_died_is_reported(tmp_path):
     log = ProcessLog(tmp_path / "run.csv", COLUMNS)
     log._writer.kill()
     log._writer.wait()

@@ -1,4 +1,4 @@
-"""The operator's page: who may look, what is shown, that STOP is Ctrl-C, and that the rig never needs it."""
+"""The operator's page: access to it, its contents, STOP as Ctrl-C, and a rig that never needs it."""
 
 import contextlib
 import http.client
@@ -48,7 +48,7 @@ def page():
 
 
 def asked(address: str, method: str = "GET", **headers) -> int:
-    """The status that a request gets; `Host` and others as given."""
+    """Status of a request with the given headers."""
     to = urlsplit(address)
     connection = http.client.HTTPConnection(to.hostname, to.port, timeout=10.0)
     try:
@@ -58,8 +58,8 @@ def asked(address: str, method: str = "GET", **headers) -> int:
         connection.close()
 
 
-def told(address: str, enough) -> dict:
-    """What the page streams from the beginning, put together, once `enough(that)`."""
+def streamed(address: str, enough) -> dict:
+    """The page's stream from the beginning, merged, once `enough(merged)`."""
     whole = {"curves": [], "events": [], "map": []}
     to = urlsplit(address)
     connection = http.client.HTTPConnection(to.hostname, to.port, timeout=PATIENCE)
@@ -77,7 +77,7 @@ def told(address: str, enough) -> dict:
     return whole
 
 
-def test_nobody_looks_or_stops_without_the_token_and_the_loopback_name(page):
+def test_view_and_stop_need_the_token_and_the_loopback_name(page):
     base, _, token = page.address.rstrip("/").rpartition("/")
     port = urlsplit(page.address).port
     assert len(token) >= 32  # 192 bits
@@ -140,7 +140,7 @@ def test_it_shows_means_of_the_logs_rows_and_the_events_beside_them(page, tmp_pa
         log.put(0.004 * k, 1.0, *(thrust if name == "thrust" else float("nan") for name in COLUMNS_SHOWN[:-1]), k > 600)
     log.note({"time": 1.0, "state": "run", "why": "twin: alarm: off"})
     log.note({"time": 2.0, "point": [1.0, 0.0, 3000.0, 4.5, 0.1, 10]})
-    found = told(page.address, lambda whole: len(whole["curves"]) == 40 and whole["map"] and whole["events"])
+    found = streamed(page.address, lambda whole: len(whole["curves"]) == 40 and whole["map"] and whole["events"])
     log.close()
     means = [point[1] for point in found["curves"]]
     assert means == pytest.approx([0.01 * (25 * k + 12) for k in range(40)])  # of 25 rows each
@@ -160,15 +160,15 @@ TWIN = {
         "tau_beta_1": {"start": 0.16, "change": 0.08, "unit": "s", "description": "time constant of a lag"},
     },
 }
-"""What hil.json says at the start of an adaptive twin that adapts these."""
+"""Entry of hil.json at the start for an adaptive twin of these parameters."""
 PARTS = [f"{kind}.{name}" for kind in ("adapted", "std") for name in TWIN["adapted"]]
 LEARNS = ("residual", "band", "alarm", "direction", "changes", *PARTS)
 """Outputs of the twin that the page reads."""
 
 
 def learned(folder: Path, rows: int, closed: range, alarm: int) -> ProcessLog:
-    """A log with an adaptive twin beside the loop in the rows `closed`, whose residual is the row's number in mN; from the row
-    `alarm` on the gain has moved to 0.8 +- 0.05, and it says so."""
+    """A log with an adaptive twin beside the loop in the rows `closed`; its residual is the row's number in mN. From the row
+    `alarm` on, its gain is 0.8 +- 0.05 and its alarm is on."""
     columns = [*COLUMNS, *(Column(LEARNED + name) for name in LEARNS)]
     log = ProcessLog(folder / "log.csv", columns)
     for k in range(rows):
@@ -182,7 +182,7 @@ def learned(folder: Path, rows: int, closed: range, alarm: int) -> ProcessLog:
     return log
 
 
-def test_what_the_adaptive_twin_learns_is_part_of_the_story(tmp_path):
+def test_the_story_includes_the_adaptive_twin(tmp_path):
     log, story = learned(tmp_path, 1001, range(250, 900), 600), Story()
     story.tell({"told": {"adaptive_twin": TWIN}}, [])
     story.tell({"part": "run", "before": []}, [])
@@ -209,14 +209,14 @@ def test_a_browser_may_come_before_the_first_part():
     assert Story().since(-1, 0, 0, 0)["now"]["done"] is None
 
 
-def test_a_story_without_an_adaptive_twin_has_nothing_of_it():
+def test_a_story_without_an_adaptive_twin_has_no_column_of_one():
     story = Story()
     story.tell({"told": {"rig": "emulated"}}, [])
     story.tell({"part": "run", "before": []}, [])
     assert not any("twin" in name for name in story.since(-1, 0, 0, 0)["columns"])
 
 
-def test_the_adaptive_twin_stands_on_the_page_in_plain_words(tmp_path):
+def test_the_page_describes_the_adaptive_twin_in_plain_words(tmp_path):
     page = OperatorPage({"rig": "emulated", "calibration": {}, "adaptive_twin": TWIN})
     try:
         with browser(tmp_path / "browser") as seen:
@@ -265,7 +265,7 @@ def test_a_run_goes_on_without_its_page_and_says_so(page):
         rig.close()
 
 
-def test_the_page_goes_with_whoever_started_it():
+def test_the_page_ends_with_its_parent_process():
     text = "from hil.page.operator_page import OperatorPage; p = OperatorPage({}); print(p.pid, flush=True); input()"
     parent = subprocess.Popen([sys.executable, "-c", text], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT)
     process = int(parent.stdout.readline())
@@ -286,7 +286,7 @@ def _state(process: int) -> str:
 
 @contextlib.contextmanager
 def running(folder: Path, *words):
-    """`vpp hil run --watch` in real time, in a process of its own: (process, the page's address)."""
+    """`vpp hil run --watch` in real time, in a separate process: (process, the page's address)."""
     profile = write_record(OutputFolder(folder), "step.csv", step_profile(hold=20.0))
     given = ["--profile", str(profile), "--watch", "-o", str(folder / "out"), *words]
     command = [sys.executable, "-m", "tests.hil.quick_vpp", "hil", "run", *given]
@@ -302,14 +302,14 @@ def running(folder: Path, *words):
 
 
 def esc_of(process: subprocess.Popen) -> int:
-    """The file of the ESC's pulse, open for reading: what stands on the output."""
+    """The file of the ESC's pulse, open for reading."""
     links = Path(f"/proc/{process.pid}/fd").iterdir()
     path = next(Path(os.readlink(link)) for link in links if os.readlink(link).endswith("pwm0/duty_cycle"))
     return os.open(path, os.O_RDONLY)
 
 
 def until_idle(esc: int, began: float) -> float:
-    """ms from `began` until the idle pulse stood."""
+    """ms from `began` to the idle pulse."""
     end = time.monotonic() + PATIENCE
     while os.pread(esc, 32, 0).split(b"\n")[0] != b"1000000" and time.monotonic() < end:
         time.sleep(0.0005)
@@ -317,7 +317,7 @@ def until_idle(esc: int, began: float) -> float:
 
 
 def causes(out: Path) -> list[str]:
-    """What took the run down, in order, and its last state."""
+    """The operator's causes of the run's end, in order, and its last state."""
     facts = json.loads((out / "hil.json").read_text())
     assert facts["status"] == "ended early"
     states = [(each["state"], each["why"]) for each in facts["transitions"]]
@@ -326,7 +326,7 @@ def causes(out: Path) -> list[str]:
 
 def test_stop_pressed_twice_is_idle_at_once(tmp_path, capsys):
     with running(tmp_path) as (process, address):
-        told(address, lambda whole: whole.get("now", {}).get("state") == "run" and whole["now"]["throttle"] > 0.1)
+        streamed(address, lambda whole: whole.get("now", {}).get("state") == "run" and whole["now"]["throttle"] > 0.1)
         esc, own = esc_of(process), f"http://{urlsplit(address).netloc}"
         assert os.pread(esc, 32, 0).split(b"\n")[0] != b"1000000"
         assert asked(f"{address}stop", "POST", Origin=own) == 200
@@ -339,10 +339,10 @@ def test_stop_pressed_twice_is_idle_at_once(tmp_path, capsys):
         print(f"\nSTOP twice, without a browser: idle pulse {took:.1f} ms after the second")
     assert process.returncode == 2
     assert "vpp hil: operator: interrupted" in error
-    *_, at_once, state = causes(tmp_path / "out")  # where both came within a tick the first is not noted
+    *_, at_once, state = causes(tmp_path / "out")  # if both come within a tick, the first is not noted
     assert at_once.startswith("fault: operator: interrupted twice: STOP on the page 2 times")
     assert state == "fault"
-    assert took < 10.0 * CUT  # the machine may have others to serve
+    assert took < 10.0 * CUT  # tolerates a busy machine
 
 
 def test_in_a_browser_curves_move_and_stop_stops(tmp_path, capsys):
@@ -350,7 +350,7 @@ def test_in_a_browser_curves_move_and_stop_stops(tmp_path, capsys):
     supply = {"voltage": Input("AIN0", 0.0, 11.0), "current": Input("AIN1", -25.0, 50.0)}
     wired.write_text(to_json(replace(CALIBRATION, supply=supply)))
     ParameterSet(plant()).save(tmp_path)
-    error = {"steady": 0.5, "moving": 0.5, "freedom": 20}  # wide: no alarm is wanted here
+    error = {"steady": 0.5, "moving": 0.5, "freedom": 20}  # wide, so that no alarm occurs
     content = {"noise_floor_thrust": 0.13, "model_error": error, "effects": [], "parameters": {}}
     (tmp_path / "identification.json").write_text(json.dumps(content))
     words = ("--calibration", str(wired), "--parameters", str(tmp_path / "parameters.json"), "--twin")
@@ -364,7 +364,7 @@ def test_in_a_browser_curves_move_and_stop_stops(tmp_path, capsys):
         speed = "document.getElementById('curves').data.find((line) => line.name === 'speed').y.at(-1)"
         seen.wait_for(f"{speed} > 1500")
         tiles = seen.run("document.getElementById('tiles').textContent")
-        assert re.search(r"supply2[34]\.\d V-?\d+\.\d A", tiles)  # what is wired, and no temperature
+        assert re.search(r"supply2[34]\.\d V-?\d+\.\d A", tiles)  # the wired inputs, without temperature
         assert seen.run("document.querySelectorAll('#adapted tr').length") == 5
         seen.wait_for("document.getElementById('twin-says').textContent.startsWith('No alarm')")  # the loop is closed
         seen.wait_for("document.getElementById('learned').data?.find((line) => line.name === 'sensor_gain.gain').y.at(-1)")
@@ -389,4 +389,4 @@ def test_in_a_browser_curves_move_and_stop_stops(tmp_path, capsys):
     assert causes(tmp_path / "out") == ["ramp down: operator: interrupted: STOP on the page", "safe"]
     assert took < RAMP + 10.0 * CUT
     rows = read_log(tmp_path / "out" / "log.csv")
-    assert rows["missed"].sum() < 0.02 * len(rows)  # the browser costs the loop nothing that counts
+    assert rows["missed"].sum() < 0.02 * len(rows)  # the browser does not slow the loop

@@ -1,4 +1,4 @@
-"""Records as Parquet: the columns to the bit, units as other tools find them, and back through `vpp import csv`."""
+"""Records as Parquet: columns equal to the bit, units in the schema, and back through `vpp import csv`."""
 
 import json
 

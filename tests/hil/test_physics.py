@@ -111,11 +111,11 @@ def test_momentum_theory_and_blade_elements_agree_on_the_inflow():
         for beta in np.linspace(-30.0, 30.0, 61):
             inflow = propeller.settled_inflow(NUMBERS, blades, beta)
 
-            def apart(x, blades=blades, beta=beta):
+            def difference(x, blades=blades, beta=beta):
                 return 4.0 * x * abs(x) - propeller.thrust_coefficient(NUMBERS, blades, beta, x)
 
-            assert apart(inflow) == pytest.approx(0.0, abs=1e-12)
-            assert inflow == pytest.approx(brentq(apart, -0.5, 0.5, xtol=1e-14), abs=1e-7)
+            assert difference(inflow) == pytest.approx(0.0, abs=1e-12)
+            assert inflow == pytest.approx(brentq(difference, -0.5, 0.5, xtol=1e-14), abs=1e-7)
 
 
 def test_the_figure_of_merit_is_that_of_a_small_rotor():
@@ -127,7 +127,7 @@ def test_the_figure_of_merit_is_that_of_a_small_rotor():
 
 
 def equations(throttle, goal, p):
-    """The paper's equations 1 to 6 as they are printed, with the maps written out, for standing throttle and pitch command:
+    """The paper's equations 1 to 6 as they are printed, with the maps written out, for constant throttle and pitch command:
     (rates of the state, thrust of the state); the state is omega, I, beta, rate, I_a, inflow in SI units."""
     disk = 0.5 * p["density"] * np.pi * p["radius"] ** 4
 
@@ -171,7 +171,7 @@ def test_steps_of_a_millisecond_are_the_papers_equations_under_scipy(parameters)
     state = [first[OUT["omega"]] * RPM, first[OUT["current"]], 2.0 * DEG, 0.0, 0.0, inflow]
     edges = sorted({0.0, 1.2, *(t for t, _ in throttles + goals)})
     for begin, end in pairwise(edges):
-        rates, thrust = equations(standing(throttles, begin), standing(goals, begin), p)
+        rates, thrust = equations(level_at(throttles, begin), level_at(goals, begin), p)
         at = time[(time > begin + 1e-9) & (time < end + 1e-9)]
         solved = solve_ivp(rates, (begin, end + 1e-9), state, "LSODA", at, rtol=1e-8, atol=1e-10, max_step=0.01)
         state = solved.y[:, -1]
@@ -182,12 +182,12 @@ def test_steps_of_a_millisecond_are_the_papers_equations_under_scipy(parameters)
     assert (np.abs(shown - exact).max(axis=0) < [5e-4, 0.02, 1e-4, 2e-3]).all()  # N, rpm, deg, A
 
 
-def standing(levels, t):
-    """What stands from second t on."""
+def level_at(levels, t):
+    """The level that acts from second t on."""
     return [v for begin, v in levels if begin <= t + 1e-12][-1]
 
 
-def test_what_goes_in_comes_out_as_heat_and_motion():
+def test_electric_energy_is_heat_work_and_stored_energy():
     time, y, inputs = held([(0.0, 0.1), (0.2, 0.5), (2.0, 0.2)], [(0.0, 0.0), (1.0, 10.0)], 3.0)
     current, omega, torque = y[:, OUT["current"]], y[:, OUT["omega"]] * RPM, y[:, OUT["torque"]]
     acting = np.r_[inputs["throttle"][:-1], inputs["throttle"][-2]]
@@ -239,7 +239,7 @@ SOURCES = ("paper", "data sheet", "chosen", "fitted", "standard", "Pitt and Pete
 
 
 @pytest.mark.parametrize("model", [POWERTRAIN, FULL_RIG], ids=lambda m: m.name)
-def test_every_parameter_says_where_it_comes_from_and_stands_its_bounds(model):
+def test_every_parameter_names_its_source_and_is_finite_at_its_bounds(model):
     inputs, steps = commands(model, 12), np.full(11, 0.01)
     for p in model.parameters:
         assert any(source in p.description for source in SOURCES), p.name
@@ -251,7 +251,7 @@ def test_every_parameter_says_where_it_comes_from_and_stands_its_bounds(model):
 
 
 def test_tangents_are_central_differences():
-    """The physical parameters could be fitted as the Wiener model's are."""
+    """So the physical parameters can be fitted as those of the Wiener model."""
     names = (
         "inertia",
         "kv",

@@ -1,4 +1,4 @@
-"""The physical rig as an FMU of both flavours: in the one loop with the controller, and the kernel's own numbers."""
+"""The physical rig as an FMU of both flavours: in the loop with the controller, and equal to the kernel."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ PROFILE = Record({"time": np.array([0.0, 0.2, 1.0, 1.5]), "thrust_set": np.array
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """Paths of FMUs by flavour, and the controller's."""
+    """A folder with an FMU of each flavour, and the controller's."""
     folder, hidden = tmp_path_factory.mktemp("rig"), rig_model.rig_model(HIDDEN)
     made = {"python": python_fmu(hidden, ON), "native": native_fmu(hidden, ON), "controller": python_fmu(CONTROLLER, GAINS)}
     for name, content in made.items():

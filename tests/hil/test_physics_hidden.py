@@ -1,4 +1,4 @@
-"""Hidden effects: what holds for every one of them, and what each does, against closed forms."""
+"""Hidden effects: the common properties of all, and the response of each against closed forms."""
 
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ def test_off_is_the_rig_without_it_to_the_bit(effect, kind):
 
 @sampled
 @each_effect
-def test_c_is_python_to_the_bit_and_the_probe_shows(effect):
+def test_c_is_python_to_the_bit_and_the_probe_is_visible(effect):
     model, values = powertrain([effect.name]), named(effect, effect.probe)
     inputs, steps = commands(model, 700), np.random.default_rng(3).choice([0.004, 0.0013, 0.011], 699)
     shown = simulator(model).simulate(values, inputs, steps)
@@ -117,7 +117,7 @@ def test_the_dead_band_and_the_stop_band_leave_the_command_unreached():
     y = run(["lac_command_deadband"], {"lac_command_deadband.half_width": 1.0}, beta=beta, seconds=3.0)
     assert np.ptp(y[:, OUT["beta"]]) == 0.0
     y = run(["lac_command_deadband"], {"lac_command_deadband.half_width": 1.0}, beta=step(0.0, 5.0, 100, 3001), seconds=3.0)
-    assert y[-1, OUT["beta"]] == pytest.approx(171 * 30.0 / 1024, abs=1e-3)  # of the LAC's counts, the nearest to 5 deg
+    assert y[-1, OUT["beta"]] == pytest.approx(171 * 30.0 / 1024, abs=1e-3)  # the LAC's count nearest to 5 deg
     y = run(["lac_stop_band"], {"lac_stop_band.half_width": 0.5}, beta=step(0.0, 5.0, 100, 3001), seconds=3.0)
     assert 4.5 <= y[-1, OUT["beta"]] < 5.0
     assert np.ptp(y[-500:, OUT["beta"]]) < 1e-6
@@ -139,7 +139,7 @@ def test_play_is_lost_when_the_rod_turns_round():
 @pytest.mark.parametrize(
     ("effect", "column", "drives"), [("linkage_resonance", "beta", "rod_ahead"), ("stand_swing", "thrust", "thrust")]
 )
-def test_what_swings_is_the_oscillator_under_scipy(effect, column, drives):
+def test_a_resonance_is_scipys_oscillator(effect, column, drives):
     values, beta = {f"{effect}.frequency": 5.0, f"{effect}.damping": 0.08}, step(0.0, 6.0, 100, 2001)
     y = run([effect], values, beta=beta, seconds=2.0)
     rigid = run([], {}, beta=beta, seconds=2.0)[:, OUT[drives]]
@@ -157,15 +157,15 @@ def test_the_delay_moves_the_command():
 
 
 def test_the_mean_of_four_pulses_is_a_staircase():
-    """Of a step that comes between two pulses; all is over four pulses later."""
+    """For a step between two pulses; it is complete four pulses later."""
     command = step(0.0, 6.0, 105, 301)
     simulation = Simulation(powertrain(["lac_pulse_average"]), {"lac_pulse_average.frame": 0.02})
     simulation.start({"throttle": 0.3, "beta_ref": 0.0})
-    heard = []
+    received = []
     for beta in command.tolist():
         simulation.advance({"throttle": 0.3, "beta_ref": beta}, 0.001)
-        heard.append(simulation.signals["beta_ref"])
-    levels, counts = np.unique(heard, return_counts=True)
+        received.append(simulation.signals["beta_ref"])
+    levels, counts = np.unique(received, return_counts=True)
     np.testing.assert_allclose(levels, [0.0, 1.5, 3.0, 4.5, 6.0])
     assert counts[1:4].tolist() == [20, 20, 20]
     assert 105 <= counts[0] < 125
@@ -194,7 +194,7 @@ def test_a_warm_motor_needs_more_throttle_for_its_speed():
     values = {"motor_heating.flux_loss": 0.1, "motor_heating.time_constant": 5.0}
     cold = run(["motor_heating"], {}, throttle=5000.0, beta=5.0, kind="speed", seconds=0.1)[-1]
     warm = run(["motor_heating"], values, throttle=5000.0, beta=5.0, kind="speed", seconds=40.0, dt=0.01)[-1]
-    assert warm[1] == pytest.approx(cold[1], abs=0.5)  # the speed loop hides it, thrust and speed are the same
+    assert warm[1] == pytest.approx(cold[1], abs=0.5)  # the speed loop compensates it: thrust and speed are the same
     simulation = Simulation(powertrain(["motor_heating"]), values)
     simulation.start({"throttle": 0.4, "beta_ref": 5.0})
     simulation.advance({"throttle": 0.4, "beta_ref": 5.0}, 25.0)
@@ -216,7 +216,7 @@ def test_a_freewheeling_motor_never_gives_current_back():
     assert slows == pytest.approx(-(torque + 0.0104 + 1.8e-5 * speed) / 4e-4, rel=1e-3)
 
 
-def test_hunting_has_its_frequency_and_falls_off_behind_the_motor():
+def test_hunting_has_its_frequency_and_is_attenuated_by_the_motor():
     y = run(["speed_hunting"], {"speed_hunting.amplitude": 0.01, "speed_hunting.frequency": 2.0}, seconds=4.0)
     speed = y[1000:4000, OUT["omega"]] - y[1000:4000, OUT["omega"]].mean()
     spectrum = np.abs(np.fft.rfft(speed)) / 1500.0
@@ -227,7 +227,7 @@ def test_hunting_has_its_frequency_and_falls_off_behind_the_motor():
 
 def test_torsion_starts_settled_and_takes_pitch_in_proportion_to_thrust():
     y = run(["blade_torsion"], {"blade_torsion.compliance": 0.1}, throttle=6000.0, beta=8.0, kind="speed")
-    assert (np.ptp(y, axis=0) < [2e-3, 0.5, 1e-3]).all()  # the current alone starts at that of untwisted blades
+    assert (np.ptp(y, axis=0) < [2e-3, 0.5, 1e-3]).all()  # only the current starts at that of untwisted blades
     assert y[-1, 2] == pytest.approx(8.0 - 0.1 * y[-1, 0], abs=1e-6)
 
 

@@ -14,7 +14,7 @@ def test_the_gains_are_the_papers():
     assert (KP, KI) == (1e-4, 2e-3)
     pi = SpeedPi(unit=1.0, low=-1e9, high=1e9)
     shown = [pi.update(4100.0, 4000.0, 0.004) for _ in range(250)]
-    t = (np.arange(250) + 0.5) * 0.004  # the output is held: what counts is the integral at the middle
+    t = (np.arange(250) + 0.5) * 0.004  # the output is held, so the integral is taken at mid-interval
     np.testing.assert_allclose(shown, 1e-4 * 100.0 + 2e-3 * 100.0 * t, rtol=1e-12)
 
 
@@ -42,7 +42,7 @@ def test_it_stays_within_its_limits_and_leaves_them_at_once(sign):
 
 
 def test_the_loop_in_software_is_the_loop_in_the_model():
-    """250 Hz on the throttle's model against the full model; the sampled loop may only differ by its period."""
+    """A 250 Hz loop on the throttle's model against the full model; they may differ only by the sampling period."""
     rows = 750
     wanted = np.where(np.arange(rows) < 100, 3000.0, 5000.0)
     pitch = np.where(np.arange(rows) < 400, 2.0, 8.0)

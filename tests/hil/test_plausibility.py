@@ -1,4 +1,4 @@
-"""Plausibility on the physical model of the rig: silent while nothing is wrong, and what it says when something is."""
+"""Plausibility checks on the physical model of the rig: no fault while nothing is wrong, and the right fault otherwise."""
 
 import itertools
 import math
@@ -55,7 +55,7 @@ def test_a_doubled_or_halved_speed_freezes_the_loop_and_is_a_fault_after_50_ms_o
 
 @pytest.mark.parametrize("omega", [2000.0, 6000.0])
 def test_every_second_mark_missed_is_a_wrong_speed_and_no_standstill(omega):
-    """As the board sees it: passes half as often, the age of the last one up to twice as large."""
+    """As the board sees it: half as many passes, and the age of the last one up to twice as large."""
     seen = {}
 
     def spoil(t, reading):
@@ -74,8 +74,8 @@ def test_every_second_mark_missed_is_a_wrong_speed_and_no_standstill(omega):
 
 
 @pytest.mark.parametrize("omega", [2000.0, 6000.0])
-def test_a_single_missed_mark_is_lived_through(omega):
-    """The pass at AT is not seen: one late pass, one halved speed, then all is as before."""
+def test_a_single_missed_mark_is_tolerated(omega):
+    """The pass at AT is missed: one late pass, one halved speed, then normal readings."""
     seen = {}
 
     def spoil(t, reading):
@@ -118,12 +118,12 @@ def test_a_rotor_that_does_not_start():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_stuck_actuator_shows_in_the_thrust(seed):
+def test_a_stuck_actuator_is_detected_from_the_thrust(seed):
     assert run(steps(seed), 30.0, stuck_at=AT, seed=seed)[0].kind is FaultKind.STUCK_ACTUATOR
 
 
 def test_the_effect_of_pitch_is_one_share_of_its_thrust():
-    """Commands through the kernel's plant give 1; with blades that do a share of the commanded move, that share."""
+    """Commands through the kernel's plant give 1; blades that move by a share of the command give that share."""
     for share in (1.0, 0.5, 0.0):
         effect, simulation = PitchEffect(DT), Simulation(plant())
         simulation.start({"omega_ref": 4000.0, "beta_ref": 5.0 - 4.0 * share})
@@ -131,13 +131,13 @@ def test_the_effect_of_pitch_is_one_share_of_its_thrust():
             move = 4.0 * (1.0 if k // 500 % 2 else -1.0)
             shown = simulation.advance({"omega_ref": 4000.0, "beta_ref": 5.0 + share * move}, DT)
             effect.update(shown["thrust"], shown["omega"], 5.0 + move)
-        # The map is bent a little, so a share of the move is not that share of the thrust.
+        # The map is slightly curved, so a share of the move is not that share of the thrust.
         assert effect.effect == pytest.approx(share, abs=0.03 if share == 0.5 else 0.005)
         assert effect.moved > 1.0
 
 
 def test_the_first_comparison_is_exact():
-    """Blades that have settled within the span: the thrust's change is the map's, and the effect 1 to rounding."""
+    """If the blades settle within the span, thrust changes as in the map, and the effect is 1 up to rounding."""
     fast = {"tau_beta_1": 0.02, "tau_beta_2": 0.01}
     effect, simulation = PitchEffect(DT, fast), Simulation(plant(), fast)
     shown = simulation.start({"omega_ref": 4000.0, "beta_ref": 2.0})
@@ -202,13 +202,13 @@ def test_each_reading_has_its_fault_and_its_number_of_ticks(change, device, kind
         lambda r, k: r._replace(thrust_age=0.05),
     ],
 )
-def test_one_less_is_none(change):
+def test_just_within_its_threshold_is_no_fault(change):
     assert first_fault(change) == (None, None)
 
 
 @pytest.mark.parametrize("omega", [1500.0, 5000.0])
 def test_a_rotor_that_turns_at_the_first_reading_is_believed(omega):
-    """Whoever takes a turning rotor over has no history: the first speed is where the bounds begin."""
+    """A rotor that turns at the first reading has no history, so the bounds start at that speed."""
     checks = Plausibility(Limits(), DT)
     for k in range(100):
         turned = omega / 60.0 * k * DT
@@ -219,7 +219,7 @@ def test_a_rotor_that_turns_at_the_first_reading_is_believed(omega):
 
 
 def test_over_speed_is_idle_at_once():
-    """A motor that follows a throttle which opens and opens: no reading is odd, the speed is too high."""
+    """The throttle opens steadily and the motor follows: every reading is plausible, but the speed is too high."""
     limits = Limits(omega_max=3000.0, omega_trip=3300.0)
     checks, mark, omega, angle = Plausibility(limits, DT), Tachometer(), 0.0, 0.0
     for k in itertools.count():
@@ -236,8 +236,8 @@ def test_over_speed_is_idle_at_once():
     assert 3300.0 < seen <= omega <= 3300.0 + 0.04 * 13200.0 * (1.5 * 60.0 / 3300.0 + 2 * DT)
 
 
-def test_a_rig_of_another_size_runs_up_and_the_papers_bounds_would_not_let_it():
-    """A motor of 44 000 rpm on a rotor of 20 000: no reading is odd."""
+def test_a_rig_of_another_size_starts_under_its_own_bounds_but_not_the_papers():
+    """A motor of 44 000 rpm on a rotor of 20 000 rpm: every reading is plausible."""
     rig = Rig(speed=(6660.0, 20000.0), pitch=(-12.0, 12.0), thrust=(0.0, 1.2), scales=Scales(20000.0, 18.0, 6.0, 1.2, 0.2))
     found = []
     for thresholds in (thresholds_of(rig), Thresholds()):
@@ -254,8 +254,8 @@ def test_a_rig_of_another_size_runs_up_and_the_papers_bounds_would_not_let_it():
     assert found == [None, FaultKind.SPEED_JUMP]
 
 
-def test_stuck_blades_show_alike_on_a_rig_of_another_size():
-    """Twelve times the thrust and four times the time: the same share, and that much more must have been commanded."""
+def test_the_effect_of_pitch_is_the_same_on_a_rig_of_another_size():
+    """At twelve times the thrust and four times the time scale, the effect and the move over its threshold are the same."""
     large = Scales(2500.0, 20.0, -6.0, 180.0, 2.0)
     seen = []
     for scales in (PAPER, large):
@@ -297,7 +297,7 @@ def test_the_bounds_hold_any_motor_within_the_stated_physics():
 
 
 def test_twelve_equal_readings_are_once_in_a_hundred_days_at_two_counts_of_noise():
-    """Two neighbours of Gaussian noise s are equal with 1/(2 sqrt(pi) s); simulated here for s = 2."""
+    """Two adjacent counts with Gaussian noise s are equal with probability 1/(2 sqrt(pi) s); simulated here for s = 2."""
     counts = np.round(np.random.default_rng(0).normal(0.3, 2.0, 400000))
     equal = float(np.mean(counts[1:] == counts[:-1]))
     assert equal == pytest.approx(1.0 / (2.0 * math.sqrt(math.pi) * 2.0), rel=0.02)

@@ -1,4 +1,4 @@
-"""Signs at low speed: a wrong one ends the run there, with that word."""
+"""The check of signs at low speed: a wrong sign ends the run there, with "wrong polarity" as the cause."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ def levels(first, second, error=0.03):
     return Level(first, error, 2000.0, -5.0), Level(second, error, 2000.0, 5.0)
 
 
-def test_what_is_commanded_is_low():
+def test_the_commands_of_the_check_are_low():
     assert (CHECK.omega, CHECK.betas) == (2000.0, (-5.0, 5.0))
     assert not Polarity(replace(LIMITS, beta_min=4.0, beta_max=4.0), PAPERS).possible
 
@@ -51,19 +51,19 @@ def test_what_is_commanded_is_low():
         (0.9, 0.92, False, None, ""),
     ],
 )
-def test_two_levels_tell_what_is_wrong(first, second, known, kind, word):
+def test_two_levels_identify_the_wrong_sign(first, second, known, kind, word):
     fault = Polarity(LIMITS, PAPERS, known=known).judge(*levels(first, second))
     assert (fault and fault.kind) is kind
     assert word in str(fault or "")
 
 
-def test_noise_alone_accuses_nobody():
+def test_noise_alone_is_no_fault():
     assert CHECK.judge(*levels(0.6, 0.55, error=0.3)) is None
 
 
 @pytest.mark.parametrize("wrong", WRONG)
 @pytest.mark.parametrize("known", [True, False])
-def test_a_wrong_sign_ends_below_2500_rpm_with_that_word(wrong, known):
+def test_a_wrong_sign_ends_below_2500_rpm_with_its_cause(wrong, known):
     rig, log = virtual_rig(COLUMNS, polarity=Polarity(LIMITS, PAPERS, known=known))
     rig.bench.calibration = WRONG[wrong]  # the loop's; the emulated rig keeps the right one
     rig._cycle.zero = WRONG[wrong].zero
@@ -75,14 +75,14 @@ def test_a_wrong_sign_ends_below_2500_rpm_with_that_word(wrong, known):
 
 
 @pytest.mark.parametrize("hidden", [(), ("load_cell_gain",), ("lac_command_deadband",), ("linkage_play",)])
-def test_a_good_rig_passes_whatever_hides_in_it(hidden, tmp_path):
+def test_a_good_rig_passes_with_any_hidden_effect(hidden, tmp_path):
     values = {"load_cell_gain.gain": 1.4} if hidden == ("load_cell_gain",) else {}
     done = run_on_rig(setup(Emulated(values, hidden, seed=3)), KernelController(), step_profile(hold=1.0), tmp_path)
     assert not done.ended
     assert np.isfinite(done.record["thrust"]).all()
 
 
-def test_a_second_opener_is_told_and_writes_nothing():
+def test_a_second_opener_is_refused_and_writes_nothing():
     rig, _ = virtual_rig(COLUMNS)
     rig.start(3000.0, 2.0)
     before = duties(rig)

@@ -102,7 +102,7 @@ def test_closing_leaves_the_idle_pulse_on_an_enabled_output(tree, writes):
     [(0.02, 0.0025, IDLE), (0.0025, 0.02, IDLE), (0.0025, 0.0025, IDLE), (0.0025, 0.02, 0.003), (0.02, 0.0015, IDLE)],
 )
 def test_an_output_that_still_runs_is_taken_over_without_a_gap(tree, writes, before, after, idle):
-    """The last program's pulse, at full throttle, and another period: no moment disabled, no pulse above the period."""
+    """Started at the last program's full throttle and another period: never disabled, no pulse above the period."""
     first = channel(tree)
     first.open(before, IDLE)
     first.set(0.002)
@@ -118,7 +118,7 @@ def test_an_inverted_output_is_set_right_while_it_is_disabled(tree):
         esc.open(PERIOD, IDLE)
     (tree.chip / "pwm0" / "polarity").write_text("inversed\n")
     esc = channel(tree)
-    with pytest.raises(DeviceFault, match="busy") as raised:  # while it runs that can't be done
+    with pytest.raises(DeviceFault, match="busy") as raised:  # impossible while it runs
         esc.open(PERIOD, IDLE)
     assert raised.value.kind is FaultKind.NOT_READY
     (tree.chip / "pwm0" / "enable").write_text("0\n")
@@ -127,7 +127,7 @@ def test_an_inverted_output_is_set_right_while_it_is_disabled(tree):
     esc.close()
 
 
-def test_an_export_that_somebody_else_was_quicker_with_is_borne(tree, monkeypatch):
+def test_an_export_by_another_process_meanwhile_is_tolerated(tree, monkeypatch):
     esc, beneath = channel(tree), pwm_tree.driver.pwrite
 
     def pwrite(file, data, offset):
@@ -148,7 +148,7 @@ def test_a_channel_that_the_chip_has_not_is_not_ready(tree):
 
 
 @pytest.mark.parametrize("pulse", [0.00251, -1e-6, math.nan, math.inf])
-def test_a_pulse_that_is_none_is_a_fault_and_leaves_the_output_as_it_was(tree, pulse):
+def test_an_invalid_pulse_is_a_fault_and_leaves_the_output_as_it_was(tree, pulse):
     esc = channel(tree)
     esc.open(PERIOD, IDLE)
     with pytest.raises(DeviceFault) as raised:
@@ -177,7 +177,7 @@ def test_a_write_that_the_kernel_refuses_is_a_fault(tmp_path):
         assert raised.value.kind is FaultKind.OUTPUT_LOST
         with pytest.raises(DeviceFault):
             esc.close()
-        esc.close()  # it has let go all the same
+        esc.close()  # its files are closed all the same
         broken[:] = ["period"]
         with pytest.raises(DeviceFault) as raised:
             channel(tree, 1).open(PERIOD, IDLE)
@@ -235,7 +235,7 @@ def test_permission_that_udev_gives_later_is_waited_for(hand_over):
 
 
 class TestKernelRules:
-    """What the emulated tree refuses, as Linux does (drivers/pwm/sysfs.c, core.c), with the same error."""
+    """The emulated tree refuses the same writes as Linux (drivers/pwm/sysfs.c, core.c), with the same error."""
 
     @staticmethod
     def write(tree, name, text):
@@ -280,7 +280,7 @@ def test_an_output_shows_no_pulse_that_the_kernel_would_not_make(tree):
     esc = channel(tree)
     esc.open(PERIOD, IDLE)
     assert tree.duty(0) == pytest.approx(IDLE)
-    for text in ("9999999\n", "", "12x"):  # too long; at the moment of being rewritten; torn
+    for text in ("9999999\n", "", "12x"):  # too long; empty during a rewrite; incomplete
         esc.duty_file.write_text(text)
         assert tree.duty(0) == pytest.approx(IDLE)
     (esc.folder / "enable").write_text("0\n")

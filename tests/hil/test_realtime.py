@@ -7,7 +7,7 @@ from hil import realtime
 from hil.realtime import real_time
 
 
-def test_the_collector_keeps_still_within_and_runs_behind():
+def test_the_garbage_collector_is_off_within_and_on_afterwards():
     assert gc.isenabled()
     with real_time() as granted:
         assert not gc.isenabled()
@@ -16,7 +16,7 @@ def test_the_collector_keeps_still_within_and_runs_behind():
     assert gc.get_freeze_count() == 0
 
 
-def test_the_scheduler_is_what_was_granted_and_goes_back():
+def test_the_scheduler_is_what_was_granted_and_is_restored():
     before = os.sched_getscheduler(0)
     with real_time() as granted:
         assert (os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO) == granted.fifo
@@ -40,7 +40,7 @@ def test_locked_memory_shows_in_the_process_status():
     assert locked() == 0
 
 
-def test_the_kernels_carriers_of_serial_bytes_are_hurried_and_go_back():
+def test_the_kernels_workers_of_serial_bytes_are_hurried_and_restored():
     def ordinary():
         return {w for w in realtime._workers() if os.sched_getscheduler(w) == os.SCHED_OTHER}
 
@@ -50,7 +50,7 @@ def test_the_kernels_carriers_of_serial_bytes_are_hurried_and_go_back():
     assert before & set(realtime._workers()) <= ordinary()
 
 
-def test_what_is_not_granted_is_said(monkeypatch):
+def test_a_refusal_is_reported(monkeypatch):
     def refuse(*_):
         raise PermissionError
 
@@ -63,7 +63,7 @@ def test_what_is_not_granted_is_said(monkeypatch):
 
 
 def test_tests_in_real_time_share_one_worker(request):
-    """Two rigs at once starve each other; some versions of pytest and pytest-xdist lose the groups without a word."""
+    """Two rigs at once starve each other; some versions of pytest and pytest-xdist silently lose the groups."""
     if not request.config.getoption("loadgroup", False):
         pytest.skip("not run side by side")
     assert request.node.nodeid.endswith("@real time")

@@ -55,9 +55,9 @@ def test_small_steps_of_the_full_model_are_the_linear_system(omega, beta, rpm, d
     a, b = state_space(reduced(omega, beta))
     time, speed, pitch = small_steps(omega, beta, rpm, deg)
     held = np.column_stack([np.full(500, rpm * RPM), np.full(500, deg * DEG), np.zeros(500)])
-    # The rig's LAC never sees the command's rate: its zero stays out of the last column, damping stays in A.
+    # The rig's LAC does not use the command's rate: that input is 0, and the damping stays in A.
     linear = lsim(StateSpace(a, b, np.eye(4)[[0, 2]], np.zeros((2, 3))), held, time)[1]
-    # What pitch does to the speed leads by the inflow's lag, 16 ms at 2000 rpm, which the reduction leaves out.
+    # The effect of pitch on speed leads by the inflow's lag, 16 ms at 2000 rpm, which the reduction neglects.
     size = 0.015 * abs(rpm) * RPM + 0.035 * abs(deg * DEG * reduced(omega, beta).k_beta)
     np.testing.assert_allclose(speed, linear[:, 0], rtol=0, atol=size)
     np.testing.assert_allclose(pitch, linear[:, 1], rtol=0, atol=0.006 * abs(deg) * DEG + 1e-9)
@@ -117,14 +117,14 @@ def test_the_papers_own_time_constants_come_out_in_the_middle_of_its_range():
 
 @each_point
 def test_the_area_of_the_dip_after_a_step_of_pitch_is_the_coupling(omega, beta):
-    """The PI's integral must end where the new torque wants it, whatever lies between."""
+    """The PI's integral must end at the value for the new torque, whatever the transient."""
     time, speed, _ = small_steps(omega, beta, 0.0, 0.05, rows=1000)
     area = -np.trapezoid(speed / RPM, time) / 0.05
     assert area == pytest.approx(coupling_gain(reduced(omega, beta)), rel=5e-3)
 
 
 def test_the_wiener_model_is_the_full_models_for_small_moves():
-    """What is left: the map's own error and, in the dynamics, zero and coupling."""
+    """The remaining errors are that of the map and, in the dynamics, the neglected zero and coupling."""
     rows, rng = 2000, np.random.default_rng(2)
     omega = np.repeat(4000.0 + rng.uniform(-300.0, 300.0, 10), 200)
     beta = np.repeat(2.5 + rng.uniform(-1.0, 1.0, 20), 100)

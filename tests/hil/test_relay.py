@@ -1,4 +1,4 @@
-"""The board cuts the ESC's supply where nobody asks it any more; all else may be dead."""
+"""The board cuts the ESC's supply when its requests end, even if all processes are dead."""
 
 import os
 import signal
@@ -19,7 +19,7 @@ def bystander(rig):
     return SharedNumbers(rig.bench.esc.duty_file.parents[3] / SHOWN, BYSTANDER)
 
 
-def test_the_relay_is_closed_for_a_run_and_open_before_and_behind_it():
+def test_the_relay_is_closed_for_a_run_and_open_before_and_after_it():
     rig, log = virtual_rig(COLUMNS)
     seen = bystander(rig)
     assert seen["relay"] == 0.0
@@ -36,14 +36,14 @@ def test_the_relay_is_closed_for_a_run_and_open_before_and_behind_it():
     rig.close()
 
 
-def test_without_requests_the_supply_is_cut_and_thrust_falls_though_the_pulse_stands():
+def test_without_requests_the_supply_is_cut_and_thrust_falls_though_the_pulse_remains():
     rig, _ = virtual_rig(COLUMNS)
     rig.start(5000.0, 5.0)
     seen, clock, pulse = bystander(rig), rig.bench.clock, rig.bench.esc.duty_file.read_text()
     before, began = seen["thrust"], clock.now()
     while seen["relay"]:
         clock.wait_until(clock.now() + 0.001)
-    assert clock.now() - began == pytest.approx(0.1, abs=0.008)  # behind the last request, which was a tick ago
+    assert clock.now() - began == pytest.approx(0.1, abs=0.008)  # after the last request, which was a tick ago
     clock.wait_until(clock.now() + 1.0)
     assert seen["thrust"] < 0.2 * before
     assert rig.bench.esc.duty_file.read_text() == pulse  # nobody has touched it
@@ -76,10 +76,10 @@ def drive(rig):
 
 
 def test_supervisor_loop_and_writer_killed_at_once_leave_a_rotor_without_supply(tmp_path):
-    """The last pulse stands on the pin, and nobody is left to change it."""
-    with started({"seconds": 20, "physics": {"lingers": 5.0}}, tmp_path) as (process, told):
-        here = wait_for(told, "esc", process)
-        assert wait_for(told, "running", process), told
+    """The last pulse remains on the pin, and no process is left to change it."""
+    with started({"seconds": 20, "physics": {"lingers": 5.0}}, tmp_path) as (process, messages):
+        here = wait_for(messages, "esc", process)
+        assert wait_for(messages, "running", process), messages
         shown = SharedNumbers(f"{here['at']}/{SHOWN}", BYSTANDER)
         before = shown["thrust"]
         assert shown["relay"] == 1.0
@@ -90,11 +90,11 @@ def test_supervisor_loop_and_writer_killed_at_once_leave_a_rotor_without_supply(
         while shown["relay"] and time.monotonic() - began < 5.0:
             time.sleep(0.001)
         took = time.monotonic() - began
-        assert took < 1.0  # 0.12 s where the machine has nobody else to serve
+        assert took < 1.0  # 0.12 s on an idle machine
         time.sleep(1.0)
         assert shown["thrust"] < 0.3 * before
         with open(here["esc"], "rb") as file:
-            assert file.read().split(b"\n")[0] != b"%d" % here["idle"]  # the throttle stands open, as the kernel leaves it
+            assert file.read().split(b"\n")[0] != b"%d" % here["idle"]  # the kernel leaves the throttle open
         shown.close()
 
 

@@ -16,25 +16,25 @@ def run(tmp_path_factory):
     return run_on_rig(setup(), KernelController(), step_profile(hold=1.0), tmp_path_factory.mktemp("replay")).record
 
 
-def test_the_fmu_says_what_the_loop_said_to_the_bit(run, fmu_files):
+def test_the_fmu_gives_the_loops_commands_to_the_bit(run, fmu_files):
     controller = FmuController(fmu_files["controller"])
     found = replay(run, controller)
     controller.close()
     assert found.first_difference is None
     np.testing.assert_array_equal(found.record["omega_ref"], run["omega_wanted"])
     np.testing.assert_array_equal(found.record["beta_ref"], run["beta_wanted"])
-    assert np.ptp(found.record["omega_ref"]) > 1000.0  # it had something to say
+    assert np.ptp(found.record["omega_ref"]) > 1000.0  # its commands move
 
 
-def test_another_controller_is_told_by_its_first_row(run):
+def test_another_controller_is_detected(run):
     found = replay(run, KernelController({**DUAL, "kp_omega": np.nextafter(DUAL["kp_omega"], 10.0)}))
     assert found.first_difference is not None
     assert 0.0 < found.largest["omega_ref"] < 1.0
 
 
-def test_one_bit_is_enough(run):
+def test_one_bit_of_thrust_is_detected(run):
     thrust, wanted = run["thrust"].copy(), run["omega_wanted"]
-    row = int(np.flatnonzero((wanted > 2000.0) & (wanted < 6000.0))[50])  # at a limit it would say the same
+    row = int(np.flatnonzero((wanted > 2000.0) & (wanted < 6000.0))[50])  # at a limit the command would be the same
     thrust[row] = np.nextafter(thrust[row], 100.0)
     found = replay(run.with_columns(thrust=thrust), KernelController())
     assert found.first_difference == row
@@ -50,7 +50,7 @@ def test_the_command_compares_a_file(run, tmp_path, capsys, fmu_files):
     assert json.loads((tmp_path / "out" / "replay.json").read_text())["same_to_the_bit"] is True
 
 
-def test_the_command_tells_where_another_controller_differs(run, tmp_path, capsys, fmu_files):
+def test_the_command_says_where_another_controller_differs(run, tmp_path, capsys, fmu_files):
     thrust = run["thrust"].copy()
     thrust[100] += 0.5
     write_run(tmp_path / "run.csv", run.with_columns(thrust=thrust))

@@ -54,7 +54,7 @@ def test_the_tare_finds_the_zero_that_moved(rig_and_log):
     assert tare.noise * CALIBRATION.newton_per_count == pytest.approx(math.hypot(0.12, 0.047), rel=0.15)
 
 
-def test_it_shows_what_the_physics_say_settled(rig_and_log):
+def test_its_settled_readings_are_those_of_the_physical_model(rig_and_log):
     rig, _ = rig_and_log
     rig.start(4500.0, 6.0)
     shown = np.array([rig.step(4500.0, 6.0)[:2] for _ in range(1000)])
@@ -84,7 +84,7 @@ def test_a_row_holds_the_sample_before_the_command_that_acts_from_it_on(rig_and_
     assert (log["omega_ref"][-1], log["beta_ref"][-1]) == rig.acting
 
 
-def test_the_limits_stand_between_commands_and_outputs(rig_and_log):
+def test_the_limits_act_between_commands_and_outputs(rig_and_log):
     rig, log = rig_and_log
     rig.start(3000.0, 2.0)
     for _ in range(100):
@@ -185,24 +185,24 @@ def test_the_same_seed_gives_the_same_run_to_the_bit():
     assert not np.array_equal(rows(3), rows(4), equal_nan=True)
 
 
-@pytest.mark.parametrize(("lost", "borne"), [(6, True), (1000, False)])
-def test_a_board_that_answers_late_behind_a_break_has_a_runs_patience(lost, borne):
+@pytest.mark.parametrize(("lost", "tolerated"), [(6, True), (1000, False)])
+def test_a_late_answer_after_a_break_gets_the_patience_of_a_run(lost, tolerated):
     rig, _ = virtual_rig(COLUMNS)
     clock, faults = rig.bench.clock, serial_faults(rig)
     clock.wait_until(clock.now() + 1.0)  # the last answer is as old as the break is long
     faults["silent"] = lost
     try:
         rig.idle(5)
-        assert [fault.kind for fault in rig.states.faults][:1] == ([] if borne else [FaultKind.SILENT])
+        assert [fault.kind for fault in rig.states.faults][:1] == ([] if tolerated else [FaultKind.SILENT])
     finally:
         faults.close()
         rig.close()
 
 
-def test_in_real_time_the_same_rig_lives_in_a_process_of_its_own():
+def test_in_real_time_the_same_rig_runs_in_a_separate_process():
     bench = real_time_bench(Emulated(seed=1), CALIBRATION)
     log, folder = Rows(COLUMNS), bench.esc.duty_file.parents[3]
-    rig = Rig(bench, Limits(late=0.1, missed_share=0.5), log)  # the machine may have other things to do
+    rig = Rig(bench, Limits(late=0.1, missed_share=0.5), log)  # tolerates a busy machine
     began = time.monotonic()
     with real_time():
         rig.idle(250)

@@ -51,7 +51,7 @@ def test_a_bad_adc_is_found(tmp_path, monkeypatch, fault, found_bad):
     whole = setup()
     found = selftest(Spoilt(whole.calibration, whole.limits, whole.emulated, virtual=True), 4.0, tmp_path)
     assert found_bad <= bad(found)
-    assert len(found.log) == 1000  # it looks at the rest all the same
+    assert len(found.log) == 1000  # the other checks still run
 
 
 def test_an_output_that_is_not_idle_is_found(tmp_path, monkeypatch):
@@ -75,13 +75,13 @@ def test_the_histogram_counts_every_tick():
 def test_the_command_in_real_time(tmp_path, capsys):
     out = tmp_path / "out"
     code = main(["hil", "selftest", "--seconds", "1.5", "-o", str(out)])
-    told = json.loads((out / "hil.json").read_text())
-    checks = {check["what"]: check for check in told["checks"]}
-    # How well it keeps its time is the machine's affair; that nothing is lost is not.
+    facts = json.loads((out / "hil.json").read_text())
+    checks = {check["what"]: check for check in facts["checks"]}
+    # The timing depends on the machine; the completeness of the log does not.
     assert checks["log"]["good"]
-    assert told["log"]["rows"] == told["log"]["ticks"] == told["timing"]["ticks"]
+    assert facts["log"]["rows"] == facts["log"]["ticks"] == facts["timing"]["ticks"]
     assert checks["output pwm0"]["good"]
-    assert sum(part["ticks"] for part in told["timing"]["histogram_us"]) == told["timing"]["ticks"]
+    assert sum(part["ticks"] for part in facts["timing"]["histogram_us"]) == facts["timing"]["ticks"]
     assert code in (0, 2)
     assert "p99.9" in capsys.readouterr().out
     assert "99.9 % of" in (out / "report.html").read_text()

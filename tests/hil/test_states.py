@@ -12,7 +12,7 @@ ZERO = Tare(100.0, 3.0, 0.2, 500)
 SOFT = Fault("tachometer", FaultKind.SILENT, "50 ms")
 HARD = Fault("tachometer", FaultKind.OVER_SPEED, "7000 rpm")
 
-# (state, idle pulse stands, tared, faulty) and a call give the next such tuple; what isn't here is refused.
+# (state, idle pulse on, tared, faulty) and a call give the next such tuple; every other call is refused.
 TABLE = {
     ("SAFE", True, False, False): {
         "tare": ("SAFE", True, True, False),
@@ -81,7 +81,7 @@ def shown(machine):
 
 
 def call(machine, name):
-    """Whether the machine took the call."""
+    """Whether the machine accepts the call."""
     try:
         CALLS[name](machine)
     except IllegalMove:
@@ -91,7 +91,7 @@ def call(machine, name):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_random_calls_follow_the_table_and_reach_run_only_tared_and_armed(seed):
-    """20 x 50 sequences of 60 calls; the last calls before RUN are looked at as well, with no model between."""
+    """20 x 50 sequences of 60 calls; the last calls before RUN are also checked without the table."""
     dice, runs = random.Random(seed), 0
     weights = [1.0 if name in ("soft", "hard") else 4.0 for name in CALLS]
     for _ in range(50):

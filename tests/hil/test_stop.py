@@ -19,7 +19,7 @@ from hil.safety.stop import StopSignals
         ([signal.SIGINT, signal.SIGTERM], FaultKind.TERMINATED, Reaction.IDLE),
     ],
 )
-def test_what_was_asked_for(sent, kind, reaction):
+def test_each_signal_has_its_reaction(sent, kind, reaction):
     before = [signal.getsignal(number) for number in StopSignals.HANDLED]
     with StopSignals() as signals:
         assert signals.asked is None

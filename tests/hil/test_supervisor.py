@@ -27,13 +27,13 @@ def running_loop(folder, mode="run"):
     duty, report = folder / "duty_cycle", folder / "supervisor.log"
     duty.write_bytes(IDLE)
     arguments = [sys.executable, str(HERE / "throttle_loop.py"), str(duty), str(report), mode]
-    # SIGTSTP stops nothing in an orphaned process group, such as that of a test run in the background: a group of its own.
+    # A separate process group: SIGTSTP has no effect in an orphaned one, such as that of a test run in the background.
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "preexec_fn": os.setpgrp}
     loop = subprocess.Popen(arguments, cwd=HERE.parents[1], env={**os.environ, "PYTHONPATH": "."}, text=True, **pipes)
     _, fifo = loop.stdout.readline().split()
     descriptor = os.open(duty, os.O_RDONLY)
     try:
-        # Without a real-time scheduler nobody promises 100 ms on a machine that others use too.
+        # Without a real-time scheduler 100 ms cannot be guaranteed on a shared machine.
         yield loop, descriptor, 0.1 if int(fifo) else 1.0
     finally:
         loop.kill()
@@ -66,21 +66,21 @@ def busy_machine():
     [(number, contextlib.nullcontext) for number in (signal.SIGKILL, signal.SIGSEGV, signal.SIGSTOP, signal.SIGTSTP)]
     + [(number, busy_machine) for number in (signal.SIGKILL, signal.SIGSTOP)],
 )
-def test_idle_stands_within_100_ms(tmp_path, number, load):
+def test_the_idle_pulse_comes_within_100_ms(tmp_path, number, load):
     with running_loop(tmp_path) as (loop, duty, allowed), load():
         assert os.pread(duty, 20, 0) == OPEN
         loop.send_signal(number)
         seen = open_times(duty, 0.3)
         assert (seen or [0.0])[-1] <= allowed
         assert os.pread(duty, 20, 0) == IDLE
-        told = (tmp_path / "supervisor.log").read_text()
+        report = (tmp_path / "supervisor.log").read_text()
         gone = number in (signal.SIGKILL, signal.SIGSEGV)
-        assert ("the loop is gone" if gone else "the loop is silent for 5") in told or load is busy_machine
-        assert told.endswith("idle pulse written\n")
+        assert ("the loop is gone" if gone else "the loop is silent for 5") in report or load is busy_machine
+        assert report.endswith("idle pulse written\n")
 
 
 def test_a_loop_stopped_before_its_write_opens_the_throttle_for_a_moment_at_most(tmp_path):
-    """It has beaten, is stopped, is given up, goes on, and writes the pulse it was about to write."""
+    """The loop beats, is stopped, is given up by the supervisor, resumes, and writes its pending pulse."""
     with running_loop(tmp_path, "stop") as (loop, duty, allowed):
         time.sleep(0.35)
         assert os.pread(duty, 20, 0) == IDLE
@@ -137,7 +137,7 @@ def test_signals_of_the_terminal_and_the_shell_leave_it_alone(supervisor):
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_the_loop_notices_that_nobody_watches(supervisor, number):
+def test_the_loop_notices_a_lost_supervisor(supervisor, number):
     assert supervisor.beat() is None
     os.kill(supervisor.pid, number)
     end = time.monotonic() + 10.0 * LOST
@@ -169,10 +169,10 @@ def test_goodbye_leaves_the_idle_pulse_and_no_report(tmp_path, duty):
 
 
 class Watched:
-    """`watchdog.main` in this process, in a time of its own: a clock that only its pauses move, and a loop that is a script.
+    """`watchdog.main` in this process, with a clock that only its pauses advance, and with a scripted loop.
 
-    `beats`: whether the loop beats at a time [s]; `gone`: when it ends [s]; `late`: when, after that, a child of it opens the
-    throttle once more [s]. `killed`: the times at which the loop was killed; `written`: those of all idle pulses.
+    `beats(t)`: whether the loop beats at t [s]; `gone`: end of the loop [s]; `late`: later times at which a child of the loop
+    opens the throttle [s]. `killed`: times at which the loop is killed; `written`: times of all idle pulses.
     """
 
     def __init__(self, folder, patch, beats, gone, late=()):
@@ -218,7 +218,7 @@ class Watched:
 
 
 def test_a_loop_that_beats_again_is_killed_a_grace_after_its_last_beat_not_after_the_trip(tmp_path, monkeypatch):
-    """It beats for 0.1 s, is silent for 0.2 s, ramps down for 1 s, and hangs: the trip is 0.15 s in, the last beat 1.3 s."""
+    """It beats for 0.1 s, is silent for 0.2 s, ramps down for 1 s, and hangs: the trip is at 0.15 s, the last beat at 1.3 s."""
     watched = Watched(tmp_path, monkeypatch, lambda t: t < 0.1 or 0.3 < t < 1.3, gone=3.0)
     assert watched.main(silence=0.05, grace=0.5) == 1
     assert watched.killed == [pytest.approx(1.8, abs=0.005)]
@@ -231,7 +231,7 @@ def test_a_loop_that_never_beats_again_is_killed_a_grace_after_the_trip(tmp_path
     assert watched.killed == [pytest.approx(0.65, abs=0.005)]
 
 
-def test_what_a_child_writes_after_the_loops_end_does_not_stand(tmp_path, monkeypatch):
+def test_a_childs_pulse_after_the_loops_end_is_overwritten(tmp_path, monkeypatch):
     watched = Watched(tmp_path, monkeypatch, lambda t: t < 0.1, gone=0.1, late=[0.13, 0.3])
     assert watched.main(silence=0.05, grace=0.5) == 1
     assert not watched.late
@@ -242,7 +242,7 @@ def test_what_a_child_writes_after_the_loops_end_does_not_stand(tmp_path, monkey
 
 @pytest.fixture
 def worker():
-    """A process with the name of the kernel's workers, which a container does not see: the calls are the same."""
+    """A process with the name of the kernel's workers, which are invisible in a container; the calls are the same."""
     code = "import os; open('/proc/self/comm', 'w').write('kworker/u9:7'); print(flush=True); os.read(0, 1)"
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     with subprocess.Popen([sys.executable, "-c", code], **pipes) as process:
@@ -267,7 +267,7 @@ def test_workers_that_a_killed_loop_has_hurried_are_put_back(tmp_path, worker):
         assert os.sched_getscheduler(worker) == os.SCHED_OTHER
 
 
-def test_a_worker_that_ended_is_not_mistaken_for_who_has_its_number_now(worker):
+def test_a_process_that_reuses_a_workers_number_is_left_alone(worker):
     os.sched_setscheduler(worker, os.SCHED_FIFO, os.sched_param(1))
     watchdog.put_back([worker], "kworker/x")
     assert os.sched_getscheduler(worker) == os.SCHED_FIFO
@@ -282,7 +282,7 @@ def test_an_output_that_refuses_is_found_before_arming(tmp_path, broken):
     assert raised.value.kind is FaultKind.NOT_READY
 
 
-def test_one_output_that_refuses_keeps_no_other_waiting(duty):
+def test_one_output_that_refuses_does_not_block_the_others(duty):
     refusing, good = os.open(duty, os.O_RDONLY), os.open(duty, os.O_WRONLY)
     failed = watchdog.write_idle([(refusing, b"1000000\n"), (good, b"1000000\n")])
     assert failed == ["idle pulse 1000000 ns refused: Bad file descriptor"]
@@ -291,7 +291,7 @@ def test_one_output_that_refuses_keeps_no_other_waiting(duty):
     os.close(good)
 
 
-def test_a_full_disk_under_the_report_is_no_reason_to_go_on(duty):
+def test_a_full_disk_for_the_report_does_not_prevent_the_idle_pulse(duty):
     supervisor = Supervisor([(duty, 1e-3)], "/dev/full")
     supervisor.beat()
     duty.write_bytes(OPEN)

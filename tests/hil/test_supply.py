@@ -1,4 +1,4 @@
-"""The motor's supply: wired by the calibration, read through a second ADC, logged, and a reason to come down."""
+"""The motor's supply: wired by the calibration, read through a second ADC, logged, and ramped down beyond its limits."""
 
 import json
 import re
@@ -45,7 +45,7 @@ def run(tmp_path, calibration=RIG, **limits):
 
 
 def test_the_emulated_supply_sags_and_the_motor_warms_up_by_a_lag():
-    """24 V less what the leads of 25 mOhm take; under one current the temperature goes to its end as exp(-t / 60 s)."""
+    """24 V less the drop of leads of 25 mOhm; under constant current the temperature approaches its end as exp(-t / 60 s)."""
     world = World(POWERTRAIN, {}, lambda: (0.4, 3.0), LoadCell(0.0, 1.0))
     world.advance(5.0)
     current, first = world.current, world.temperature
@@ -58,8 +58,8 @@ def test_the_emulated_supply_sags_and_the_motor_warms_up_by_a_lag():
     assert world.temperature == pytest.approx(end + (first - end) * np.exp(-30.0 / WARMS), rel=1e-3)
 
 
-def test_each_input_reads_what_stands_there_to_a_count(tmp_path):
-    """While nothing turns; and under way the mean of what the leads take is the mean current's."""
+def test_each_input_reads_its_quantity_to_a_count(tmp_path):
+    """At standstill; in the run the mean drop of the voltage is the leads' resistance times the mean current."""
     log = run(tmp_path).log
     idle = log.time < 2.0
     for name, value in (("voltage", 24.0), ("current", 0.0), ("temperature", AMBIENT)):
@@ -80,8 +80,8 @@ def test_readings_come_one_after_the_other_and_are_held(tmp_path):
     assert set(np.diff(changes) % (len(WIRED) * EVERY)) == {0}
 
 
-def test_thrust_is_what_it_is_without(tmp_path):
-    """A chip of its own: the load cell's readings are all fresh, and as old as they were."""
+def test_the_supplys_readings_do_not_change_the_thrust(tmp_path):
+    """They have a separate chip: the load cell's readings are all fresh, and their age is unchanged."""
     with_supply, without = run(tmp_path / "a", RIG), run(tmp_path / "b", CALIBRATION)
     assert with_supply.session.summary()["counters"]["adc"]["held"] == 0
     assert with_supply.record["thrust"][-250:].mean() == pytest.approx(without.record["thrust"][-250:].mean(), abs=0.1)
@@ -111,13 +111,13 @@ def test_a_limit_exceeded_ramps_down(tmp_path, limits, words):
     assert done.log["throttle"][-1] < 0.01
 
 
-def test_one_reading_is_a_spark_and_two_are_none():
+def test_a_fault_takes_two_readings_beyond_a_limit():
     limits, values = SupplyLimits(Limits(current_max=30.0)), {"voltage": 24.0, "current": 31.0, "temperature": 20.0}
     assert limits.check(values, ("current",)) is None
-    assert limits.check(values, ("voltage",)) is None  # of another
+    assert limits.check(values, ("voltage",)) is None  # of another quantity
     assert limits.check({**values, "current": 1.0}, ("current",)) is None
     assert limits.check(values, ("current",)) is None
-    assert limits.check(values, ()) is None  # the same one, held
+    assert limits.check(values, ()) is None  # the same reading, held
     assert "current: found 31.0 A" in str(limits.check(values, ("current",)))
 
 
@@ -158,7 +158,7 @@ def test_a_wrong_wiring_is_named(tmp_path, change, words):
 
 
 def test_an_old_log_is_read_as_before(tmp_path):
-    """Of the time before there were such columns."""
+    """A log from before these columns existed."""
     done = run(tmp_path / "new", CALIBRATION)
     old = [column for column in done.log.columns if column not in WIRED]
     path = tmp_path / "log.csv"
@@ -177,9 +177,9 @@ def test_the_command_says_what_it_reads(tmp_path, capsys):
     words = ["hil", "run", "--virtual", "--profile", str(profile), "--calibration", str(calibration), "--limits", str(limits)]
     assert main([*words, "-o", str(tmp_path / "out")]) != 0
     assert "supply: supply beyond its limit: voltage" in capsys.readouterr().err
-    told = json.loads((tmp_path / "out" / "hil.json").read_text())
-    assert told["supply"] == list(WIRED)
-    assert told["limits"]["voltage_max"] == 20.0
+    facts = json.loads((tmp_path / "out" / "hil.json").read_text())
+    assert facts["supply"] == list(WIRED)
+    assert facts["limits"]["voltage_max"] == 20.0
 
 
 def test_energy_is_the_integral_of_voltage_times_current_held_until_the_next_reading():
@@ -192,14 +192,14 @@ def test_energy_is_the_integral_of_voltage_times_current_held_until_the_next_rea
 
 
 def test_a_run_and_a_campaign_measure_power_where_it_is_asked_for(tmp_path, capsys):
-    """The shaft's power is below that of the supply, and what the winding and the leads take is most of the difference."""
+    """The shaft's power is below that of the supply, and the loss in the winding is most of the difference."""
     write_record(OutputFolder(tmp_path), "profile.csv", PROFILE)
     given = ["hil", "run", "--virtual", "--power", "--profile", str(tmp_path / "profile.csv"), "-o", str(tmp_path / "run")]
     assert main(given) == 0
     assert re.search(r"energy from the supply: \d+ J, \d+\.?\d* W in the mean", capsys.readouterr().out)
     (folder,) = (tmp_path / "run" / "runs").iterdir()
-    told = json.loads((folder / "hil.json").read_text())
-    assert told["energy"]["value"] == pytest.approx(told["energy"]["mean_power"] * 4.0, rel=0.01)
+    facts = json.loads((folder / "hil.json").read_text())
+    assert facts["energy"]["value"] == pytest.approx(facts["energy"]["mean_power"] * 4.0, rel=0.01)
     assert "energy from the supply" in (folder / "report.html").read_text()
     small = ["--parts", "static", "--points", "3", "--samples", "500", "--settle", "2.0"]
     assert main(["hil", "campaign", "--virtual", "--power", *small, "-o", str(tmp_path / "c")]) == 0

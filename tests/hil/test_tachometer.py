@@ -16,11 +16,11 @@ from hil.safety.faults import DeviceFault, FaultKind
 TICK = 0.004
 MICROTICK = 4e-6
 UP = 50.5
-"""When a board that is reset at 50 s has booted: it counts from there on."""
+"""Time [s] at which a board that is reset at 50 s has booted, and begins to count."""
 
 
 def marks(period: float, until: float = math.inf):
-    """A rotor that turns evenly until some time and then stands."""
+    """A rotor that turns evenly until some time and then stops."""
 
     def pulses(t):
         count = math.floor(min(t, until) / period)
@@ -69,13 +69,13 @@ def test_speed_count_and_age_follow_the_mark(tmp_path, omega):
         answer, now = loop.tick(), loop.clock.now()
         assert answer.received == now
         if k * TICK > 2 * period:
-            # The period in whole ticks of the timer, either way.
+            # The period is rounded to whole ticks of the timer.
             assert answer.omega == pytest.approx(omega, rel=1.01 * MICROTICK / period)
             assert not answer.stalled
-        told = now - TICK + 0.0005  # when the request reached the board
-        assert answer.pulses == math.floor(told / period) - first
+        arrived = now - TICK + 0.0005  # when the request reached the board
+        assert answer.pulses == math.floor(arrived / period) - first
         if answer.pulses:
-            assert answer.age == pytest.approx(told % period + TICK, abs=0.0006)
+            assert answer.age == pytest.approx(arrived % period + TICK, abs=0.0006)
 
 
 def test_share_of_ticks_without_a_new_pulse(tmp_path):
@@ -87,7 +87,7 @@ def test_share_of_ticks_without_a_new_pulse(tmp_path):
         assert old == pytest.approx(1 - TICK * omega / 60.0, abs=0.002)
 
 
-def test_a_stall_is_said_after_200_ms_and_the_first_revolution_behind_it_has_no_period(tmp_path):
+def test_a_stall_is_reported_after_200_ms_and_the_next_revolution_has_no_period(tmp_path):
     stops = 51.0
     turning = marks(0.02, stops)
 
@@ -111,7 +111,7 @@ def test_a_stall_is_said_after_200_ms_and_the_first_revolution_behind_it_has_no_
     assert again[-1].omega == pytest.approx(3000.0, rel=1e-3)
 
 
-def test_a_resonator_that_is_off_shows_in_the_speed(tmp_path):
+def test_an_error_of_the_resonator_scales_the_speed(tmp_path):
     loop = Loop(tmp_path, marks(0.015), clock_error=0.005)
     answer = [loop.tick() for _ in range(100)][-1]
     assert answer.omega == pytest.approx(4000.0 / 1.005, rel=3e-4)
@@ -134,7 +134,7 @@ def test_edges_within_5_ms_are_rejected_and_counted(tmp_path):
 
 
 def test_at_most_one_request_is_outstanding(loop):
-    """Over silence a new one goes out every 12 ms only, each with the next number."""
+    """During silence a request is sent only every 12 ms, each with the next number."""
     loop.tick()
     loop.line.faults["silent"] = math.inf
     asked, write = [], loop.line.write
@@ -148,7 +148,7 @@ def test_at_most_one_request_is_outstanding(loop):
     assert loop.tachometer.counters["lost"] == 3
 
 
-def test_silence_is_borne_for_50_ms(loop):
+def test_silence_is_tolerated_for_50_ms(loop):
     loop.tick()
     begun = loop.clock.now()
     loop.line.faults["silent"] = math.inf
@@ -159,20 +159,20 @@ def test_silence_is_borne_for_50_ms(loop):
     loop.clock.wait_until(loop.clock.now() + 0.02)
     loop.tachometer.request()
     loop.clock.wait_until(loop.clock.now() + 0.02)
-    assert loop.tachometer.poll() is not None  # and it works on: the ramp down needs the speed too
+    assert loop.tachometer.poll() is not None  # it continues, because the ramp down needs the speed
 
 
-def test_garbage_is_told_from_silence(loop):
+def test_garbage_is_distinguished_from_silence(loop):
     loop.tick()
     loop.line.faults["garbage"] = math.inf
-    heard = [loop.tick() for _ in range(12)]
-    assert heard == [None] * 12
+    received = [loop.tick() for _ in range(12)]
+    assert received == [None] * 12
     assert fault(loop.tick) is FaultKind.GARBLED
     assert loop.tachometer.counters["dropped bytes"] > 0
 
 
 def test_flipped_bits_never_give_a_wrong_value(tmp_path):
-    """A quarter of the answers is damaged, at random: each that passes is the truth."""
+    """A random quarter of the answers is damaged; every answer that passes is correct."""
     loop, chance = Loop(tmp_path, marks(0.015)), random.Random(3)
     passed = 0
     first = math.floor(UP / 0.015)
@@ -185,7 +185,7 @@ def test_flipped_bits_never_give_a_wrong_value(tmp_path):
             assert answer.omega == pytest.approx(4000.0, rel=3e-4)
             assert math.floor((asked - 0.015) / 0.015) <= answer.pulses + first <= math.floor(loop.clock.now() / 0.015)
     counters = loop.tachometer.counters
-    assert passed == pytest.approx(0.75 * 5000, rel=0.05)  # each that was damaged costs itself and no other
+    assert passed == pytest.approx(0.75 * 5000, rel=0.05)  # a damaged answer costs no other one
     assert counters["lost"] == pytest.approx(0.25 * 5000, rel=0.1)
     assert counters["damaged"] > 500
 
@@ -202,7 +202,7 @@ def test_an_answer_that_comes_too_late_is_not_taken_for_the_next_one(loop):
     assert loop.tachometer.counters["late"] == 1
 
 
-def test_an_answer_nobody_asked_for_is_dropped(loop):
+def test_an_answer_without_a_request_is_dropped(loop):
     loop.tick()
     loop.line._say(encoded(Frame(ANSWER, 1, Answer(9999, 0, 2500, 0, 2, 0).packed())))
     assert loop.tachometer.poll() is None
@@ -240,7 +240,7 @@ def test_a_line_full_of_garbage_costs_a_tick_no_more_than_512_bytes(loop):
 
 
 class Script:
-    """A port whose far end is a function of what was written; nothing comes by itself but `greeting`."""
+    """A port whose far end answers each write by a function; only `greeting` comes without a write."""
 
     def __init__(self, greeting=b"", answer=lambda data: b""):
         self.written, self._to_read, self._answer, self.closed = [], greeting, answer, False
@@ -279,9 +279,9 @@ def test_a_board_that_was_not_reset_is_asked_after_two_seconds():
     assert port.written == [encoded(Frame(0x96, 0))]
 
 
-@pytest.mark.parametrize(("heard", "says"), [(b"", "found nothing in 3 s"), (b"junk", "4 bytes that are none")])
-def test_no_greeting_within_three_seconds(heard, says):
-    clock, port = VirtualClock(), Script(heard)
+@pytest.mark.parametrize(("received", "says"), [(b"", "found nothing in 3 s"), (b"junk", "4 bytes that are none")])
+def test_no_greeting_within_three_seconds(received, says):
+    clock, port = VirtualClock(), Script(received)
     with pytest.raises(DeviceFault, match=says) as raised:
         Tachometer(lambda: port, clock).hello()
     assert raised.value.kind is FaultKind.NOT_READY
@@ -296,7 +296,7 @@ def test_another_firmware_is_refused():
     assert port.closed
 
 
-def test_a_port_that_is_not_there_is_said(tmp_path):
+def test_a_missing_port_is_reported(tmp_path):
     with pytest.raises(DeviceFault, match="nowhere") as raised:
         Tachometer(str(tmp_path / "nowhere"), VirtualClock()).hello()
     assert raised.value.kind is FaultKind.NOT_READY
@@ -322,7 +322,7 @@ def terminal(tmp_path):
 
 
 def within(seconds, reached):
-    """What `reached()` returns once that is true; a shared machine may take its time."""
+    """The result of `reached()` once it is true; a shared machine may be slow."""
     deadline = time.monotonic() + seconds
     while not (found := reached()):
         assert time.monotonic() < deadline
@@ -341,7 +341,7 @@ def test_pyserial_over_a_real_pty(terminal):
         clock.wait_until(clock.now() + TICK)
         answers.append(tachometer.poll())
     good = [answer for answer in answers if answer is not None]
-    assert len(good) > 15  # all but a few where the machine is not busy
+    assert len(good) > 15  # nearly all, unless the machine is busy
     assert good[-1].omega == pytest.approx(4000.0, rel=3e-4)
     line.faults["unplugged"] = 1
     assert fault(lambda: within(5.0, lambda: tachometer.poll() and False)) is FaultKind.UNPLUGGED
@@ -363,7 +363,7 @@ def test_opening_the_pty_again_resets_the_board(terminal):
 
 
 def test_an_answer_that_a_busy_machine_held_back_still_counts(loop):
-    """Each takes 20 ms, and a request is waited for 12 ms: none answers the newest, all tell the truth."""
+    """Answers take 20 ms, and the driver waits for 12 ms: none answers the newest request, but all are correct."""
     held: list[tuple[float, bytes]] = []
     say = loop.line._say
     loop.line._say = lambda data: held.append((loop.clock.now() + 0.02, data))

@@ -28,7 +28,7 @@ def test_mean_noise_and_standard_error():
 
 
 def test_a_large_rigs_noise_is_no_reason_to_refuse_its_zero():
-    """1.8 N of noise, as 180 N have, through a cell of 0.05 N a count."""
+    """1.8 N of noise, typical of a 180 N rig, through a cell of 0.05 N a count."""
     counts = readings(noise=36.0)
     with pytest.raises(TareRefused, match="scatter"):
         tare(counts, 0.05, 1200.0)
@@ -36,7 +36,7 @@ def test_a_large_rigs_noise_is_no_reason_to_refuse_its_zero():
     assert tare(counts, 0.05, 1200.0, large).noise == pytest.approx(36.0, rel=0.1)
 
 
-def test_the_standard_error_knows_coloured_noise():
+def test_the_standard_error_includes_coloured_noise():
     """First-order noise of correlation a: the mean's variance is (1 + a)/(1 - a) times that of white noise."""
     a, spread, errors = 0.8, [], []
     for seed in range(300):
@@ -68,7 +68,7 @@ RAMP = np.linspace(-0.5, 0.5, 500)
     ],
     ids=["few", "noisy", "drifting", "far off", "frozen", "nan"],
 )
-def test_what_is_no_zero_is_refused(counts, said):
+def test_a_bad_zero_is_refused(counts, said):
     with pytest.raises(TareRefused, match=said):
         tare(counts, SCALE, 1200.0, GATE)
     with pytest.raises(TareRefused, match=said):
@@ -77,7 +77,7 @@ def test_what_is_no_zero_is_refused(counts, said):
 
 @pytest.mark.parametrize(("memory", "slow"), [(0.01, 0.0), (0.13, 0.05), (0.3, 0.05)])
 def test_a_still_cell_is_hardly_ever_refused(memory, slow):
-    """White noise, and an amplifier's slow noise [N] that forgets itself in 0.13 or 0.3 s: two seconds, a thousand times."""
+    """White noise and an amplifier's slow noise [N], of correlation time 0.13 or 0.3 s: two seconds, a thousand times."""
     dice, a = np.random.default_rng(9), np.exp(-0.004 / memory)
     white = 30.0 * dice.standard_normal((1000, 500))
     drive = slow / SCALE * np.sqrt(1.0 - a * a) * dice.standard_normal((1000, 500))

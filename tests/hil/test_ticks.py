@@ -57,7 +57,7 @@ def test_the_share_of_missed_slots_is_that_of_the_last_second():
     assert ticks.missed_share == 0.0
 
 
-def test_a_break_that_was_meant_is_no_miss():
+def test_an_intended_break_is_no_miss():
     clock = VirtualClock()
     ticks = Ticks(clock, 0.004)
     ticks.wait()

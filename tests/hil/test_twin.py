@@ -1,4 +1,4 @@
-"""The twin: run lengths against published ones, alarms as rare as stated, found as soon as computed."""
+"""The twin: run lengths against published ones, false alarms at the stated rate, steps found after the computed delay."""
 
 import itertools
 import json
@@ -41,8 +41,8 @@ def test_the_threshold_gives_the_run_length_it_was_asked_for(run, mean):
     assert 1.0 / rate == pytest.approx(run, rel=1e-4)
 
 
-def test_the_sums_run_as_long_as_page_says():
-    """Simulated: mean of 4000 runs, whose standard error is that of an exponential time."""
+def test_the_sums_have_the_computed_run_length():
+    """Simulated: mean of about 4000 runs, whose standard error is that of exponential times."""
     threshold, runs, count = threshold_for(40.0, 1.5, 0.0), [], 0
     above, below = Cusum(threshold, 1.5), Cusum(threshold, 1.5)
     for z in np.random.default_rng(3).standard_normal(170000).tolist():
@@ -56,7 +56,7 @@ def test_the_sums_run_as_long_as_page_says():
 
 
 def noise(band, n, dt, seed):
-    """(n,) N: white noise and stationary first-order noise as the band has them."""
+    """White noise and stationary first-order noise of the band [N], (n,)."""
     dice, a = np.random.default_rng(seed), np.exp(-dt / band.slow_time)
     drive = band.slow * dice.standard_normal(n) * np.sqrt(1.0 - a * a)
     slow = lfilter([1.0], [1.0, -a], drive, zi=[a * band.slow * dice.standard_normal()])[0]
@@ -82,7 +82,7 @@ def test_a_constant_residual_comes_through_with_the_gain():
 
 
 @pytest.mark.parametrize(("slow", "slow_time"), [(0.0, 0.1), (0.05, 0.15), (0.05, 2.0)])
-def test_the_spread_of_noise_is_a_normal_number(slow, slow_time):
+def test_the_spread_statistic_of_noise_is_standard_normal(slow, slow_time):
     band, n = Band(0.12, slow, slow_time, 0.0), 20000
     spread = Spread(band, 125, 0.004)
     variances = noise(band, 125 * n, 0.004, 6).reshape(n, 125).var(axis=1, ddof=1)
@@ -94,7 +94,7 @@ def test_the_spread_of_noise_is_a_normal_number(slow, slow_time):
 
 
 class Still:
-    """A plant without thrust: what is measured is the residual."""
+    """A plant without thrust, so that the measured thrust is the residual."""
 
     dt = 0.02
 
@@ -108,7 +108,7 @@ class Still:
 
 
 def alarms(twin, residual):
-    """How often the twin alarms over a residual [N], started anew after each alarm."""
+    """Number of alarms of the twin over a residual [N]; it restarts after each."""
     found, began = 0, 0
     for k, value in enumerate(residual.tolist()):
         if twin.update((k - began) * Still.dt, 0.0, 0.0, value).alarmed:
@@ -118,8 +118,8 @@ def alarms(twin, residual):
 
 
 def test_alarms_are_as_frequent_as_stated_and_no_more_while_the_model_errs_within_its_band():
-    """One in 20 s, so that there are enough to count: white noise, slow noise, a model that wanders in its band. Of the four
-    tests those of mean and variance see noise."""
+    """A rate of one in 20 s gives enough alarms to count. Cases: white noise, slow noise, and a model error that varies within
+    its band. Of the four tests, those of mean and variance respond to noise."""
     n = 150000
     stated = 180.0 * n * Still.dt / 3600.0
     for band in (WHITE, replace(COLOURED, steady=0.0)):
@@ -130,15 +130,15 @@ def test_alarms_are_as_frequent_as_stated_and_no_more_while_the_model_errs_withi
     assert alarms(twin, wandering + noise(COLOURED, n, Still.dt, 3)) < stated / 2.0
 
 
-def test_what_is_borne_follows_from_how_well_the_error_is_known():
-    """Student's t of few places is wider than the normal of many; each by tables: 4.417 at 1e-5, and 6.44 with 15."""
+def test_the_allowed_error_depends_on_its_degrees_of_freedom():
+    """Student's t with few degrees of freedom is wider than the normal; at 1e-5 the tables have 4.417, and 6.44 with 15."""
     known, short = Band(0.1, 0.0, 0.1, 0.1), Band(0.1, 0.0, 0.1, 0.1, freedom=15)
     assert known.deviations(1e-5) == pytest.approx(4.417, abs=0.001)
     assert short.deviations(1e-5) == pytest.approx(2 * 3.2, rel=0.02)
     assert Twin(Still(), short).largest_error > Twin(Still(), known).largest_error
 
 
-def test_a_vibration_is_found_though_its_mean_is_none():
+def test_a_vibration_of_zero_mean_is_detected():
     twin, n = Twin(Still(), replace(WHITE, steady=0.02)), 20000
     hiss = noise(WHITE, n, Still.dt, 4)
     within, beyond = (a * 2**0.5 * np.sin(np.arange(n) * Still.dt * 50.0) for a in (twin.largest_error, 0.25))
@@ -155,7 +155,7 @@ PLACES = [(2500.0, -4.0), (2500.0, 4.0), (5000.0, -1.0), (5000.0, 7.0), (3000.0,
 
 
 def settled(omega, beta):
-    """N, bilinear: 0.4 N/deg at 6000 rpm."""
+    """Thrust [N], bilinear: 0.4 N/deg at 6000 rpm."""
     return 4.0 * omega / 6000.0 + 0.4 * beta * omega / 6000.0
 
 
@@ -163,7 +163,7 @@ def settled(omega, beta):
     ("cause", "of"),
     [
         ("thrust x 0.90", lambda w, b: -0.1 * settled(w, b)),
-        ("pitch +0.50 deg", lambda w, b: 0.5 * 0.4 * (3000.0 if w < 4000.0 else 5000.0) / 6000.0),  # the slope of its place
+        ("pitch +0.50 deg", lambda w, b: 0.5 * 0.4 * (3000.0 if w < 4000.0 else 5000.0) / 6000.0),  # the slope at its place
         ("reading -0.20 N", lambda w, b: -0.2),
     ],
 )
@@ -176,11 +176,11 @@ def test_a_cause_is_named_with_its_size_once_enough_places_show_it(cause, of):
     assert found
     assert directions.cause == cause
     directions.reset()
-    for _ in range(2000):  # one place alone tells no more than its own error
+    for _ in range(2000):  # an error of one place alone is no cause
         assert not directions.update(PLACES[0], 4.4 * 0.06, settled(*PLACES[0]), 1.0)
 
 
-def test_a_rig_has_as_many_places_as_its_scales_make_and_one_where_it_stands():
+def test_the_number_of_places_follows_from_the_scales_and_is_one_at_a_fixed_command():
     assert Grid.of((2000.0, 6000.0), 6000.0) == Grid(2000.0, 6000.0, 4)
     assert [Grid.of((-5.0, 10.0), 15.0).part(beta) for beta in (-9.0, -5.0, -2.1, -1.9, 9.9, 10.0, 12.0)] == [
         0,
@@ -195,8 +195,8 @@ def test_a_rig_has_as_many_places_as_its_scales_make_and_one_where_it_stands():
     assert (fixed.count, fixed.part(3.0), fixed.middles) == (1, 0, [3.0])
 
 
-def test_errors_of_a_model_that_have_no_one_cause_are_none():
-    """Errors of its own at each place, of the size that is known: over 400 models the largest z of one is seldom above 3."""
+def test_model_errors_without_a_common_cause_have_no_cause():
+    """Independent errors of the known size at each place: over 400 models the statistics have a standard deviation near 1."""
     dice, largest = np.random.default_rng(5), []
     grid = [(w, b) for w in (2600.0, 5200.0) for b in (-3.0, 1.0, 4.0, 8.0)]
     for _ in range(400):
@@ -211,7 +211,7 @@ def test_errors_of_a_model_that_have_no_one_cause_are_none():
 
 
 def test_a_step_is_found_after_the_stated_delay():
-    """Mean of 500 steps of the smallest size, and of twice that; white noise, where the theory is exact."""
+    """Mean over 500 steps of the smallest size, and of twice that, in white noise, for which the theory is exact."""
     twin = Twin(Still(), WHITE, false_alarms=0.01)
     for size, expected in ((twin.smallest, twin.delay), (2.0 * twin.smallest, None)):
         hiss, delays = iter((size + noise(WHITE, 150000, Still.dt, 7)).tolist()), []
@@ -251,7 +251,7 @@ def test_a_rig_like_its_model_raises_no_alarm_and_a_new_effect_does():
     assert -0.01 <= twin.since < 4.0
 
 
-def test_missed_ticks_are_made_up_for():
+def test_missed_ticks_are_simulated():
     """The commands before a gap acted throughout it."""
     twin, whole = Twin(KernelPlant(), WHITE), KernelPlant()
     twin.start(0.0, 3000.0, 0.0)
@@ -264,7 +264,7 @@ def test_missed_ticks_are_made_up_for():
 
 
 def test_an_update_is_short_beside_a_tick(fmu_files):
-    """50 us are meant, on a machine of its own; the best of many batches is looked at."""
+    """The aim is 50 us on an idle machine; the best of many batches counts."""
     twin = Twin(FmuPlant(fmu_files["plain"]), COLOURED)
     best = 1.0
     for batch in range(20):
@@ -275,7 +275,7 @@ def test_an_update_is_short_beside_a_tick(fmu_files):
     assert best < 500e-6
 
 
-def test_the_band_of_what_identify_wrote(tmp_path):
+def test_the_band_is_read_from_identification_json(tmp_path):
     path = tmp_path / "identification.json"
     error = {"steady": 0.1, "moving": 0.05, "freedom": 40}
     path.write_text(json.dumps({"noise_floor_thrust": 0.12, "model_error": error}))
@@ -296,7 +296,7 @@ def test_the_band_of_what_identify_wrote(tmp_path):
 
 
 def test_the_studys_blocks_are_the_twins_own():
-    """`tests.studies twin` gives the twin whole blocks: its alarm is the one of the twin that runs along, tick by tick."""
+    """`tests.studies twin` gives the twin whole blocks; its alarm equals that of the twin that runs tick by tick."""
     from studies import twin as study
 
     orders = commands.validation(5, 40.0, study.DT)

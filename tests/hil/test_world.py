@@ -14,7 +14,7 @@ def world(throttle=0.35, beta=4.0, cell=QUIET, **more):
 
 
 def settled(**more):
-    """A world whose throttle opened at time 0, at 3 s."""
+    """A world at 3 s, whose throttle opened at time 0."""
     driven = [0.0, 4.0]
     one = World(POWERTRAIN, {}, lambda: tuple(driven), **{"cell": QUIET, **more})
     driven[0] = 0.35
@@ -104,7 +104,7 @@ def test_passes_are_seen_early_or_late_by_their_jitter():
     assert periods[25e-6] == pytest.approx(25e-6 * np.sqrt(2.0), rel=0.2)
 
 
-def test_what_has_passed_by_then_is_told_of_a_time_in_the_past():
+def test_at_a_past_time_only_the_pulses_until_then_count():
     one = settled(jitter=0.0)
     count, last, period = one.pulses(3.0)
     assert one.pulses(last - 1e-9)[0] == count - 1
@@ -124,7 +124,7 @@ def test_the_same_seed_gives_the_same_world_and_another_another():
     assert seen(1) != seen(2)
 
 
-def test_how_often_it_is_looked_at_changes_nothing():
+def test_the_number_of_advances_changes_nothing():
     fine, coarse = world(0.0), world(0.0)
     for k in range(1, 101):
         fine.advance(0.001 * k)
@@ -132,7 +132,7 @@ def test_how_often_it_is_looked_at_changes_nothing():
     assert (fine.thrust, fine.omega) == (coarse.thrust, coarse.omega)
 
 
-def test_the_stepper_goes_on_where_it_stood():
+def test_the_stepper_continues_where_it_stopped():
     inputs = {s.name: s.start for s in POWERTRAIN.inputs} | {"throttle": 0.3}
     once, twice = Stepper(POWERTRAIN, {}, inputs), Stepper(POWERTRAIN, {}, inputs)
     held = list({**inputs, "throttle": 0.5}.values())

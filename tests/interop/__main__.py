@@ -1,7 +1,7 @@
-"""python -m tests.interop: both flavours in every importer that is installed; prints a table of what works, and why not.
+"""python -m tests.interop: both flavours in every installed importer; prints a table of results and of reasons for failures.
 
-An importer that is missing is skipped: `make interop` installs what can be had. One that needs other versions of what this
-project needs has an environment of its own, in a folder of its name beside this one's `bin`.
+A missing importer is skipped; `make interop` installs those that are available. An importer whose dependencies conflict with
+this project's has its own environment, in a folder of its package's name beside this one's `bin`.
 """
 
 import contextlib
@@ -36,17 +36,17 @@ sys.path.append(str(Path(__file__).parents[1]))
 from initial_graph import initial_graph
 
 BAND = Band(white=0.12, slow=0.04, slow_time=1.0, steady=0.1)
-"""Of the twin, whose numbers are none of a rig's."""
+"""Band of the twin; its numbers belong to no rig."""
 REST = dict.fromkeys(COMMANDS, 0.0)
 
 PLANT = ParameterSet(plant(("torque_map", "motor"))).replaced(
     {"torque_map.q20": 0.15, "torque_map.q22": 0.25, "motor.friction": 0.01, "motor.loss": 150.0, "motor.idle": 3.0}
 )
-"""The plant with torque and power, so that importers show all outputs that a plant may have."""
+"""The plant with torque and power, so that importers show all outputs of a plant."""
 
 
 def alone() -> list[np.ndarray]:
-    """What a plant alone may show at the end: under the commands, and at rest where they can't be given."""
+    """Allowed outputs of a plant alone at the end: under the commands, or at rest if the importer cannot set them."""
     plant = Simulation(PLANT.model, PLANT.values)
     rows = [list(plant.start(REST).values())]
     for k in range(BEFORE + STEPS):
@@ -55,8 +55,8 @@ def alone() -> list[np.ndarray]:
 
 
 def loops(wanted: float) -> list[np.ndarray]:
-    """What the loop may show: importers differ in whether the wanted thrust is there at the first step, in whether the plant is
-    stepped beside the controller or after it, and in when they look."""
+    """Allowed outputs of the loop. Importers differ in whether the set-point acts at the first step, in whether the plant steps
+    in parallel with the controller or after it, and in when they read."""
     found = []
     for late, sequential in ((0, False), (1, False), (0, True)):
         plant, controller = Simulation(PLANT.model, PLANT.values), Simulation(CONTROLLER)
@@ -64,21 +64,21 @@ def loops(wanted: float) -> list[np.ndarray]:
         commands = controller.start({"thrust_set": wanted, "thrust": shown["thrust"]})
         for k in range(LOOP_STEPS + 2):
             asked = {"thrust_set": 0.0 if k < late else wanted, "thrust": shown["thrust"]}
-            following = controller.advance(asked, STEP)
-            shown, commands = plant.advance(following if sequential else commands, STEP), following
+            next_commands = controller.advance(asked, STEP)
+            shown, commands = plant.advance(next_commands if sequential else commands, STEP), next_commands
             if k > LOOP_STEPS - 4:
                 found.append(np.array(list(shown.values())))
     return found
 
 
 def interpreter(importer: str) -> str:
-    """Of the importer's own environment, where it has one."""
+    """The Python of the importer's own environment if it has one, else this one."""
     own = Path(sys.prefix, IMPORTERS[importer].package, "bin", "python")
     return str(own) if own.exists() else sys.executable
 
 
 def start(path: Path) -> str:
-    """Whether the loop can be started in the order of what depends on what, without an algebraic loop to solve."""
+    """Whether the loop can be initialised in the order of its dependencies, without an algebraic loop."""
     with zipfile.ZipFile(path) as packed:
         graph = initial_graph({name: packed.read(name) for name in packed.namelist()})
     try:
@@ -88,7 +88,7 @@ def start(path: Path) -> str:
 
 
 def trial(importer: str, case: str, flavour: str, folder: Path):
-    """(what came out, None) or (None, why not)."""
+    """(result, None) or (None, reason of the failure)."""
     command = [interpreter(importer), str(Path(__file__).with_name("trials.py")), importer, case, flavour, str(folder)]
     libraries = os.pathsep.join([str(Path(sys.prefix, "lib")), os.environ.get("LD_LIBRARY_PATH", "")])
     paths = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])])
@@ -106,7 +106,7 @@ def trial(importer: str, case: str, flavour: str, folder: Path):
 
 
 def judged(shown, allowed: list[np.ndarray]) -> str:
-    """How far from the nearest of what is allowed."""
+    """Distance from the nearest of the allowed outputs."""
     off = min(float(np.max(np.abs(np.array(shown) - right) / np.maximum(np.abs(right), 1.0))) for right in allowed)
     return "same bits" if off == 0.0 else f"off by {off:.0e}" if off < 1e-5 else f"OTHER: {[round(x, 6) for x in shown]}"
 
@@ -128,7 +128,7 @@ def row(importer: str, flavour: str, folder: Path, expected: dict) -> tuple[list
 
 
 def not_python(flavours: list[str]) -> None:
-    """Plant, controller and twin in the host in C and in every checker that is here."""
+    """Plant, controller and twin in the C host and in every checker that is installed."""
     parts = {"plant": PLANT, "controller": ParameterSet(CONTROLLER)}
     parts["twin"] = adaptive(adaptable(parts["plant"], "interop"), BAND)
     print("| host or checker | FMU | exit code: what it printed last |\n|---|---|---|")
@@ -145,7 +145,7 @@ def not_python(flavours: list[str]) -> None:
 
 
 def in_c(folder: Path, fmus: dict) -> None:
-    """A line for each FMU of the host in C, Python FMUs without and with the README's three lines."""
+    """A line for each FMU in the C host; Python FMUs run without and with the README's three lines."""
     try:
         host = hosts.built(folder)
     except CompilerMissing as missing:
@@ -155,9 +155,9 @@ def in_c(folder: Path, fmus: dict) -> None:
     for (what, flavour, version), path in fmus.items():
         with contextlib.closing(Fmu(path)) as fmu:
             ways = {"": ""} | ({" after the three lines": hosts.three_lines()} if flavour == "Python" else {})
-            if flavour == "Python" and (lacks := hosts.no_libpython()):
+            if flavour == "Python" and (reason := hosts.no_libpython()):
                 ways = {"": ""}
-                print(f"| host in C, after the three lines | {what}, {flavour} | not run here: {lacks} |")
+                print(f"| host in C, after the three lines | {what}, {flavour} | not run here: {reason} |")
             for way, lines in ways.items():
                 done = hosts.in_c(host, fmu, lines)
                 last = done.stderr.strip().split(": ", 1)[-1]

@@ -1,7 +1,7 @@
-/* Random sequences of calls on an FMU's source, legal or not: what may come of them is a status, and a message where a call is
- * refused; never a crash, a leak, an endless loop, a number that is none.
+/* Random sequences of calls on an FMU's source, legal or not. Each must return a status, and a message if the call is refused;
+ * a crash, a leak, an endless loop and a NaN are errors.
  *
- * Compiled behind the FMU's one C file with -DVERSION=2 or 3, with the sanitizers where there are any.
+ * Compiled after the FMU's C file with -DVERSION=2 or 3, with the sanitizers where they are available.
  * Usage: fuzz SEED CALLS. */
 
 #include <stdint.h>
@@ -33,7 +33,7 @@ static void hear(const char *category, const char *text) {
   characters += (long)(strlen(category) + strlen(text)); /* reads them all */
 }
 
-/* A copy in a block of its own size: the sanitizer sees what is touched beyond it. */
+/* A copy in a block of exactly its size, so that the sanitizer detects accesses beyond it. */
 static void *copied(const void *values, size_t bytes) {
   void *block = values ? malloc(bytes) : NULL;
   return block ? memcpy(block, values, bytes) : NULL;
@@ -49,7 +49,7 @@ static void *copied(const void *values, size_t bytes) {
     return status;                                                                                                            \
   }
 
-/* What the versions name or hand over in their own ways. Each function is one call. */
+/* Calls whose names or arguments differ between the versions. Each function is one call. */
 
 #if VERSION == 2
 
@@ -75,7 +75,7 @@ static void *instance(void) {
 }
 
 static int enter_at(void *c, double time) {
-  (void)time; /* SetupExperiment tells it */
+  (void)time; /* SetupExperiment sets it */
   return fmi2EnterInitializationMode(c);
 }
 
@@ -88,7 +88,7 @@ EXCHANGE(read_integers, fmi2GetInteger, int)
 EXCHANGE(write_booleans, fmi2SetBoolean, fmi2Boolean)
 EXCHANGE(read_booleans, fmi2GetBoolean, fmi2Boolean)
 
-/* What this version alone asks. */
+/* Calls of this version only. */
 static int special(void *c, const unsigned *r, size_t n, double *x) {
   const int kind = (int)below(5), order[MANY] = {1};
   int whole;
@@ -150,7 +150,7 @@ EXCHANGE(read_integers, fmi3GetInt32, int32_t)
 EXCHANGE(write_booleans, fmi3SetBoolean, bool)
 EXCHANGE(read_booleans, fmi3GetBoolean, bool)
 
-/* As many values as there are; references are as many as `n`. */
+/* Calls with `n` references and a random number of values. */
 static int miscounted(void *c, const unsigned *r, size_t n, const double *x) {
   const size_t there = below(MANY + 1);
   double *values = copied(x, there * sizeof *x);
@@ -165,7 +165,7 @@ static int miscounted(void *c, const unsigned *r, size_t n, const double *x) {
   return status;
 }
 
-/* Types of variables that aren't there, and what belongs to other kinds of FMU. */
+/* Types that no variable has, and functions for other kinds of FMU. */
 static int special(void *c, const unsigned *r, size_t n, double *x) {
   union {
     float float32[MANY];
@@ -247,7 +247,7 @@ static char *bytes;   /* a serialised one, of `size` */
 static size_t size;
 static long steps;
 
-/* Most of the time where the instance is, else somewhere. */
+/* Mostly the instance's time, else a random one. */
 static double when(const Slave *c) { return c && below(8) ? c->time : value(); }
 
 static int drive(void *c) {
@@ -265,11 +265,11 @@ static int advance(void *c, double time, double span) {
   return status;
 }
 
-/* A start in order and some steps, else most of the time would be spent in the error state. */
+/* A legal start and some steps, since random calls mostly end in the error state. */
 static int orderly(void *c) {
   int status = CALL(Reset)(c);
   if (status == OK) status = enter_at(c, 0.0);
-  if (status == OK && N_PARAMETERS && !below(8)) { /* the steps carry all parameters' tangents then, which takes its time */
+  if (status == OK && N_PARAMETERS && !below(8)) { /* then the steps carry the tangents of all parameters, which is slow */
     const unsigned output = N_INPUTS, parameter = FIRST_PARAMETER;
     status = derivatives(c, &output, 1, &parameter, 1, (double[]){1.0}, (double[]){0.0});
   }

@@ -1,6 +1,6 @@
-"""Hosts and checkers that are no Python: a small one in C (`host.c`), and those that may be installed here.
+"""Hosts and checkers without Python: a small host in C (`host.c`), and others if they are installed.
 
-A Python FMU needs an interpreter in its host's process: the three lines of fmu_src/README.md bring it there.
+A Python FMU needs an interpreter in its host's process: the three lines of fmu_src/README.md load it there.
 """
 
 import os
@@ -24,14 +24,14 @@ STEPS, STEP, SHARE = 250, 0.004, 0.6
 
 
 def three_lines() -> str:
-    """What the README tells a user to type before a host that is no Python."""
+    """The README's shell lines for a host without Python."""
     page = (Path(fmu_src.__file__).parent / "README.md").read_text()
     lines = re.findall(r"^    (export (?:LD_PRELOAD|PYTHONHOME|PYTHONPATH)=.*)$", page, re.MULTILINE)
     return "\n".join(lines)
 
 
 def no_libpython() -> str:
-    """Why this Python can't be brought into another process; empty: it can."""
+    """Why this Python cannot be loaded into another process; empty if it can."""
     shared = Path(sysconfig.get_config_var("LIBDIR") or "", sysconfig.get_config_var("INSTSONAME") or "none")
     if sys.platform != "linux":
         return "LD_PRELOAD is Linux's"
@@ -39,14 +39,14 @@ def no_libpython() -> str:
 
 
 def built(folder: Path) -> Path:
-    """`host.c`, compiled. CompilerMissing."""
+    """Compile `host.c`. Raises CompilerMissing."""
     source = Path(__file__).with_name("host.c")
     subprocess.run([compiler(), "-std=gnu99", "-O1", "-w", str(source), "-o", "host", "-ldl"], cwd=folder, check=True)
     return folder / "host"
 
 
 def started(command: Sequence[str | Path], lines: str = "", folder: Path | None = None) -> subprocess.CompletedProcess:
-    """A command after these lines of shell, with this Python as `python3`."""
+    """Run a command after these lines of shell, with this Python as `python3`."""
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     clean = {name: text for name, text in os.environ.items() if not name.startswith("PYTHON")}
     shell = ["sh", "-c", f'{lines}\nexec "$@"', "sh", *map(str, command)]
@@ -56,7 +56,7 @@ def started(command: Sequence[str | Path], lines: str = "", folder: Path | None 
 
 
 def in_c(host: Path, fmu: Fmu, lines: str = "") -> subprocess.CompletedProcess:
-    """An FMU in the host in C: its Real outputs, a line each."""
+    """Run an FMU in the C host; it prints the Real outputs, one a line."""
     given = next(v for v in fmu.variables.values() if v.causality == "input")
     shown = [v.valueReference for v in fmu.variables.values() if v.causality == "output" and v.type == "Real"]
     value = SHARE * float(given.nominal or 1.0)
@@ -66,11 +66,11 @@ def in_c(host: Path, fmu: Fmu, lines: str = "") -> subprocess.CompletedProcess:
 
 @dataclass(frozen=True)
 class Checker:
-    """A program that may be installed: `variable` of the environment names it, else it is found by one of `names` beside this
-    Python or on PATH.
+    """An optional program: `variable` of the environment names it, else it is found by one of `names` beside this Python or on
+    PATH.
 
-    `versions`: of FMI that it knows. `options`: before the FMU's name. `verdict`: a pattern of the lines that it is shown by
-    (default: the last).
+    `versions`: FMI versions that it knows. `options`: words before the FMU's name. `verdict`: pattern of the lines that have
+    its result (default: the last line).
     """
 
     name: str
@@ -81,7 +81,7 @@ class Checker:
     verdict: str = ""
 
     def program(self) -> list[str]:
-        """The words that start it; none where it is not there. A .jar needs java."""
+        """The words that start it; none if it is not installed. A .jar needs java."""
         places = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
         there = filter(None, map(partial(shutil.which, path=places), self.names))
         found = os.environ.get(self.variable) or next(there, None)
@@ -91,7 +91,7 @@ class Checker:
         return [found] if found else []
 
     def said(self, done: subprocess.CompletedProcess) -> str:
-        """What it says of an FMU."""
+        """Its result for an FMU."""
         lines = (done.stdout.strip() or done.stderr.strip()).splitlines()
         return " ".join([line for line in lines if re.search(self.verdict, line)] if self.verdict else lines[-1:])
 
@@ -107,8 +107,8 @@ CHECKERS = (
 
 
 def checked(fmus: Mapping[tuple[str, str, str], Path]) -> list[str]:
-    """A table's line for each checker and FMU, by (model, flavour, version of FMI): exit code, and the last line printed; one
-    line for a checker that is not here. Python FMUs are run after the README's three lines."""
+    """A table row for each checker and FMU, by (model, flavour, version of FMI): exit code and result; one row for a checker
+    that is not installed. Python FMUs run after the README's three lines."""
     rows = []
     for checker in CHECKERS:
         program = checker.program()

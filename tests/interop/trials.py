@@ -1,7 +1,7 @@
-"""One importer, one case, one FMU flavour: run in a process of its own, since an importer may crash.
+"""One importer, one case, one FMU flavour, run in a separate process because an importer may crash.
 
-python tests/interop/trials.py IMPORTER CASE FLAVOUR FOLDER prints the outcome as JSON: the plant's outputs at the end, for
-`twice` of both runs.
+python tests/interop/trials.py IMPORTER CASE FLAVOUR FOLDER prints the plant's outputs at the end as JSON, for `twice` those of
+both runs.
 """
 
 import csv
@@ -17,7 +17,7 @@ STEP, BEFORE, STEPS = 0.004, 1, 250  # s; communication steps at rest, then unde
 COMMANDS = {"omega_ref": 5000.0, "beta_ref": 3.0}
 OUTPUTS = ("thrust", "omega", "beta", "torque", "power", "efficiency")
 REFERENCES = [2 + k for k in range(len(OUTPUTS))]
-"""Behind the two inputs."""
+"""Value references of the outputs, after those of the two inputs."""
 
 LOOP_STEPS, WANTED = 500, 7.6  # N: halfway, as `vpp export` sets it in a loop
 
@@ -127,7 +127,7 @@ class EcosCommand:
 
     def _run(self, path, instance, *more):
         shipped = Path(find_spec("ecospy").origin).parent / "binaries" / ("ecos.exe" if os.name == "nt" else "ecos")
-        program = Path.cwd() / shipped.name  # as installed it may not be run
+        program = Path.cwd() / shipped.name  # the installed file may not be executable
         program.write_bytes(shipped.read_bytes())
         program.chmod(program.stat().st_mode | stat.S_IXUSR)
         options = ["--path", path, "--stepSize", STEP, "--stopTime", (LOOP_STEPS + 0.5) * STEP, "-l", "err", *more]

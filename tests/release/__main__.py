@@ -1,9 +1,9 @@
-"""Builds wheel and sdist into build/dist, checks them, and tries the wheel in a clean environment of each Python there is.
+"""Builds wheel and sdist into build/dist, checks them, and tries the wheel in a clean environment of each Python found.
 
     python -m tests.release                 # all Pythons from 3.10 on that are on PATH or under pyenv
     python -m tests.release --pythons 3.12
 
-Prints a table, and ends with 1 if a cell is not "ok". Everything runs outside the checkout: what is tried is the wheel.
+Prints a table, and ends with 1 if a cell is not "ok". Everything runs outside the checkout, so that the wheel is tested.
 """
 
 import argparse
@@ -21,7 +21,7 @@ DIST = ROOT / "build" / "dist"
 VERSIONS = ("3.10", "3.11", "3.12", "3.13")
 
 API = ("test_api.py", "conftest.py", "builders.py", "stalls.py", "hil/quick_vpp.py")
-"""The tests of the public names, and what they import from their folder."""
+"""The tests of the public names, and the files of their folder that they import."""
 
 
 def main() -> int:
@@ -50,7 +50,7 @@ def main() -> int:
 def build() -> tuple[Path, Path]:
     """Wheel and sdist of the checkout."""
     shutil.rmtree(DIST, ignore_errors=True)
-    shutil.rmtree(ROOT / "build" / "lib", ignore_errors=True)  # setuptools would pack what it finds there
+    shutil.rmtree(ROOT / "build" / "lib", ignore_errors=True)  # setuptools would pack old files from there
     subprocess.run([sys.executable, "-m", "build", "--outdir", str(DIST), str(ROOT)], check=True, capture_output=True)
     (wheel,), (sdist,) = DIST.glob("*.whl"), DIST.glob("*.tar.gz")
     for path in (wheel, sdist):
@@ -59,9 +59,9 @@ def build() -> tuple[Path, Path]:
 
 
 def check(wheel: Path, sdist: Path) -> bool:
-    """Whether an index would take both."""
+    """Whether a package index would accept both."""
     found = True
-    # W004 is for cli/import.py: a verb's module has the verb's name, also where that is a keyword
+    # W004 concerns cli/import.py: a verb's module has the verb's name, even if that is a keyword
     contents = ["--toplevel", "vpp_fmu,fmu_src,identification,hil", "--ignore", "W004", str(wheel)]
     checks = (
         [sys.executable, "-m", "twine", "--no-color", "check", "--strict", str(wheel), str(sdist)],
@@ -112,7 +112,7 @@ def api_tested(own: Path, pip: list[str], folder: Path) -> str:
 
 
 def ran(command: list[str], folder: Path, needed: tuple[Path, ...] = ()) -> str:
-    """ "ok" with the seconds it took, or the last line that was printed; outside the checkout, and without its path."""
+    """ "ok" with the seconds, or the last line printed, of a command outside the checkout and without its path."""
     hidden = ("PYTHONPATH", "PYENV_VERSION", "VIRTUAL_ENV")
     clean = {name: text for name, text in os.environ.items() if name not in hidden} | {"OMP_NUM_THREADS": "1"}
     began = time.monotonic()

@@ -1,4 +1,4 @@
-"""Code blocks of the site's pages: what a reader would type, in order, and what runs it."""
+"""Code blocks of the site's pages, in order: commands and scripts for a reader to type, and the tests that run them."""
 
 import re
 from collections.abc import Iterator
@@ -17,8 +17,8 @@ _TYPED = re.compile(rf"^(?:\$ )?(?:\.?venv/bin/)?(?:{_COMMANDS}) ", re.M)
 
 @dataclass(frozen=True)
 class Block:
-    """`kind`: sh, python, text, json, or "" where the page gives none. `file`: the name it is saved under. `skipped`: reason or
-    test, empty if it is to be run; `run_by`: that test."""
+    """`kind`: sh, python, text, json, or "" where the page gives none. `file`: its file name. `skipped`: reason, or the test
+    that runs it; empty if it is to be run. `run_by`: that test."""
 
     page: str
     kind: str
@@ -34,13 +34,13 @@ class Block:
 
     @property
     def vpp(self) -> list[str]:
-        """Its commands of `vpp`, without that word."""
+        """Its `vpp` commands, without that word."""
         return _VPP.findall(self.text) if self.kind in ("", "sh") else []
 
 
 @dataclass(frozen=True)
 class Page:
-    """A page: its blocks; `after`: the page in whose folder it goes on; about how many `seconds` its blocks take."""
+    """A page: its blocks; `after`: the page in whose folder it continues; `seconds`: approximate time of its blocks."""
 
     name: str
     blocks: tuple[Block, ...]
@@ -49,7 +49,7 @@ class Page:
 
 
 def pages() -> list[Page]:
-    """All pages that are written by hand, with what they include."""
+    """All pages that are written by hand, with the texts that they include."""
     return [page(path.relative_to(DOCS).as_posix()) for path in sorted(DOCS.rglob("*.md"))]
 
 

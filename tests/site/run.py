@@ -1,4 +1,4 @@
-"""Runs the blocks of a page in their order, in a folder of its own."""
+"""Runs the blocks of a page in their order, in a separate folder."""
 
 import contextlib
 import io
@@ -18,7 +18,7 @@ class Failed(Exception):
 
 
 def run(found: Page, folder: Path, done: dict[str, Path]) -> Path:
-    """The folder in which a page has been run; `done`: pages that were run before, by name. Failed."""
+    """Run a page and return its folder; `done`: folders of the pages that were run before, by name. Raises Failed."""
     if found.name in done:
         return done[found.name]
     before = run(page(found.after), folder, done) if found.after else None
@@ -42,7 +42,7 @@ def run(found: Page, folder: Path, done: dict[str, Path]) -> Path:
 
 
 def _python(block: Block, folder: Path, names: dict) -> str:
-    """What a script prints; the scripts of a page share their names, as a reader's session does."""
+    """Output of a script; the scripts of a page share their variables, as in a reader's session."""
     printed = io.StringIO()
     before = Path.cwd()
     os.chdir(folder)
@@ -57,7 +57,7 @@ def _python(block: Block, folder: Path, names: dict) -> str:
 
 
 def _shell(block: Block, folder: Path) -> str:
-    """What commands print; the first that fails ends them."""
+    """Output of commands, which end at the first failure."""
     here = str(Path(sys.executable).parent)
     project = str(Path(__file__).parents[2])
     environment = os.environ | {"PATH": f"{here}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": project}
@@ -71,7 +71,7 @@ def _shell(block: Block, folder: Path) -> str:
 
 
 def _expect(block: Block, printed: str) -> None:
-    """A text behind commands is a part of what they print; "..." stands for anything."""
+    """Check that a text after commands is a part of their output; "..." matches anything."""
     pattern = ".*".join(re.escape(part) for part in block.text.strip().split("..."))
     if not re.search(pattern, printed, flags=re.S):
         raise Failed(f"{block.page}: the page says\n{block.text}\nprinted was\n{printed}")

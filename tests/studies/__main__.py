@@ -1,6 +1,6 @@
-"""python -m tests.studies NAME [options]: what the estimates are worth, on data whose truth is known.
+"""python -m tests.studies NAME [options]: the quality of the estimates, on data whose truth is known.
 
-A study states what it aims at and prints what came out beside it. NAME is one of the modules of this folder.
+A study prints its results beside its aims. NAME is one of the modules of this folder.
 """
 
 import argparse

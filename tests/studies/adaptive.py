@@ -1,9 +1,10 @@
-"""python -m tests.studies adaptive: what the adaptive twin learns and finds, how often it finds what is none, what it costs.
+"""python -m tests.studies adaptive: errors, alarms, false alarms and computing time of the adaptive twin.
 
-Three parts. (a) A rig that is its model, with the noises that the twin assumes: adapted parameters beside the Cramer-Rao bound
-of the same record (information of the whole record, by numpy), coverage of the band, and hours without excitation. (b) Changes:
-on rigs that are their model, where the truth is known, and on the emulated rigs of `tests.studies.twin`, each with a campaign
-and identified; and hours on the latter in which nothing changes, by three kinds of commands. (c) Microseconds.
+Three parts. (a) Rigs that equal their model, with the noise that the twin assumes: errors of the adapted parameters over the
+Cramer-Rao bound of the same record (information of the whole record, by numpy), coverage of the band, and hours without
+excitation. (b) Changes on rigs that equal their model, where the truth is known, and on the emulated rigs of
+`tests.studies.twin`, each identified from a campaign; then hours on the latter without a change, under three kinds of commands.
+(c) Microseconds a step.
 
 All of it is compiled and runs in virtual time. Aims: within 1.2 of the bound; 93 to 97 % in the band; no change missed, and no
 more than one false alarm in 100 h.
@@ -51,19 +52,19 @@ from vpp_fmu.parameters import ParameterSet
 
 CHANGES = ("thrust x 0.85", "pitch +1 deg", "slow lag x 1.5", "drift 0.01 N/s")
 OF = ("sensor_gain.gain", "pitch_offset.offset", "lag", "sensor_drift.offset")
-"""What adapts to each; the lag is the pitch's slower one."""
+"""The parameter that adapts to each change; the lag is the pitch's slower one."""
 
 BEGIN = 120.0
-"""s after which a change begins: by then the twin knows its rig."""
+"""s until a change begins; the twin has converged by then."""
 
-STANDS = 4.0
-"""s for which commands stand before a change of a lag: both models have settled then, and one takes over from the other."""
+STEADY = 4.0
+"""s of constant commands before a change, so that both models have settled when one replaces the other."""
 
 DRIFTS = 100.0
-"""s that a drift lasts; what is then is its truth."""
+"""s that a drift lasts; its final value is the truth."""
 
 CONSTANT = Band(0.12, 0.047, 0.15, 0.03, 0.0)
-"""Of the rigs that are their model: the emulated load cell's noise, and a map that is right to 0.03 N."""
+"""Band of the rigs that equal their model: the emulated load cell's noise, and a map that is right to 0.03 N."""
 
 
 def main(arguments: list[str]) -> None:
@@ -97,12 +98,12 @@ def constant(seed: int) -> tuple[np.ndarray, np.ndarray, float]:
     rng = np.random.default_rng([seed, 5])
     rows = round(900.0 / DT)
     orders = commands.validation(int(rng.integers(2**31)), 900.0, DT)
-    told = {name: orders[name][:rows] for name in ("omega_ref", "beta_ref")}
+    given = {name: orders[name][:rows] for name in ("omega_ref", "beta_ref")}
     parameters = _own()
     twin, adapted = adaptive(parameters, CONSTANT), _adapted(adaptive(parameters, CONSTANT))
     plain = Simulator(parameters.model, adapted)
-    shown, slopes = plain.sensitivities(parameters.values, told, np.full(rows - 1, DT))
-    moves, gone = _moves(parameters.values, shown, told)
+    shown, slopes = plain.sensitivities(parameters.values, given, np.full(rows - 1, DT))
+    moves, gone = _moves(parameters.values, shown, given)
     fading, staying = _variances(twin.values, moves, gone)
     nodes = _at_nodes(parameters.values, shown)
     noise = _markov(rng, fading, exp(-DT / CONSTANT.slow_time)) + _markov(rng, *staying)
@@ -110,7 +111,7 @@ def constant(seed: int) -> tuple[np.ndarray, np.ndarray, float]:
     thrust = shown[:, 0] + noise + CONSTANT.white * rng.standard_normal(rows)
     lasting = _lasting(twin.values, shown[:, 1])
     speed = shown[:, 1] + np.sqrt(lasting) * rng.standard_normal(rows)
-    found = _ran(twin, told | {"thrust": thrust, "omega": speed})
+    found = _ran(twin, given | {"thrust": thrust, "omega": speed})
     errors = np.array([found[f"adapted.{name}"][-1] - parameters.values[name] for name in adapted])
     bound = _bound(twin.values, slopes, nodes, fading, staying, lasting, adapted)
     inside = np.mean(np.abs(found["residual"][rows // 10 :]) < found["band"][rows // 10 :])
@@ -119,7 +120,7 @@ def constant(seed: int) -> tuple[np.ndarray, np.ndarray, float]:
 
 @cache
 def _own() -> ParameterSet:
-    """A plant that adapts from its own values on, as from a campaign that knew them to nothing."""
+    """A plant whose adaptation begins at its own values, without uncertainties of a campaign."""
     return ParameterSet(plant(BROUGHT))
 
 
@@ -127,9 +128,9 @@ def _adapted(twin: ParameterSet) -> tuple[str, ...]:
     return tuple(y.name.removeprefix("adapted.") for y in twin.model.outputs if y.name.startswith("adapted."))
 
 
-def _moves(values: dict[str, float], shown: np.ndarray, told: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """(N that is left of the thrust's moves, and still to come; distance that the place has gone) at each row: the model's own
-    definitions, in numpy."""
+def _moves(values: dict[str, float], shown: np.ndarray, given: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """(recent and pending moves of the thrust [N], distance by which the place has moved) at each row: the model's definitions
+    in numpy."""
     w, b = shown[:, 1] / values["omega_scale"], (shown[:, 2] + values["beta_offset"]) / values["beta_scale"]
 
     def mapped(w, b):
@@ -141,14 +142,14 @@ def _moves(values: dict[str, float], shown: np.ndarray, told: dict[str, np.ndarr
 
     moved = path(w[:-1], b[:-1], w[1:], b[1:])
     to_speed, to_pitch = (
-        told["omega_ref"] / values["omega_scale"],
-        (told["beta_ref"] + values["beta_offset"]) / values["beta_scale"],
+        given["omega_ref"] / values["omega_scale"],
+        (given["beta_ref"] + values["beta_offset"]) / values["beta_scale"],
     )
     to_come = path(w[1:], b[1:], to_speed[:-1], to_pitch[:-1])
-    moves, left = np.zeros(len(w)), HALVES ** (DT / BLOCK)
+    moves, decay = np.zeros(len(w)), HALVES ** (DT / BLOCK)
     gone, at = np.zeros(len(w)), np.array([w[0], b[0]])
     for k in range(1, len(w)):
-        moves[k] = left * moves[k - 1] + moved[k - 1]
+        moves[k] = decay * moves[k - 1] + moved[k - 1]
         away = np.array([w[k], b[k]]) - at
         distance = sqrt(away @ away)
         if distance > 0.5 * PLACE:
@@ -158,7 +159,7 @@ def _moves(values: dict[str, float], shown: np.ndarray, told: dict[str, np.ndarr
 
 
 def _at_nodes(values: dict[str, float], shown: np.ndarray) -> np.ndarray:
-    """Shares (rows, nodes) of a model's error at the nodes in what it is off at each row: scipy's interpolation of ones."""
+    """Weights (rows, nodes) of a model's errors at the nodes in its error at each row: scipy's interpolation of ones."""
     w, b = shown[:, 1] / values["omega_scale"], (shown[:, 2] + values["beta_offset"]) / values["beta_scale"]
     at = np.column_stack([np.clip(x, nodes[0], nodes[-1]) for x, nodes in zip((w, b), NODES, strict=True)])
     ones = np.eye(len(NODES[0]) * len(NODES[1])).reshape(len(NODES[0]), len(NODES[1]), -1)
@@ -166,7 +167,7 @@ def _at_nodes(values: dict[str, float], shown: np.ndarray) -> np.ndarray:
 
 
 def _variances(values, moves, gone):
-    """(variance of the noise that fades, (that of the rest of the model's error in place, what a row keeps of it)), (rows,)."""
+    """(variance of the fading noise, (variance of the model's other error by place, share that a row keeps of it)), (rows,)."""
     share = values["slow_time"] / BLOCK
     averaged = 2.0 * share * (1.0 - share * (1.0 - exp(-1.0 / share)))
     fading = values["slow"] ** 2 + (values["moving"] ** 2 / averaged + ON_THE_WAY**2) * moves**2
@@ -174,7 +175,7 @@ def _variances(values, moves, gone):
 
 
 def _lasting(values, speed: np.ndarray) -> np.ndarray:
-    """Variance of each reading of the speed as if it were white, (rows,)."""
+    """Equivalent white variance of each speed reading, (rows,)."""
     turned = lfilter([1.0], [1.0, -(HALVES ** (DT / BLOCK))], np.abs(np.diff(speed, prepend=speed[0])))
     off = values["speed_error"] ** 2 + (SPEED_ON_THE_WAY * turned) ** 2
     return off * 2.0 * values["slow_time"] / DT
@@ -190,8 +191,8 @@ def _markov(rng, variance, keeps) -> np.ndarray:
 
 
 def _bound(values, slopes, nodes, fading, staying, lasting, adapted) -> np.ndarray:
-    """Standard deviations by the information of the record: its noises' own innovations whiten the slopes by parameters and by
-    the model's error at the nodes, priors added."""
+    """Standard deviations from the information of the record. The noise's innovations whiten the slopes by the parameters and
+    by the model's errors at the nodes; priors are added."""
     a, P, gone = exp(-DT / values["slow_time"]), np.diag([fading[0], staying[0][0]]), staying[1]
     by = np.column_stack([slopes[:, 0], nodes])
     taken = np.zeros((2, by.shape[1]))
@@ -202,11 +203,11 @@ def _bound(values, slopes, nodes, fading, staying, lasting, adapted) -> np.ndarr
         P = P * np.outer(keeps, keeps) + np.diag((1.0 - keeps**2) * [fading[k], staying[0][k]])
         taken = taken * keeps[:, None]
         S = P.sum() + values["white"] ** 2
-        left = by[k] - taken.sum(axis=0)
+        slope = by[k] - taken.sum(axis=0)
         gain = P.sum(axis=1) / S
-        taken = taken + np.outer(gain, left)
+        taken = taken + np.outer(gain, slope)
         P = P - np.outer(gain, gain) * S
-        information += np.outer(left, left) / S
+        information += np.outer(slope, slope) / S
     own = slice(len(adapted))
     information[own, own] += slopes[:, 1].T @ (slopes[:, 1] / lasting[:, None])
     return np.sqrt(np.diag(np.linalg.inv(information)))[own]
@@ -217,7 +218,7 @@ IDLE = 10
 
 
 def idle_hours(seed: int, hours: int = IDLE) -> dict[str, float]:
-    """By how much of its standard deviation each parameter goes in hours at one set-point, after the first minute there."""
+    """Range of each parameter over its standard deviation in hours at one set-point, after the first minute; and the alarms."""
     parameters = _own()
     twin, rng = adaptive(parameters, CONSTANT), np.random.default_rng([seed, 6])
     rows = round(hours * 3600.0 / DT)
@@ -261,12 +262,12 @@ def _ran(twin: ParameterSet, inputs: dict[str, np.ndarray]) -> dict[str, np.ndar
 
 
 def twin_of(one: Known) -> ParameterSet:
-    """As `vpp hil run --twin` makes it of what a campaign gave."""
+    """The twin of an identified rig, as `vpp hil run --twin` makes it."""
     return adaptive(ParameterSet(plant(BROUGHT)).replaced(one.values, one.std), one.band)
 
 
 def tachometer(omega: np.ndarray) -> np.ndarray:
-    """A speed [rpm] as one mark a turn tells it: the mean of the last whole turn, held until the next."""
+    """A speed [rpm] as one mark a turn measures it: the mean of the last whole turn, held until the next."""
     turns = np.concatenate([[0.0], np.cumsum(0.5 * (omega[1:] + omega[:-1]) / 60.0 * DT)])
     marks = np.interp(np.arange(int(turns[-1]) + 1), turns, np.arange(len(omega)) * DT)
     read = np.concatenate([omega[:1], 60.0 / np.diff(marks)])
@@ -274,8 +275,8 @@ def tachometer(omega: np.ndarray) -> np.ndarray:
 
 
 def followed(seed: int, known: list[Known] | None = None) -> list[tuple[float, float, str]]:
-    """Of each change: s to the alarm (NaN: none, negative: before), s until what adapts to it stays within 10 % of the truth,
-    and what the alarm pointed to. `known`: emulated rigs; None: rigs that are their model."""
+    """For each change: s to the alarm (NaN: none, negative: before), s until its parameter stays within 10 % of the truth, and
+    the parameter that the alarm names. `known`: emulated rigs; None: rigs that equal their model."""
     found = []
     for k, change in enumerate(CHANGES):
         rng = np.random.default_rng([seed, 7, k])
@@ -285,20 +286,20 @@ def followed(seed: int, known: list[Known] | None = None) -> list[tuple[float, f
             one = known[seed % len(known)]
             twin, values = twin_of(one), one.values
         orders = commands.validation(int(rng.integers(2**31)), BEGIN + WATCHED, DT)
-        told = {name: np.array(orders[name]) for name in ("omega_ref", "beta_ref")}
-        after, stands = orders.time >= BEGIN, (orders.time >= BEGIN - STANDS) & (orders.time < BEGIN)
-        for column in told.values():
-            column[stands] = column[np.flatnonzero(stands)[0]]
+        given = {name: np.array(orders[name]) for name in ("omega_ref", "beta_ref")}
+        after, still = orders.time >= BEGIN, (orders.time >= BEGIN - STEADY) & (orders.time < BEGIN)
+        for column in given.values():
+            column[still] = column[np.flatnonzero(still)[0]]
         lag = _adapted(twin)[3]
-        thrust, speed = _shown(change, told, after, lag, values, None if known is None else one.own)
+        thrust, speed = _shown(change, given, after, lag, values, None if known is None else one.own)
         if change.startswith("drift"):
             thrust = thrust + 0.01 * np.clip(orders.time - BEGIN, 0.0, DRIFTS)
-        shown = _ran(twin, told | {"thrust": thrust + _noise(rng, len(thrust)), "omega": tachometer(speed)})
+        shown = _ran(twin, given | {"thrust": thrust + _noise(rng, len(thrust)), "omega": tachometer(speed)})
         found.append(_judged(change, OF[k] if OF[k] != "lag" else lag, shown, orders.time, _adapted(twin)))
     return found
 
 
-def _shown(change, told, after, lag, values, own) -> tuple[np.ndarray, np.ndarray]:
+def _shown(change, given, after, lag, values, own) -> tuple[np.ndarray, np.ndarray]:
     """Thrust [N] and speed [rpm] without noise of a rig in which something changes at BEGIN."""
     steps = np.full(len(after) - 1, DT)
 
@@ -308,11 +309,11 @@ def _shown(change, told, after, lag, values, own) -> tuple[np.ndarray, np.ndarra
         return _rig().simulate(own | changed, orders, steps)
 
     if change.startswith("pitch"):
-        return run({}, told | {"beta_ref": told["beta_ref"] + after}).T[:2]
-    shown = run({}, told)
+        return run({}, given | {"beta_ref": given["beta_ref"] + after}).T[:2]
+    shown = run({}, given)
     if change.startswith("slow"):
-        # An emulated actuator has no lag that is a number: its loop's gain falls by as much.
-        slower = run({lag: 1.5 * values[lag]} if own is None else {"kp_lac": own["kp_lac"] / 1.5}, told)
+        # The emulated actuator has no lag as a parameter; its loop's gain is decreased by the same factor.
+        slower = run({lag: 1.5 * values[lag]} if own is None else {"kp_lac": own["kp_lac"] / 1.5}, given)
         shown = np.where(after[:, None], slower, shown)
     return shown[:, 0] * np.where(after & change.startswith("thrust"), 0.85, 1.0), shown[:, 1]
 
@@ -328,8 +329,8 @@ def _model_names() -> frozenset[str]:
 
 
 def _judged(change, name, shown, at, adapted) -> tuple[float, float, str]:
-    rises = np.flatnonzero(np.diff(shown["alarm"], prepend=0.0) > 0.5)
-    before, later = rises[at[rises] < BEGIN], rises[at[rises] >= BEGIN]
+    onsets = np.flatnonzero(np.diff(shown["alarm"], prepend=0.0) > 0.5)
+    before, later = onsets[at[onsets] < BEGIN], onsets[at[onsets] >= BEGIN]
     when = at[before[0]] - BEGIN if len(before) else at[later[0]] - BEGIN if len(later) else np.nan
     reached = shown[f"adapted.{name}"]
     was = float(reached[at < BEGIN][-1])
@@ -376,7 +377,7 @@ def _undisturbed(kind: str, rng: np.random.Generator, one: Known) -> dict[str, n
 
 
 def microseconds() -> dict[str, float]:
-    """Of a step of 4 ms: plant and twin, native and Python, alone; and plant, controller and twin in one loop through fmpy."""
+    """Of a step of 4 ms: plant and twin alone, native and Python; and plant, controller and twin in one loop through fmpy."""
     twin, found = adaptive(_own(), CONSTANT), {}
     parts = {"plant": ParameterSet(plant()), "controller": ParameterSet(CONTROLLER), "twin": twin}
     with tempfile.TemporaryDirectory() as folder:
@@ -391,9 +392,9 @@ def microseconds() -> dict[str, float]:
                 files[role], steps[role] = (fmu, one), one.stepper(DT)
 
             def loop(k: int, steps=steps) -> None:
-                told = steps["controller"]((6.0, 5.0 + 0.01 * (k % 7)))
-                shown = steps["plant"](told)
-                steps["twin"]((*told, shown[0], shown[1], 0.0))
+                acting = steps["controller"]((6.0, 5.0 + 0.01 * (k % 7)))
+                shown = steps["plant"](acting)
+                steps["twin"]((*acting, shown[0], shown[1], 0.0))
 
             found[f"plant, {flavour} FMU"] = _best(lambda k, step=steps["plant"]: step((4000.0, 4.0)))
             found[f"twin, {flavour} FMU"] = _best(
@@ -417,7 +418,7 @@ def microseconds() -> dict[str, float]:
 
 
 def _best(step, batch: int = 200) -> float:
-    """us a call, in the best of many batches: others use the machine, too."""
+    """us a call, in the best of many batches, because the machine is shared."""
     best = np.inf
     for _ in range(20):
         began = time.perf_counter()
@@ -442,8 +443,8 @@ def _show_constant(found) -> None:
 
 def _show_idle(found: dict[str, float]) -> None:
     moved = max(value for name, value in found.items() if name != "alarms")
-    told = f"a parameter goes through {moved:.2f} of its standard deviation at most, {found['alarms']:.0f} alarms"
-    print(f"\n{IDLE} h at one set-point: {told}")
+    moves = f"a parameter goes through {moved:.2f} of its standard deviation at most, {found['alarms']:.0f} alarms"
+    print(f"\n{IDLE} h at one set-point: {moves}")
 
 
 def _show_changes(what: str, found) -> None:
@@ -457,9 +458,9 @@ def _show_changes(what: str, found) -> None:
         median, late = (np.quantile(right, q, method="higher") if len(right) else np.nan for q in (0.5, 0.95))
         there = np.where(np.isnan(settled), np.inf, settled)
         usual, slow = (np.quantile(there, q, method="higher") for q in (0.5, 0.95))
-        told = ", ".join(f"{name or 'nothing'} {n}" for name, n in Counter(points).most_common())
+        causes = ", ".join(f"{name or 'nothing'} {n}" for name, n in Counter(points).most_common())
         line = f"{change:16} {len(when):5} {median:6.1f} {late:6.1f} {np.sum(np.isnan(when)):7} {np.sum(when < 0.0):7}"
-        print(f"{line} {usual:8.1f} {slow:6.1f} {np.sum(np.isinf(there)):6}  {told}")
+        print(f"{line} {usual:8.1f} {slow:6.1f} {np.sum(np.isinf(there)):6}  {causes}")
 
 
 def _show_alarms(found) -> None:

@@ -1,5 +1,5 @@
-"""What `import vpp_fmu` costs, and every public name of it: seconds of a fresh interpreter beyond those of an empty one. Then
-the package as a wheel, installed in an environment outside the checkout: the example of every public docstring runs there."""
+"""Seconds that `import vpp_fmu` and each of its public names take in a fresh interpreter, beyond those of an empty one. Then
+the package is installed as a wheel outside the checkout, and the example of every public docstring runs there."""
 
 import argparse
 import os
@@ -14,7 +14,7 @@ from pathlib import Path
 import vpp_fmu
 
 AIM = 0.2
-"""s for the import of the package; names are paid for when they are used."""
+"""s for the import of the package; names are loaded when they are used."""
 
 ROOT = Path(__file__).parents[2]
 
@@ -35,7 +35,7 @@ print(f"{run} examples of {names} names of {len(vpp.__all__)} run, none fails")
 
 
 def seconds(code: str, times: int) -> float:
-    """The least of several fresh interpreters."""
+    """Seconds of the fastest of several fresh interpreters."""
     return min(_once(code) for _ in range(times))
 
 
@@ -46,8 +46,8 @@ def _once(code: str) -> float:
 
 
 def from_wheel(folder: Path) -> list[str]:
-    """What the examples say, run from a wheel of the checkout in an environment in `folder`. The package comes from there, what
-    it needs from this environment. SystemExit, with what failed, where an example does."""
+    """Output of the examples, run from a wheel of the checkout in an environment in `folder`; dependencies come from this
+    environment. Raises SystemExit, with the failure, if an example fails."""
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
     subprocess.run([*pip, "wheel", "--no-deps", "--wheel-dir", str(folder), str(ROOT)], check=True)
     (wheel,) = folder.glob("*.whl")
@@ -57,9 +57,9 @@ def from_wheel(folder: Path) -> list[str]:
     # A checkout on this environment's path must not pass for an installation there.
     install = [*pip, "--python", str(home / "bin" / "python"), "install", "--no-deps", "--ignore-installed", str(wheel)]
     subprocess.run(install, check=True)
-    needed = {"PYTHONPATH": sysconfig.get_path("purelib"), "PATH": os.environ["PATH"]}  # its .pth files do not count there
-    told = [home / "bin" / "python", "-c", EXAMPLES]
-    done = subprocess.run(told, check=False, cwd=empty, env=needed, capture_output=True, text=True)
+    needed = {"PYTHONPATH": sysconfig.get_path("purelib"), "PATH": os.environ["PATH"]}  # its .pth files have no effect there
+    command = [home / "bin" / "python", "-c", EXAMPLES]
+    done = subprocess.run(command, check=False, cwd=empty, env=needed, capture_output=True, text=True)
     if done.returncode:
         raise SystemExit(f"{done.stdout}{done.stderr}".rstrip())
     return done.stdout.splitlines()

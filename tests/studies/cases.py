@@ -1,4 +1,4 @@
-"""Cases of the blind studies: which rig hides what, and what was measured on it.
+"""Cases of the blind studies: a rig, its hidden effects, and the records measured on it.
 
 Each is drawn from its own name and seed, so it can be run again alone.
 """
@@ -27,21 +27,21 @@ RATES = (100, 250, 500, 1000)
 """Hz."""
 
 SECONDS = (15.0, 120.0)
-"""Of the open-loop record, log-uniform."""
+"""Range of the open-loop record's length, log-uniform."""
 
 LEVELS = (0.5, 2.0)
-"""Of the noise, log-uniform."""
+"""Range of the noise level, log-uniform."""
 
 REFERENCE = 3.0 / 4.0
 """Share of the campaigns that have a static map, and of those that have steps."""
 
 WEAKEST = {"single": 0.0}
-"""Strength from which a case of this kind draws; others from HALF."""
+"""Lowest strength that is drawn for this kind of case; HALF for others."""
 
 HALF = 0.5
 
 UNSEEN = 45.0
-"""s of the record that no diagnosis sees, on the paper's rig."""
+"""s of the hold-out record, on the paper's rig."""
 
 
 WHOLE = {"repeat": True, "validation": True, "static": True, "steps": True}
@@ -50,8 +50,8 @@ WHOLE = {"repeat": True, "validation": True, "static": True, "steps": True}
 
 @dataclass(frozen=True)
 class Factors:
-    """What a campaign is like. `strength` of what is hidden, from 0, its least size, to 1; `level` of the noise over the shared
-    records'; `locked`: whether records start on the rotor's mark; `seconds` and which files, as `rig.Files`."""
+    """Factors of a campaign. `strength` of the hidden effects, from 0 (the smallest size) to 1; `level`: noise over that of the
+    shared records; `locked`: whether records start on the rotor's mark; `seconds` and files as in `rig.Files`."""
 
     size: str
     rate: int
@@ -67,13 +67,13 @@ class Factors:
 
     @property
     def files(self) -> Files:
-        """Of the campaign."""
+        """Files of the campaign."""
         return Files(self.seconds, self.repeat, self.validation, self.static, self.steps)
 
 
 @dataclass(frozen=True)
 class Case:
-    """One rig. `hidden`: names of what it hides; `deleted`: the name that the library given to the diagnosis lacks; `given`:
+    """One rig. `hidden`: names of its hidden effects; `deleted`: the effect that the diagnosis' library does not have; `given`:
     factors that are not drawn."""
 
     kind: str
@@ -84,16 +84,16 @@ class Case:
 
     @property
     def name(self) -> str:
-        """As files and tables tell it; unique among the cases with the same `given` factors."""
+        """Name in files and tables; unique among the cases with the same `given` factors."""
         return f"{self.kind} {'+'.join(self.hidden) or '-'} #{self.seed}"
 
     def random(self, stream: int) -> np.random.Generator:
-        """One of the case's own sources. A deleted case is on the same rig as the single one of its name and seed."""
+        """One of the case's random generators. A deleted case has the same rig as the single case of its effect and seed."""
         return np.random.default_rng([self.seed, zlib.crc32(" ".join(self.hidden).encode()), stream])
 
     @cached_property
     def factors(self) -> Factors:
-        """All are drawn, then those that are given laid over: one that is fixed leaves the others what they were."""
+        """All factors are drawn before the given ones replace theirs, so a given factor does not change the others."""
         rng = self.random(0)
         drawn = Factors(
             size=str(rng.choice(list(SIZES))),
@@ -112,7 +112,7 @@ class Case:
 
     @cached_property
     def rig(self) -> Rig:
-        """With what it hides."""
+        """The rig with its hidden effects."""
         f, rng = self.factors, self.random(1)
         size = SIZES[f.size].drawn(rng)
         base, shaking = random_base(rng, size.slow), random_vibration(rng)
@@ -122,7 +122,7 @@ class Case:
 
     @cached_property
     def each(self) -> dict[str, dict]:
-        """Settings of each effect that is hidden, by its name. A second one has a strength of its own."""
+        """Settings of each hidden effect, by its name. A second effect has its own strength."""
         rng, slow = self.random(2), SIZES[self.factors.size].drawn(self.random(1)).slow
         strengths = [self.factors.strength, *rng.uniform(WEAKEST.get(self.kind, HALF), 1.0, len(self.hidden))]
         if "strength" in dict(self.given):
@@ -132,20 +132,20 @@ class Case:
 
     @property
     def sizes(self) -> dict:
-        """Settings of all of them."""
+        """Settings of all hidden effects."""
         return {k: v for own in self.each.values() for k, v in own.items()}
 
     @property
     def base(self) -> dict[str, float]:
-        """Settings of the rig without what it hides."""
+        """Settings of the rig without its hidden effects."""
         return {n: self.rig.settings[n] for n in BASE}
 
     def measured(self) -> Campaign:
-        """What the diagnosis is given."""
+        """The campaign that the diagnosis gets."""
         return campaign(self.rig, self.random(3), self.factors.files)
 
     def unseen(self) -> tuple[Record, np.ndarray]:
-        """(a record of other commands on this rig, the thrust (rows,) N that was really there)."""
+        """(hold-out record of other commands on this rig, its true thrust (rows,) N)."""
         rng = self.random(4)
         return self.rig.observed(rng, command_sequences.both(rng, self.rig.clock, UNSEEN * self.rig.size.slow), "unseen")
 
@@ -154,14 +154,14 @@ class Case:
         return {f"{n}.{p}": v for n in self.hidden for p, v in HIDDEN[n].kernel(self.sizes, self.rig.size).items()}
 
     def evidence(self, record: Record) -> float:
-        """Log-likelihood that records of these commands hold in favour of what is hidden, over the best base model.
+        """Log-likelihood ratio of the hidden effects over the best base model, for records of these commands.
 
-        Of a pair, of its fainter effect, with the other one known.
+        For a pair, that of its weaker effect, with the other one known.
         """
         return min((self._over(record, known=self._others(name)) for name in self.each), default=0.0)
 
     def equals(self, record: Record) -> dict[str, list[str]]:
-        """By hidden effect, names of special cases that these records can't tell from it, the others known."""
+        """By hidden effect, the special cases that these records cannot distinguish from it; the other effects are known."""
         if self.kind not in ("single", "pair"):
             return {}
         found = {}
@@ -172,11 +172,11 @@ class Case:
         return found
 
     def behind(self, record: Record, thrust: np.ndarray, omega: np.ndarray) -> float:
-        """Log-likelihood by which a model that predicts this of the record and its repeat is behind the truth."""
+        """Log-likelihood of the truth less that of a model that predicts this of the record and its repeat."""
         return behind(self.rig, record, thrust, omega, 1 + self.factors.repeat)
 
     def _others(self, name: str) -> dict:
-        """Settings of what is hidden but for one effect."""
+        """Settings of all hidden effects but one."""
         return {k: v for other, own in self.each.items() if other != name for k, v in own.items()}
 
     def _over(self, record: Record, known: Mapping[str, float] | None = None, free: Mapping[str, float] | None = None) -> float:
@@ -184,7 +184,7 @@ class Case:
         return evidence(self.rig, self.base, record["omega_ref"], record["beta_ref"], known, records, free)
 
     def summary(self) -> dict:
-        """For a table's row."""
+        """Entries of a table row."""
         sizes = {k: v for k, v in self.sizes.items() if k != "extra"}
         head = {"name": self.name, "kind": self.kind, "hidden": list(self.hidden), "seed": self.seed, "deleted": self.deleted}
         return head | {"given": dict(self.given), "factors": asdict(self.factors), "sizes": sizes}
@@ -193,8 +193,8 @@ class Case:
 def draw(seed: int, kind: str, known: Iterable[str] = (), hidden: Sequence[str] | None = None, **given) -> Case:
     """A case of one of KINDS; all that is not `given` is drawn from its seed.
 
-    `hidden`: names; None: the seed's turn of those of the kind, so that following seeds go through all of them. `known`:
-    effects that the project's library has; () for all of it. `given`: fields of `Factors`.
+    `hidden`: names; None: those of the kind in turn, so that consecutive seeds go through all of them. `known`: effects of the
+    project's library; () for all of it. `given`: fields of `Factors`.
     """
     known = set(known) or {e.name for e in LIBRARY if e.off is not None}
     listed = [(h.name,) for h in LISTED if h.name in known]

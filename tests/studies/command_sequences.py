@@ -1,4 +1,4 @@
-"""What the studies' rig is told to do, in shares of its speed and pitch: the records of a campaign.
+"""Commands of the records of a campaign, as shares of the rig's speed and pitch.
 
 Times are those of the paper's rig; `Clock` stretches them for a slower one.
 """
@@ -9,16 +9,16 @@ import numpy as np
 
 SPEED, PITCH = (0.37, 0.98), (0.03, 0.97)
 GRID_SPEED, GRID_PITCH = (1.0 / 3.0, 1.0), (-1.0 / 3.0, 1.0)
-"""The static map's, and all that the rig may do: 2000 to 6000 rpm, -10 to 10 deg on the paper's."""
+"""Ranges of the static map and of the rig: 2000 to 6000 rpm, -10 to 10 deg on the paper's."""
 
 HOLDS = (0.4, 2.8)
-"""For how long one command is held, s."""
+"""s for which a command is held."""
 
 RAMPS = 0.15
-"""Share of the commands that are approached on a straight line instead of at once."""
+"""Share of the commands that are reached by a ramp instead of a step."""
 
 RESTING = 0.75, 0.6
-"""Of the channel that is not in play."""
+"""Speed and pitch while only the other channel moves."""
 
 Commands = tuple[np.ndarray, np.ndarray]
 """Speed and pitch (rows,), normalised."""
@@ -32,16 +32,16 @@ class Clock:
     slow: float
 
     def rows(self, seconds: float) -> int:
-        """In so many seconds of the paper's rig."""
+        """Rows in so many seconds of the paper's rig."""
         return max(1, round(seconds * self.slow / self.row))
 
 
 def levels(rng: np.random.Generator, clock: Clock, rows: int, low: float, high: float) -> np.ndarray:
-    """A command (rows,) that goes from level to level, mostly at once."""
+    """A command (rows,) that goes from level to level, mostly in steps."""
     values, now = [], rng.uniform(low, high)
     while len(values) < rows:
         hold = clock.rows(rng.uniform(*HOLDS))
-        # Small moves as often as large ones: thresholds show in them.
+        # Small moves are as frequent as large ones, because they show thresholds.
         wanted = np.clip(now + rng.choice([-1, 1]) * (high - low) * 10 ** rng.uniform(-1.3, -0.05), low, high)
         if rng.random() < RAMPS:
             values += np.linspace(now, wanted, hold).tolist()
@@ -60,7 +60,7 @@ def open_loop(rng: np.random.Generator, clock: Clock, seconds: float) -> Command
 
 
 def both(rng: np.random.Generator, clock: Clock, seconds: float) -> Commands:
-    """So many seconds of both."""
+    """A record of so many seconds in which both channels move."""
     rows = round(seconds / clock.row)
     return levels(rng, clock, rows, *SPEED), levels(rng, clock, rows, *PITCH)
 
@@ -79,5 +79,5 @@ def _step(clock: Clock, first: float, last: float) -> np.ndarray:
 
 
 def grid(points: int = 10) -> list[tuple[float, float]]:
-    """Speed and pitch of steady points, each channel's so many."""
+    """Speed and pitch of steady points, `points` of each channel."""
     return [(w, b) for w in np.linspace(*GRID_SPEED, points) for b in np.linspace(*GRID_PITCH, points)]

@@ -1,9 +1,9 @@
-"""Whatever the project writes or sends to a rig stays within the rig's range and slews, on random rigs of any size.
+"""All commands that the project writes or sends stay within a rig's ranges and slews, on random rigs of any size.
 
     python -m tests.studies commands --rigs 10000
 
 Aim: no command outside a range, no change steeper than a slew. A command is one row of one channel. Ranges and slews are
-looked at here anew: nothing of what made the commands is asked.
+checked independently of the code that makes the commands.
 """
 
 import argparse
@@ -30,24 +30,24 @@ from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig, infer_rig
 
 PLANNED = 500
-"""Of so many rigs one has a whole plan searched for, which takes a hundred times as long as everything else."""
+"""One rig in so many also gets a search for a whole plan, which takes a hundred times as long as all other checks."""
 
 ROUNDING = 1e-9
-"""Share of a number by which a sum of floating-point numbers may be off."""
+"""Relative rounding error that is allowed for a sum of floating-point numbers."""
 
 
 @dataclass
 class Count:
-    """Commands checked, outside their range, steeper than their slew; each by what made them."""
+    """Numbers of commands checked, outside their range, and steeper than their slew, each by the commands' source."""
 
     checked: Counter = field(default_factory=Counter)
     outside: Counter = field(default_factory=Counter)
     steeper: Counter = field(default_factory=Counter)
 
     def add(self, name: str, rig: Rig, commands: np.ndarray, step: float = inf) -> None:
-        """Check commands (rows, 2) of speed [rpm] and pitch [deg], every `step` s; infinite: not one after another."""
-        told = zip(commands.T, (rig.speed, rig.pitch), (rig.speed_slew, rig.pitch_slew), strict=True)
-        for column, (low, high), slew in told:
+        """Check commands (rows, 2) of speed [rpm] and pitch [deg], every `step` s; infinite: they are not consecutive."""
+        channels = zip(commands.T, (rig.speed, rig.pitch), (rig.speed_slew, rig.pitch_slew), strict=True)
+        for column, (low, high), slew in channels:
             self.within(name, column, low, high)
             if isfinite(slew) and isfinite(step):
                 allowed = slew * step * (1.0 + ROUNDING) + ROUNDING * max(abs(low), abs(high))
@@ -59,7 +59,7 @@ class Count:
             own.update(more)
 
     def within(self, name: str, column: np.ndarray, low: float, high: float) -> None:
-        """Check one channel's range, to the bit and as a file shows it."""
+        """Check one channel's range, exactly and as a file has it."""
         written = np.array([float(f"{x:.9g}") for x in np.unique(column)])
         self.checked[name] += len(column)
         self.outside[name] += int(np.sum(~((column >= low) & (column <= high)))) + int(
@@ -68,7 +68,7 @@ class Count:
 
 
 def random_rig(rng: np.random.Generator) -> Rig:
-    """A rig of 100 to 60 000 rpm, 0.02 to 5 s, any pitch, with slews or without; one in eight stands in one channel."""
+    """A rig of 100 to 60 000 rpm, 0.02 to 5 s, any pitch, with slews or without; a channel is fixed in one of eight."""
     top = np.exp(rng.uniform(np.log(100.0), np.log(60000.0)))
     speed = _span(rng, top * rng.uniform(0.0, 0.9), top)
     kinds = (
@@ -95,13 +95,13 @@ def random_rig(rng: np.random.Generator) -> Rig:
 
 
 def _span(rng: np.random.Generator, low: float, high: float) -> tuple[float, float]:
-    """Two ends as a file has them, odd numbers or round ones; now and then one and the same."""
+    """Two ends as a file has them, with two to eight digits; equal in one of eight."""
     low, high = (float(f"{x:.{rng.integers(2, 9)}g}") for x in (low, high))
     return (high, high) if rng.random() < 0.125 or not low < high else (low, high)
 
 
 def check(rig: Rig, rng: np.random.Generator, count: Count) -> None:
-    """Everything but the search for a plan."""
+    """All checks but the search for a plan."""
     for name, commands, step in _experiments(rig, rng):
         count.add(name, rig, commands, step)
     for name, asked in _campaign(rig, rng):
@@ -112,7 +112,7 @@ def check(rig: Rig, rng: np.random.Generator, count: Count) -> None:
 
 
 def check_plan(rig: Rig, count: Count) -> None:
-    """A whole plan, searched for briefly."""
+    """Check a whole plan from a short search."""
     unit = rig.scales.time_scale
     lags = {
         f"tau_{u}_{k}": share * unit
@@ -123,7 +123,7 @@ def check_plan(rig: Rig, count: Count) -> None:
 
 
 def _experiments(rig: Rig, rng: np.random.Generator) -> Iterator[tuple[str, np.ndarray, float]]:
-    """(what, commands, step): segments as the search for a plan has them, and a diagnosis' next experiment."""
+    """(name, commands, step) of segments as the search for a plan has them, and of a diagnosis' next experiment."""
     step, seed = 0.04 * rig.scales.time_scale, int(rng.integers(2**31))
     for _ in range(3):
         segment = candidate(rng, 250, step, rig)
@@ -137,7 +137,7 @@ def _experiments(rig: Rig, rng: np.random.Generator) -> Iterator[tuple[str, np.n
 
 
 def _campaign(rig: Rig, rng: np.random.Generator) -> Iterator[tuple[str, np.ndarray]]:
-    """(what, commands asked for): what `vpp hil campaign` sends."""
+    """(name, commands) that `vpp hil campaign` sends."""
     seed = int(rng.integers(2**31))
     yield "hil, grid", np.array(grid(4, rig))
     found = steps(2, rig)
@@ -148,7 +148,7 @@ def _campaign(rig: Rig, rng: np.random.Generator) -> Iterator[tuple[str, np.ndar
 
 
 def _acting(rig: Rig, asked: np.ndarray) -> np.ndarray:
-    """What the rig's limits let pass in a campaign, (rows, 2)."""
+    """The commands after the rig's limits in a campaign, (rows, 2)."""
     limiter = Limiter(steep(limits_of(rig), rig), *asked[0].tolist())
     return np.array([limiter.apply(*row, PERIOD)[:2] for row in asked.tolist()])
 
@@ -158,7 +158,7 @@ def _columns(record: Record) -> np.ndarray:
 
 
 def study(rigs: Iterable[int], seed: int = 0, planned: int = PLANNED) -> Count:
-    """The count over rigs by number; each has its own seed, so that one can be looked at alone."""
+    """The count over rigs by number; each has its own seed, so that one rig can be checked alone."""
     count = Count()
     for k in rigs:
         rng = np.random.default_rng([seed, k])

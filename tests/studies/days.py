@@ -1,11 +1,11 @@
-"""python -m tests.studies days: does a rig's day (`vpp twin`) make model and controller better, and which policy does?
+"""python -m tests.studies days: does a rig's day (`vpp twin`) improve model and controller, and under which policy?
 
-Emulated rigs of the paper's size, each a little different, are identified from a campaign; from the second round on something
-is hidden in them. Each rig has the same day under each policy: gains that stay, that are retuned on the model alone, that are
-searched on the rig alone, and both. In the end what each left flies, on noise that no day had, beside gains that were tuned
-with full knowledge: as `vpp tune` does it, under the same limits, on the rig's own physics with what is hidden in them.
+Emulated rigs of the paper's size, each slightly different, are identified from a campaign; from the second round on each has a
+hidden effect. Each rig has the same day under each policy: fixed gains, gains retuned on the model alone, gains searched on the
+rig alone, and both. The final gains of each policy are compared on new noise with gains that are tuned with full knowledge: by
+the method of `vpp tune`, under the same limits, on the rig's own physics with the hidden effect.
 
-Aims: the cost of both side by side within 5 % of that; nothing ends worse than it began.
+Aims: the cost of "both" within 5 % of that of full knowledge; no policy ends at a higher cost than it began.
 """
 
 import argparse
@@ -50,17 +50,17 @@ HIDDEN = {
     "a dead band appears": (("lac_command_deadband",), {"lac_command_deadband.half_width": 2.0}),
 }
 FROM = 2
-"""Round from which on it is there."""
+"""Round from which on the effect is present."""
 
 FINAL = 4
-"""Flights by which gains are compared in the end."""
+"""Flights for the final comparison of gains."""
 
 CAREFUL = 0.5
-"""Of the paper's gains, what a day begins with: they are near the best there are, and would leave little to find."""
+"""Share of the paper's gains with which a day begins; the full gains are near the best, and would leave little to find."""
 
 
 def main(arguments: list[str]) -> None:
-    """Run the study; a line of the file for each rig, and one that is there is not flown again."""
+    """Run the study, with a line of the file for each rig; rigs that are in the file are not repeated."""
     parser = argparse.ArgumentParser(prog="python -m tests.studies days", description=__doc__)
     parser.add_argument("--seeds", type=int, default=20, metavar="N", help="rigs for each change (default: %(default)s)")
     parser.add_argument("--first-seed", type=int, default=0, metavar="K", help="(default: %(default)s)")
@@ -95,10 +95,10 @@ def _kept(path: Path, count: int, wanted: tuple[str, int]) -> None:
 
 
 def days(change: str, count: int, seed: int) -> dict:
-    """What became of one rig: final costs of the first gains (`began`) and of those that know the rig in full (`full`), on
-    noise that no day had; and for each policy, round by round, the error of the model that goes on [N], what flies next costs,
-    alarms with their verdicts, and effects of the model in the end; its final cost, and CPU seconds."""
-    known = identified(3 * seed)  # of a campaign as long as the paper's
+    """Results of one rig: final costs on new noise, of the first gains (`began`) and of gains tuned with full knowledge
+    (`full`). For each policy: by round the error of the chosen model [N], the cost of the next gains, and alarms with their
+    verdicts; effects of the final model, its final cost, and CPU seconds."""
+    known = identified(3 * seed)  # from a campaign as long as the paper's
     parameters = ParameterSet(plant()).replaced(known.values)
     settings = {name: (CAREFUL if name in GAINS else 1.0) * value for name, value in CONTROLLER.values().items()}
     day, (names, sizes) = new_day(parameters, settings), HIDDEN[change]
@@ -111,7 +111,7 @@ def days(change: str, count: int, seed: int) -> dict:
         def final(law: Law) -> float:
             return float(np.mean([_cost(setup(True, 900 + k), law, day.profile, Path(folder)) for k in range(FINAL)]))
 
-        told = {}
+        results = {}
         for policy in POLICIES:
             one, began = new_day(parameters, settings), time.process_time()
             rig = Rig(lambda number, flight: setup(number >= FROM, 50 * number + flight), lambda what: None, lambda number: ())
@@ -119,7 +119,7 @@ def days(change: str, count: int, seed: int) -> dict:
                 place = Path(folder) / policy / str(number)
                 place.mkdir(parents=True)
                 one.rounds.append(next_round(one, rig, known.band, policy, place, seed, 1, lambda text: None))
-            told[policy] = {
+            results[policy] = {
                 "errors": [r.chosen.fitted if np.isnan(r.chosen.unseen) else r.chosen.unseen for r in one.rounds],
                 "costs": [r.cost for r in one.rounds],
                 "alarms": [f"{r.alarm[1]}: {r.verdict or 'explained'}" if r.alarm else "" for r in one.rounds],
@@ -129,12 +129,12 @@ def days(change: str, count: int, seed: int) -> dict:
             }
         tuning = task(parameters, day.profile, known.band.noise, settings["sample_time"], seed)
         full = _known_in_full(tuning, settings, {**known.own, **sizes}, names)
-        return {"began": final(Law(settings)), "full": final(Law(full)), "policies": told}
+        return {"began": final(Law(settings)), "full": final(Law(full)), "policies": results}
 
 
 @dataclass(frozen=True, eq=False)
 class Truth(Objective):
-    """What a tuning makes small, on the rig's own physics: `plants` are its values, `hidden` what is hidden in it."""
+    """The objective of a tuning on the rig's own physics: `plants` are its values, `hidden` its hidden effects."""
 
     hidden: tuple[str, ...] = ()
 
@@ -160,8 +160,8 @@ def _loop(hidden: tuple[str, ...]) -> ClosedLoop:
 
 def _known_in_full(wanted: Task, settings: Mapping[str, float], own: Mapping[str, float], hidden: tuple[str, ...]):
     """Gains tuned with full knowledge, from these settings on; limits as for gains that are tuned on a model."""
-    told = wanted.objective(settings)
-    given = {f.name: getattr(told, f.name) for f in fields(told)}
+    on_model = wanted.objective(settings)
+    given = {f.name: getattr(on_model, f.name) for f in fields(on_model)}
     values = np.array([list(_loop(hidden).models[0].values(own).values())])
     truth = Truth(**{**given, "plants": values}, hidden=hidden)
     truth = replace(truth, points=operating_points(truth, truth.gains), reference=truth.steps(truth.gains))

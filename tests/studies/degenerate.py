@@ -1,8 +1,8 @@
 """python -m tests.studies degenerate: every verb over incomplete and unusual campaigns (incomplete_campaigns.py).
 
-Each ends with its files, a report and strictly valid JSON, or with exit 2 and one line that says what is wrong; no traceback,
-no warning of numpy; no verb refuses what another wrote. What is not told by the data must be named, and what is told must be
-right: the truth is known here.
+Each must end with its files, a report and strictly valid JSON, or with exit 2 and one line that states the error; no traceback,
+no warning of numpy; no verb refuses what another wrote. Parameters that are not identifiable must be named, and the others must
+be right, since the truth is known here.
 """
 
 import argparse
@@ -25,10 +25,10 @@ from vpp_fmu.app.cli import main as vpp
 from .incomplete_campaigns import CASES, LONG, SIZES, Case, scale_parameters
 
 STAGE = re.compile(r"vpp diagnose: .* \(\d+ s\)")
-"""What a diagnosis prints of each stage in a pipe."""
+"""The line that a diagnosis prints for each stage in a pipe."""
 
 FAR = 5.0
-"""Standard deviations by which a parameter that counts as told may miss the truth: by chance one of two million does."""
+"""Allowed error of an identifiable parameter in standard deviations: by chance one of two million exceeds it."""
 
 BENT = {
     "steps only": "lags of the thrust, not of what is behind it",
@@ -40,16 +40,16 @@ BENT = {
     "pitch 12 to 25 deg": "the truth in these scales has a term that the paper's map lacks",
     "nothing missing, rig not declared": "the truth in these scales has a term that the paper's map lacks",
 }
-"""Campaigns whose parameters are not compared with the truth, and why not."""
+"""Campaigns whose parameters are not compared with the truth, and the reason."""
 
 FIRST = ("check", "identify", "diagnose")
 """Verbs that take the campaign; the others follow an identification."""
 
 FOLLOWED = ("fixed pitch", "fixed speed", "one move only", "static map only", "steps only", "validation only", "no noise")
-"""Campaigns from whose parameters a plan is made, FMUs and their closed loop."""
+"""Campaigns whose parameters are used for a plan, for FMUs and for their closed loop."""
 
 TUNED = ("fixed pitch", "static map only", "fixed speed")
-"""Campaigns for whose parameters gains are sought: half a minute each."""
+"""Campaigns for whose parameters gains are tuned: half a minute each."""
 
 NEEDED = {
     "check": (),
@@ -62,12 +62,12 @@ NEEDED = {
     "cosim": ("run.csv", "report.html"),
     "tune": ("tuning.json", "report.html"),
 }
-"""Files without which a verb has not done its job."""
+"""Files that a verb must write."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """What a verb made of a campaign: in words, and what is wrong with that ("" where nothing is)."""
+    """Result of a verb on a campaign: `outcome` in words, and `fault` ("" if there is none)."""
 
     verb: str
     campaign: str
@@ -78,12 +78,12 @@ class Row:
 
 def run(verb: str, arguments: Sequence[str], out: Path) -> tuple[int | None, list[str], str]:
     """(exit code, or None after a traceback; lines on standard error but for notes; the traceback's last line) of a verb."""
-    said, told = io.StringIO(), io.StringIO()
+    said, printed = io.StringIO(), io.StringIO()
     try:
-        with warnings.catch_warnings(), contextlib.redirect_stderr(said), contextlib.redirect_stdout(told):
+        with warnings.catch_warnings(), contextlib.redirect_stderr(said), contextlib.redirect_stdout(printed):
             warnings.simplefilter("error")
             code = vpp([verb, *arguments, "-o", str(out)])
-    except Exception as error:  # whatever it is, it is the finding
+    except Exception as error:  # any exception is a finding
         where = traceback.extract_tb(error.__traceback__)[-1]
         return None, [], f"{type(error).__name__}: {error} ({Path(where.filename).name}, {where.name})"
     lines = [line for line in said.getvalue().splitlines() if not line.startswith("vpp: note: ") and not STAGE.fullmatch(line)]
@@ -91,7 +91,7 @@ def run(verb: str, arguments: Sequence[str], out: Path) -> tuple[int | None, lis
 
 
 def judged(verb: str, name: str, arguments: Sequence[str], out: Path) -> Row:
-    """Run a verb and look at what it left."""
+    """Run a verb and check its files."""
     began = time.perf_counter()
     code, lines, broken = run(verb, arguments, out)
     seconds = time.perf_counter() - began
@@ -109,7 +109,7 @@ def judged(verb: str, name: str, arguments: Sequence[str], out: Path) -> Row:
 
 
 def valid(path: Path) -> bool:
-    """Whether a file is JSON, without the NaN and Infinity that Python's reader lets pass."""
+    """Whether a file is JSON without NaN and Infinity, which Python's reader accepts."""
 
     def refused(constant: str):
         raise ValueError(constant)
@@ -122,32 +122,32 @@ def valid(path: Path) -> bool:
 
 
 def identified(row: Row, case: Case, out: Path) -> Row:
-    """The same with what was found; a fault where a parameter is neither told nor named, or not where it says it is."""
+    """The row with the identification's results; a fault if a parameter is neither identified nor named, or is wrong."""
     found = json.loads((out / "identification.json").read_text())
-    values, untold = found["parameters"], found["not_identifiable"]
+    values, unidentified = found["parameters"], found["not_identifiable"]
     size = SIZES[case.size]
     errors = [f"{error / size.noise:.2f}" for error in found["rmse_thrust"].values() if error is not None]
-    outcome = f"{len(set(values) - set(untold))} of {len(BASE_PARAMETERS)} told"
-    outcome += f", not {', '.join(untold)}" if untold else ""
+    outcome = f"{len(set(values) - set(unidentified))} of {len(BASE_PARAMETERS)} told"
+    outcome += f", not {', '.join(unidentified)}" if unidentified else ""
     outcome += f"; thrust error {', '.join(errors)} x noise" if errors else "; no record to judge by"
-    silent = [n for n in BASE_PARAMETERS if n not in values and n not in untold]
-    # What is held at some value bends what it only combines with: the reasons name it.
-    bent = " ".join(untold.values())
-    told = [n for n in values if n not in untold and n not in bent] if row.campaign not in BENT else []
-    off = {n: abs(values[n]["value"] - size.truth[n]) / values[n]["std"] for n in told if values[n]["std"]}
+    silent = [n for n in BASE_PARAMETERS if n not in values and n not in unidentified]
+    # A parameter that is held biases those that it is combined with; the reasons name them.
+    bent = " ".join(unidentified.values())
+    checked = [n for n in values if n not in unidentified and n not in bent] if row.campaign not in BENT else []
+    off = {n: abs(values[n]["value"] - size.truth[n]) / values[n]["std"] for n in checked if values[n]["std"]}
     wrong = [f"{n} off by {pull:.0f} sd" for n, pull in off.items() if pull > FAR and not within(values[n], size.truth[n])]
     fault = f"not named: {', '.join(silent)}" if silent else ", ".join(wrong)
     return replace(row, outcome=outcome, fault=row.fault or fault)
 
 
 def within(entry: dict, truth: float) -> bool:
-    """Whether the interval holds the truth: it may be lopsided."""
+    """Whether the interval, which may be asymmetric, contains the truth."""
     low, high = entry["interval"]
     return low <= truth <= high
 
 
 def diagnosed(row: Row, out: Path) -> Row:
-    """The same with the verdict."""
+    """The row with the diagnosis' verdict."""
     found = json.loads((out / "diagnosis.json").read_text())
     effects = " + ".join(effect["name"] for effect in found["effects"])
     before, after = (found[when]["rmse_thrust"] for when in ("before", "after"))
@@ -170,11 +170,11 @@ def rows(
                 row = diagnosed(row, out)
             yield row
         if (home / "identify" / "parameters.json").exists():
-            yield from _following(name, case, verbs, home)
+            yield from _verbs_after_identify(name, case, verbs, home)
 
 
-def _following(name: str, case: Case, verbs: Sequence[str], home: Path) -> Iterator[Row]:
-    """What takes the parameters of an identification."""
+def _verbs_after_identify(name: str, case: Case, verbs: Sequence[str], home: Path) -> Iterator[Row]:
+    """Verbs that take the parameters of an identification."""
     given = ["--parameters", str(home / "identify" / "parameters.json")]
     record = next((home / f"{n}.csv" for n in LONG if (home / f"{n}.csv").exists()), None)
     calls: dict[str, list[str]] = {}
@@ -183,8 +183,8 @@ def _following(name: str, case: Case, verbs: Sequence[str], home: Path) -> Itera
         calls["compare"] = [str(record), str(home / "simulate" / "prediction.csv")]
     if name in FOLLOWED:
         known = ["--knowledge", str(home / "identify" / "identification.json")]
-        told = json.loads((home / "identify" / "parameters.json").read_text())["source"]["rig"]["scales"]["time_scale"]
-        calls["plan"] = [*given, *known, "--seconds", f"{20.0 * told:g}"]
+        time_scale = json.loads((home / "identify" / "parameters.json").read_text())["source"]["rig"]["scales"]["time_scale"]
+        calls["plan"] = [*given, *known, "--seconds", f"{20.0 * time_scale:g}"]
         calls["export"] = given
         fmus = [str(home / "export" / f"Vpp{part}.fmu") for part in ("Plant", "Controller")]
         calls["cosim"] = [*fmus, "--profile", str(_profile(case, home)), "--step", "0.01"]
@@ -199,7 +199,7 @@ def _following(name: str, case: Case, verbs: Sequence[str], home: Path) -> Itera
 
 
 def tuned(row: Row, out: Path) -> Row:
-    """The same; a fault where gains are missing and nothing says why."""
+    """The row; a fault if gains are missing without a reason."""
     left_out = json.loads((out / "tuning.json").read_text())["left_out"]
     files = {"dual": "gains.json", "speed_only": "gains_speed_only.json"}
     missing = [file for name, file in files.items() if name not in left_out and not (out / file).exists()]
@@ -207,14 +207,14 @@ def tuned(row: Row, out: Path) -> Row:
 
 
 def _profile(case: Case, home: Path) -> Path:
-    """A step of the wanted thrust."""
+    """A step of the thrust set-point."""
     full, path = scale_parameters(SIZES[case.size].scales)["thrust_scale"], home / "profile.csv"
     path.write_text(f"time,thrust_set\n0,{0.2 * full}\n2,{0.5 * full}\n6,{0.5 * full}\n")
     return path
 
 
 def show(found: Sequence[Row]) -> None:
-    """The table's foot: what must be 0."""
+    """Print the table's foot, in which the counts of faults must be 0."""
     refused = sum(row.outcome.startswith("exit 2") for row in found)
     print(f"\n{len(found)} rows: {len(found) - refused} with their files, {refused} refused in one line")
     print(f"tracebacks {sum(row.fault == 'traceback' for row in found)}")

@@ -1,7 +1,7 @@
-"""Whether records could show an effect at all, without the project's own fits.
+"""Whether an effect is detectable from records, without the project's own fits.
 
-The noise-free signals of the rig with the effect are fitted by the same rig without it, all nine base settings free; half of
-what is left, over the noise, is the log-likelihood that the truth has over the best base model.
+The rig without the effect is fitted to the noise-free signals of the rig with it, all nine base settings free. Half the squared
+residual over the noise is the log-likelihood of the truth over the best base model.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -17,20 +17,20 @@ from .physics import BASE, Run
 from .rig import JITTER, Rig
 
 STEP = 0.0005
-"""Of the integration, s on the paper's rig: its error is in both signals alike."""
+"""Step of the integration, s on the paper's rig: its error is the same in both signals."""
 
 DELAY = 0.1
-"""s of a free delay of the logger that one unit of the search is."""
+"""s of the logger's free delay per unit of the search."""
 
 BLOCK = 0.016
-"""s on the paper's rig that speed is averaged over, a revolution at least: its sensor's errors are then nearly white."""
+"""s on the paper's rig over which speed is averaged, at least a revolution, so that its sensor's errors are nearly white."""
 
 SLOPE = 1e-3
-"""Share of a setting by which it is changed for a derivative."""
+"""Relative change of a setting for a derivative."""
 
 LIMIT = 20.0
-"""Log-likelihood from which on an effect counts as detectable: a BIC difference of 10 asks for about 10 on the fitted records,
-and the gain of 3 on unseen ones of two thirds of their length for about 18."""
+"""Log-likelihood from which on an effect counts as detectable: a BIC difference of 10 needs about 10 on the fitted records, and
+a gain of 3 on hold-out records of two thirds of their length needs about 18."""
 
 
 def evidence(
@@ -43,10 +43,10 @@ def evidence(
     free: Mapping[str, float] | None = None,
     sensor_filter: float | None = None,
 ) -> float:
-    """Log-likelihood over the best base model, of so many records of these commands (rpm, deg).
+    """Log-likelihood of the truth over the best base model, of so many records of these commands (rpm, deg).
 
-    `known`: settings that the base model has too; `free`: those that it has and that are fitted with it, from these values on.
-    `sensor_filter` [s] of the speed reading: where it is given, the logger's nuisance parameters are free too. They are the
+    `known`: settings that the base model has too; `free`: its additional settings that are fitted, with start values.
+    `sensor_filter` [s] of the speed reading: if it is given, the logger's nuisance parameters are free too. They are the
     offset of all readings, the delay of the speed reading and, above 0, its filter.
     """
     base = {**base, **(free or {})}
@@ -58,7 +58,7 @@ def evidence(
     logger = 0 if sensor_filter is None else 3 if sensor_filter else 2
 
     def error(x):
-        # Time constants must stay positive whatever the fit tries: their logarithm is free, the map's own values are.
+        # The fit uses logarithms of time constants, which must stay positive, and relative changes of the map's coefficients.
         factors = np.where([n.startswith("tau") for n in names], np.exp(x[: len(names)]), 1.0 + x[: len(names)])
         other = replace(with_it, settings=dict(zip(names, scale * factors, strict=True)) | dict(known or {}), extra=None)
         offset, delay, filter_change = (*x[len(names) :], 0.0, 0.0, 0.0)[:3]
@@ -85,7 +85,7 @@ def efficient_errors(
 
 
 def _slopes(rig: Rig, commands: tuple[np.ndarray, np.ndarray], shown: Callable[[Rig, Run], np.ndarray]) -> np.ndarray:
-    """Derivatives (rows, 9) of what is shown of a run in the base settings, each as a share of itself."""
+    """Derivatives (rows, 9) of `shown(rig, run)` in the base settings, each relative to its value."""
     columns = []
     for name in BASE:
         ends = (replace(rig, settings={**rig.settings, name: rig.settings[name] * (1.0 + h)}) for h in (-SLOPE, SLOPE))
@@ -95,12 +95,12 @@ def _slopes(rig: Rig, commands: tuple[np.ndarray, np.ndarray], shown: Callable[[
 
 
 def behind(rig: Rig, record: Record, thrust: np.ndarray, omega: np.ndarray, records: int) -> float:
-    """Log-likelihood by which a model is behind the truth on so many records of these commands, that predicts this thrust
-    (rows,) N and speed (rows,) rpm of them. A right one is behind by half a nat, on average, for each fitted parameter."""
+    """Log-likelihood of the truth less that of a model that predicts this thrust (rows,) N and speed (rows,) rpm, on so many
+    records of these commands. For a right model it is half a nat, on average, for each fitted parameter."""
     speed, pitch = record["omega_ref"], record["beta_ref"]
     found = rig.run(speed, pitch, STEP)
-    heard = _blocks(rig, omega / rig.size.speed - _told(rig, found)) / _speed_noise(rig, found)
-    away = np.concatenate([_over_noise(rig, thrust - rig.force(found, speed, pitch)), heard])
+    speed_error = _blocks(rig, omega / rig.size.speed - _speed_reading(rig, found)) / _speed_noise(rig, found)
+    away = np.concatenate([_over_noise(rig, thrust - rig.force(found, speed, pitch)), speed_error])
     return records * 0.5 * float(away @ away)
 
 
@@ -112,10 +112,9 @@ def _white(
     uncertain: np.ndarray,
     read: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> np.ndarray:
-    """Thrust and speed as they are read, in units of the noise, all directions alike. `read` s: offset of both readings, delay
-    and filter of speed."""
+    """Thrust and speed readings, whitened to unit variance. `read` s: offset of both readings, delay and filter of speed."""
     offset, delay, time_constant = read
-    omega = _told(one, found)
+    omega = _speed_reading(one, found)
     if time_constant:
         keep = np.exp(-1.0 / (one.rate * time_constant))
         omega = lfilter([1.0 - keep], [1.0, -keep], omega, zi=keep * omega[:1])[0]
@@ -124,20 +123,20 @@ def _white(
 
 
 def _later(one: Rig, rows: np.ndarray, delay: float) -> np.ndarray:
-    """(rows,) `delay` s later, to first order: it is small at the optimum, and a straight line between rows has kinks in it."""
+    """(rows,) delayed by `delay` s, to first order: it is small at the optimum, and linear interpolation would have kinks."""
     return rows - delay * one.rate * np.gradient(rows) if delay else rows
 
 
-def _told(one: Rig, found: Run) -> np.ndarray:
-    """Speed (rows,) normalised, as late as the tachometer tells it."""
+def _speed_reading(one: Rig, found: Run) -> np.ndarray:
+    """Normalised speed (rows,) with the delay of the tachometer."""
     late = one.settings.get("speed_late", 0.0) * one.rate
     rows = np.arange(len(found.omega))
     return np.interp(rows - late, rows, found.omega) if late else found.omega
 
 
 def _speed_noise(one: Rig, found: Run) -> np.ndarray:
-    """(blocks,) normalised: of a block's mean speed from the jitter of the two pulses that end it, and the instant of a pulse
-    within a row."""
+    """Normalised standard deviation (blocks,) of a block's mean speed, from the jitter of the two pulses that end it and from
+    the instant of a pulse within a row."""
     seconds = _block(one) / one.rate
     change = np.gradient(_blocks(one, found.omega), seconds)
     full = one.size.speed / 60.0
@@ -145,7 +144,7 @@ def _speed_noise(one: Rig, found: Run) -> np.ndarray:
 
 
 def _block(one: Rig) -> int:
-    """Rows."""
+    """Rows of a block."""
     return max(1, round(max(BLOCK * one.size.slow, 60.0 / one.size.speed) * one.rate))
 
 

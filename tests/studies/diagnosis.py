@@ -1,10 +1,9 @@
-"""python -m tests.studies diagnosis: does `vpp diagnose` name what is missing, and nothing else, on rigs it knows nothing of?
+"""python -m tests.studies diagnosis: does `vpp diagnose` name the hidden effects, and no others, on unknown rigs?
 
-The rigs are an emulator that shares no code with the project's kernel (rig.py). Each case draws a rig of one of three sizes,
-its logger, its noise, how long was measured and which files there are; it hides one effect (single), a pair, none, one that is
-in no list (outside), or one that the library given to the diagnosis lacks (deleted). The truth stays in this study. Each case
-runs in a process of its own and becomes a line of a file as soon as it is done: the study can be stopped and goes on where it
-was.
+An emulator that shares no code with the project's kernel gives the rigs (rig.py). Each case draws a rig of one of three sizes,
+its logger, its noise, the length of its records and its files. It hides one effect (single), a pair, none, one outside the list
+(outside), or one that is deleted from the diagnosis' library (deleted). The truth stays in this study. Each case runs in a
+separate process and becomes a line of a file as soon as it is done, so that an interrupted study continues where it stopped.
 """
 
 import argparse
@@ -93,7 +92,7 @@ def main(arguments: list[str]) -> None:
 
 
 def chosen(options: argparse.Namespace) -> list[Case]:
-    """The cases that were asked for."""
+    """The requested cases."""
     kinds, only = options.kinds.split(","), tuple(filter(None, options.effects.split(",")))
     for asked, allowed in ((kinds, KINDS), (only, HIDDEN)):
         if unknown := set(asked) - set(allowed):
@@ -109,20 +108,20 @@ def chosen(options: argparse.Namespace) -> list[Case]:
 
 
 def read(path: Path) -> list[dict]:
-    """The rows of a file; none where it is not there yet."""
+    """The rows of a file; none if it does not exist."""
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
 def _key(row: dict) -> str:
-    """What tells one case from another: its name and all that it is like."""
+    """Identity of a case: its name, factors and deleted effect."""
     return json.dumps([row["name"], row["factors"], row["deleted"]], sort_keys=True)
 
 
 def outcome(case: Case, threads: int = 1, library: Iterable[Effect] = LIBRARY) -> dict:
-    """Measure the case, diagnose it, compare with the truth: all that the tables need."""
+    """Measure the case, diagnose it, compare with the truth: a row for the tables."""
     measured, whole = case.measured(), tuple(library)
     began, worked = time.perf_counter(), time.process_time()
-    content, before, after = told(measured, [e for e in whole if e.name != case.deleted], threads)
+    content, before, after = written_results(measured, [e for e in whole if e.name != case.deleted], threads)
     costs = {"seconds": time.perf_counter() - began, "cpu": time.process_time() - worked, "mb": peak()}
     row = case.summary() | {"failed": None} | costs
     row |= {"readings": sum(len(r) for r in (measured.open_loop, measured.repeat) if r is not None)}
@@ -132,8 +131,8 @@ def outcome(case: Case, threads: int = 1, library: Iterable[Effect] = LIBRARY) -
     row |= {"parameters": compared(content, case.truth()), "true_error": _true_errors(case, before, after)}
     row |= {"behind": case.behind(measured.open_loop, *_outputs(after, measured.open_loop)[:, :2].T)}
     if case.deleted and scores.wrong(row):
-        # Whether anything told the other name from the true one, had that been there.
-        again, *_ = told(measured, whole, threads)
+        # The names that the diagnosis gives if the library has the true effect.
+        again, *_ = written_results(measured, whole, threads)
         row |= {"with_own_name": sorted({e["name"] for e in again["effects"]}.union(*again["family"].values()))}
     return row
 
@@ -141,7 +140,7 @@ def outcome(case: Case, threads: int = 1, library: Iterable[Effect] = LIBRARY) -
 def rows(
     cases: Sequence, workers: int, threads: int, limit: float, cold: bool = False, work: Callable = outcome
 ) -> Iterator[dict]:
-    """Each case's row as it is done, in whatever order: `work(case, threads)`, or the case's summary and why it failed."""
+    """Rows of the cases in the order in which they end: `work(case, threads)`, or the case's summary with its failure."""
 
     def one(case) -> dict:
         began = time.perf_counter()
@@ -157,11 +156,11 @@ def rows(
         for future in tqdm(as_completed(futures), total=len(cases), desc="cases", disable=None, leave=False):
             yield future.result()
     finally:
-        pool.shutdown(cancel_futures=True)  # stopped: those that have begun end, no other begins
+        pool.shutdown(cancel_futures=True)  # if interrupted, running cases end and no other begins
 
 
-def told(measured: Campaign, library: Sequence[Effect], threads: int = 1) -> tuple[dict, ParameterSet, ParameterSet]:
-    """What the files of a diagnosis say: (diagnosis.json, parameters_base.json, parameters.json)."""
+def written_results(measured: Campaign, library: Sequence[Effect], threads: int = 1) -> tuple[dict, ParameterSet, ParameterSet]:
+    """Contents of a diagnosis' files: (diagnosis.json, parameters_base.json, parameters.json)."""
     found = diagnose(measured, library, workers=threads)
     with tempfile.TemporaryDirectory() as folder:
         write_diagnosis(OutputFolder(folder), found)
@@ -175,7 +174,7 @@ def told(measured: Campaign, library: Sequence[Effect], threads: int = 1) -> tup
 
 
 def _true_errors(case: Case, before: ParameterSet, after: ParameterSet) -> list[float]:
-    """[before, after] rms N of a model's thrust on a record that nobody saw, against what was really there."""
+    """[before, after] rms N of a model's thrust error on a hold-out record, against the true thrust."""
     record, true = case.unseen()
     return [_rms(_outputs(found, record)[:, 0] - true) for found in (before, after)]
 
@@ -190,8 +189,8 @@ def _rms(error: np.ndarray) -> float:
 
 
 def compared(content: dict, truth: dict[str, float]) -> dict[str, list]:
-    """Of each parameter with a true value that the diagnosis gives with its standard deviation: [true, found, std, whether
-    within 10 % or the 95 % interval]."""
+    """For each parameter with a true value and a standard deviation in the diagnosis: [true, found, std, whether within 10 % or
+    the 95 % interval]."""
     found = {}
     for effect in content["effects"]:
         for name, entry in effect["parameters"].items():

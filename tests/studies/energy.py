@@ -1,19 +1,18 @@
-"""Energy of a mission under four laws, on random rigs whose power follows momentum theory.
+"""Energy of a mission under three laws, on random rigs whose power follows momentum theory.
 
     python -m tests.studies energy --rigs 20
     python -m tests.studies energy --emulated
 
 Aim: the allocated law takes at most 2 % more energy than the reference, and settles no later than the paper's law.
 
-Mission: 120 s of hover, climb, gusts (a new set-point every 1.5 s) and descent. Each rig has a map and lags of its own. Its
+Mission: 120 s of hover, climb, gusts (a new set-point every 1.5 s) and descent. Each rig has its own map and lags. Its
 power (induced and profile power of the rotor, a constant efficiency, idle power) is measured at steady points with 1 % of
 noise, and fitted; the controllers know the fit, with 1 % of error in each parameter of thrust.
 
-Reference: for the thrust that the allocated law has flown, the least power of any pair of speed and pitch with that thrust, at
-each instant, on the known rig. Power is a function of the pair alone, so no law can take less: a bound, where dynamic
-programming would give a value above it.
+Reference: the least power of any pair of speed and pitch with the allocated law's thrust, at each instant, on the known rig.
+Power is a function of the pair alone, so this is a lower bound for every law.
 
---emulated: the emulated rig is measured (`vpp hil campaign --power`), identified, allocated, and flies the mission behind its
+--emulated: the emulated rig is measured (`vpp hil campaign --power`), identified and allocated. It runs the mission through its
 buses under each law (`vpp hil run --virtual --power`), and so does its identified plant in the loop of `vpp cosim`. The rig's
 own equations, settled over throttle and pitch, give its reference.
 """
@@ -75,7 +74,7 @@ class Truth:
     idle: float
 
     def thrust(self, w: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """N at normalised speed and pitch."""
+        """Thrust [N] at normalised speed and pitch."""
         c = type("c", (), {n: self.values[n] for n in FINE_TUNED})
         return 15.0 * normalised_thrust(c, w, b)
 
@@ -136,7 +135,7 @@ class Flown:
 
     @property
     def settling(self) -> list[float]:
-        """s, of each step; its whole duration if it never settles."""
+        """Settling time of each step [s]; its whole duration if it never settles."""
         return [s.end - s.time if s.settling is None else s.settling for s in self.steps]
 
 
@@ -151,7 +150,7 @@ def flown(truth: Truth, settings: Mapping[str, float], profile: Record, rest: tu
 
 
 def compared(seed: int) -> tuple[dict[str, Flown], float]:
-    """(what each law has flown, energy of the reference [J]) on the rig of a seed."""
+    """(results of each law, energy of the reference [J]) on the rig of a seed."""
     rng = np.random.default_rng([seed, 44])
     truth = rig(rng)
     known = {n: v * (1.0 + 0.01 * rng.standard_normal()) for n, v in truth.values.items()}
@@ -241,8 +240,8 @@ def main(options=None):
     for seed in range(parsed.first_seed, parsed.first_seed + parsed.rigs):
         found.append(compared(seed))
         done, least = found[-1]
-        told = ", ".join(f"{name} {100.0 * (f.energy / least - 1.0):+.1f} %" for name, f in done.items())
-        print(f"rig {seed}: reference {least:.0f} J; {told}", flush=True)
+        ratios = ", ".join(f"{name} {100.0 * (f.energy / least - 1.0):+.1f} %" for name, f in done.items())
+        print(f"rig {seed}: reference {least:.0f} J; {ratios}", flush=True)
     header = ("law", "energy over the reference's [%]", "J [s]", "settling [s]", "overshoot [%]")
     print(f"\n{header[0]:30s} {header[1]:>32s} {header[2]:>8s} {header[3]:>20s} {header[4]:>14s}")
     for name in found[0][0]:

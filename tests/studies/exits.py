@@ -1,8 +1,8 @@
-"""python -m tests.studies exits [--runs N] [--minutes M]: how plain scripts end that ran the Python plant FMU in fmpy.
+"""python -m tests.studies exits [--runs N] [--minutes M]: exit codes of plain scripts that run the Python plant FMU in fmpy.
 
-Three kinds in turn: a script as anybody writes it; one in which memory that was freed is used again as the process ends
-(`fmu_src/upstream`), where a second release of the interpreter dies at once; and, as the control, one run in twenty of the
-latter with the FMU's mend out of action. Run it beside other work: a machine that is idle hides more.
+Three kinds in turn: a plain script; one in which freed memory is used again at the end of the process (`fmu_src/upstream`), so
+that a second release of the interpreter crashes at once; and, as the control, one run in twenty of the latter with the FMU's
+fix disabled. Run it beside other work, because an idle machine hides failures.
 """
 
 import argparse
@@ -24,7 +24,7 @@ from vpp_fmu.native.compiler import compiler
 PATCH = Path(fmu_src.__file__).parent / "upstream" / "pythonfmu-0.7.0-exit.patch"
 PLAIN = "import sys, fmpy\nfmpy.simulate_fmu(sys.argv[1], stop_time=0.1, output_interval=0.01, validate=False)\n"
 IDLE = "import os\ndel os.RTLD_NOLOAD\n"
-"""Before a script: the FMU's slave then takes this for a system without the fault."""
+"""Prefix of a script, by which the FMU's slave assumes a system without the fault."""
 CONTROL = 20
 
 
@@ -67,5 +67,5 @@ def ended(folder: Path, runs: int, seconds: float) -> dict[str, Counter]:
 
 
 def named(code: int) -> str:
-    """An exit code as people call it."""
+    """The name of a signal, or the exit code."""
     return signal.Signals(-code).name if code < 0 else str(code)

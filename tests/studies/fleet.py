@@ -1,10 +1,10 @@
-"""python -m tests.studies fleet: do two processes and a Dask cluster of two workers write the same of many campaigns?
+"""python -m tests.studies fleet: do two processes and a Dask cluster of two workers write the same files for many campaigns?
 
 Short campaigns of the studies' emulator, which shares no code with the project's kernel: rigs of three sizes in turn, logged at
-100 Hz, that hide nothing, one effect, two, or one in no list. `vpp diagnose` judges all of them twice, by `--workers` and by
+100 Hz, with no hidden effect, one, two, or one outside the list. `vpp diagnose` judges all of them twice, by `--workers` and by
 `--scheduler`, each time into an empty folder and with an empty cache of compiled models. Aim: every file that both write is the
-same byte for byte. Nothing is left out of the comparison; that results bear the date of their run is met by SOURCE_DATE_EPOCH,
-which is the same for both. Seconds stand in no file.
+same byte for byte. No file is left out of the comparison. SOURCE_DATE_EPOCH gives the results of both the same date, and no
+file has run times.
 """
 
 import argparse
@@ -37,10 +37,10 @@ RATE = 100
 """Hz."""
 
 SECONDS = (15.0, 20.0)
-"""Of the open-loop record."""
+"""Range of the open-loop record's length."""
 
 FIRST = date(2026, 1, 1)
-"""Of the campaigns' days, one a campaign: the day stands in the folder's name, and the table reads it there."""
+"""First of the campaigns' days, one a campaign; the folder's name has the day, and the table reads it there."""
 
 
 def main(arguments: list[str]) -> None:
@@ -64,7 +64,7 @@ def main(arguments: list[str]) -> None:
 
 
 def case(seed: int) -> Case:
-    """A short campaign; of the seed's turn are its kind, its rig's size and what it hides."""
+    """A short campaign; its kind, its rig's size and its hidden effects depend on the seed, in turn."""
     kind, turn = KINDS[seed % len(KINDS)], seed // len(KINDS)
     size = list(SIZES)[turn % len(SIZES)]
     seconds = float(np.round(np.random.default_rng(seed).uniform(*SECONDS), 1))
@@ -72,7 +72,7 @@ def case(seed: int) -> Case:
 
 
 def measured(cases: Sequence[Case], folder: Path) -> list[Path]:
-    """Folders of the cases' campaigns; what they hide does not stand in them."""
+    """Folders of the cases' campaigns, without their truth."""
     found = []
     for k, one in enumerate(tqdm(cases, desc="campaigns", disable=None, leave=False)):
         found.append(folder / f"{FIRST + timedelta(days=k)}_{one.factors.size}")
@@ -91,7 +91,7 @@ def dask(workers: int) -> Iterator[str]:
 
 @contextlib.contextmanager
 def environment() -> Iterator[None]:
-    """For what is started meanwhile: an empty cache, and one date for all results."""
+    """Processes that are started within have an empty cache, and one date for all results."""
     before = dict(os.environ)
     with tempfile.TemporaryDirectory() as cache:
         os.environ.update({"XDG_CACHE_HOME": cache, EPOCH: "0"})
@@ -103,7 +103,7 @@ def environment() -> Iterator[None]:
 
 
 def diagnose(campaigns: Sequence[Path], words: Sequence[str], out: Path) -> None:
-    """`vpp diagnose` of all of them, as a user runs it."""
+    """`vpp diagnose` of all campaigns, as a user runs it."""
     command = [sys.executable, "-m", "vpp_fmu", "diagnose", *map(str, campaigns), *words, "-o", str(out)]
     done = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True)
     if done.returncode not in (0, 2):  # 2: some were refused, and the table says which
@@ -112,7 +112,7 @@ def diagnose(campaigns: Sequence[Path], words: Sequence[str], out: Path) -> None
 
 @contextlib.contextmanager
 def timed(name: str, campaigns: int) -> Iterator[None]:
-    """Print what is done within costs: seconds, and those of all processors (of processes that have ended)."""
+    """Print the seconds and the CPU seconds (of child processes that have ended) of the block."""
     began, worked = time.perf_counter(), _processors()
     yield
     seconds, work = time.perf_counter() - began, _processors() - worked
@@ -126,7 +126,7 @@ def _processors() -> float:
 
 
 def compared(one: Path, other: Path) -> dict[str, tuple[int, int]]:
-    """Of each name of a file: (how many stand in either folder, how many of them are not the same in both)."""
+    """By name of a file: (number of such files in either folder, number of those that differ)."""
     files = {p.relative_to(root) for root in (one, other) for p in root.rglob("*") if p.is_file()}
     _, *unlike = filecmp.cmpfiles(one, other, sorted(map(str, files)), shallow=False)
     bad = {Path(name) for names in unlike for name in names}
@@ -136,7 +136,7 @@ def compared(one: Path, other: Path) -> dict[str, tuple[int, int]]:
 
 
 def show(one: Path, other: Path) -> None:
-    """Print what was found, and whether both folders hold the same."""
+    """Print the verdicts, and whether the files of both folders are the same."""
     rows = list(csv.DictReader((one / "fleet.csv").read_text().splitlines()))
     verdicts = Counter(row["verdict"] for row in rows)
     print(f"{len(rows)} campaigns: {', '.join(f'{word} {count}' for word, count in verdicts.most_common())}")

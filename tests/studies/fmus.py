@@ -1,9 +1,9 @@
-"""python -m tests.studies fmus [--steps N] [--calls N]: the exported FMUs over long runs, and in clumsy hands.
+"""python -m tests.studies fmus [--steps N] [--calls N]: the exported FMUs over long runs, and under misuse.
 
-Every effect of the library is on. The functions as they stand are the reference; the Python FMU, the native FMU and, where
-qemu-aarch64 and ziglang are installed, the native FMU built for 64-bit ARM are held against them. Then the table of calls out
-of order and with bad arguments (`tests/misuse.py`) on both flavours, the native FMU as FMI 3.0 against the one as FMI 2.0 in
-fmpy, and random calls on both under the sanitizers of addresses and of undefined behaviour.
+Every effect of the library is on. The model's functions are the reference for the Python FMU, the native FMU and, where
+qemu-aarch64 and ziglang are installed, the native FMU built for 64-bit ARM. Then follow the table of calls out of order and
+with bad arguments (`tests/misuse.py`) on both flavours, the native FMU as FMI 3.0 against the one as FMI 2.0 in fmpy, and
+random calls on both under the sanitizers of addresses and of undefined behaviour.
 """
 
 import argparse
@@ -51,7 +51,7 @@ def main(arguments: list[str]) -> None:
 
 
 def written(folder: Path) -> dict[str, Path]:
-    """The FMUs, by flavour; the same bytes from a second export."""
+    """Write the FMUs, by name, and check that a second export has the same bytes."""
     models = {"python": (python_fmu, ALL_ON, PROBES), "native": (native_fmu, ALL_ON, PROBES)}
     models |= {"plain": (native_fmu, BASE, {}), "controller": (native_fmu, CONTROLLER, {})}
     paths = {}
@@ -70,8 +70,8 @@ def bits(paths: dict[str, Path], steps: int) -> None:
     rows = np.column_stack(list(commands.values()))
     exact = reference(ALL_ON, PROBES, commands, np.full(steps, STEP))
     shown = {name: stepped(paths[name], list(commands), rows) for name in ("python", "native")}
-    if lacks := missing():
-        print(f"64-bit ARM: not run: {lacks}")
+    if reason := missing():
+        print(f"64-bit ARM: not run: {reason}")
     else:
         shown["64-bit ARM under qemu"] = np.vstack([exact[:1], outputs_on_arm(ALL_ON, PROBES, rows, STEP)])
     for name, outputs in shown.items():
@@ -138,7 +138,7 @@ def memory(path: Path) -> None:
 
 
 def misused(folder: Path) -> None:
-    """The table of misuse, a line a case."""
+    """Print the table of misuse, a line for each case."""
     outcomes = {}
     for flavour, make in (("native", native_fmu), ("python", python_fmu)):
         paths = {name: folder / f"{name}.{flavour}.fmu" for name in MODELS}

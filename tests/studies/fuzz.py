@@ -1,9 +1,9 @@
 """python -m tests.studies fuzz --runs 2000 [--first-seed S] [--verbs A,B] [--minutes M]: damaged files, given to every verb.
 
 Each case takes a command whose files are good, and damages one of them: cells, headers and encodings of a table, a gzip file
-cut or bent, JSON and TOML nested, duplicated, huge or of wrong kinds, an FMU damaged in each of its parts, an effect's lines.
-It runs in a process of its own, forked after the imports. Aimed at: exit codes other than 0 and 2, tracebacks, runs over 60 s,
-NaN in JSON and half-written outputs: none of any.
+cut or with a wrong bit, JSON and TOML nested, duplicated, huge or of wrong kinds, an FMU damaged in each of its parts, an
+effect's lines. It runs in a separate process, forked after the imports. Aim: no exit code other than 0 and 2, no traceback, no
+run over 60 s, no NaN in JSON and no half-written output.
 """
 
 import argparse
@@ -39,7 +39,7 @@ from vpp_fmu.files import OutputFolder
 from vpp_fmu.record import write_record
 
 LIMIT, LONGEST = 60, 300.0
-"""s that a case may take: of a processor, and on the clock of a machine that others use, too."""
+"""s that a case may take: CPU time, and wall-clock time on a shared machine."""
 
 MEMORY = 4 * 2**30
 """Bytes of address space that a case may ask for."""
@@ -172,7 +172,7 @@ COMMANDS: Mapping[str, Sequence[tuple[str, ...]]] = {
 """By verb, words in which {NAME} is a file or folder of `materials`. A verb that takes no file is not here."""
 
 RARE = {"tune": 0.25, "twin": 0.1, "diagnose": 0.5}
-"""Verbs that take long where the damage did none: the share of the others' cases that they get."""
+"""Weights of slow verbs in the draw of a case; those of the others are 1."""
 
 EFFECT = '''"""The amplifier is slow."""
 from vpp_fmu import Effect, Parameter, State
@@ -199,7 +199,7 @@ EFFECT = Effect(
 
 
 def materials(home: Path, verbs: Iterable[str]) -> dict[str, Path]:
-    """Good files by name, made in `home`: a short campaign of the example's, and what other verbs make of it for `verbs`."""
+    """Good files by name, made in `home`: a short part of the example campaign, and what other verbs make of it for `verbs`."""
     found = {"campaign": home / "campaign", "plain": home / "campaign", "out": home / "out"}
     whole, folder = read_campaign(example_folder()), OutputFolder(home / "campaign")
     cuts = {"open_loop": whole.open_loop.part(slice(0, 5000, 4)), "repeat": whole.repeat.part(slice(0, 5000, 4))}
@@ -339,7 +339,7 @@ TEXTS = (
 
 
 def table(rng: random.Random, data: bytes) -> tuple[str, bytes]:
-    """(what was done, a damaged CSV)."""
+    """(kind of damage, a damaged CSV)."""
     lines = data.decode().split("\n")
     grid = [line.split(",") for line in lines if line]
     row, column = rng.randrange(1, len(grid)), rng.randrange(len(grid[0]))
@@ -376,7 +376,7 @@ def table(rng: random.Random, data: bytes) -> tuple[str, bytes]:
 
 
 def encoding(rng: random.Random, data: bytes) -> tuple[str, bytes]:
-    """(what was done, the text in other bytes)."""
+    """(kind of damage, the text in other bytes)."""
     text, half = data.decode(), rng.randrange(len(data) + 1)
     ways: dict[str, Callable[[], bytes]] = {
         "utf-16": lambda: text.encode("utf-16"),
@@ -399,7 +399,7 @@ def encoding(rng: random.Random, data: bytes) -> tuple[str, bytes]:
 
 
 def packed(rng: random.Random, data: bytes) -> tuple[str, bytes]:
-    """(what was done, a damaged gzip file)."""
+    """(kind of damage, a damaged gzip file)."""
     at = rng.randrange(1, len(data))
     what = rng.choice(("cut", "a bit", "tail", "twice", "bomb", "not packed", "damaged inside"))
     if what == "bomb":
@@ -414,7 +414,7 @@ def packed(rng: random.Random, data: bytes) -> tuple[str, bytes]:
 
 
 def places(content: object, place: tuple = ()) -> Iterator[tuple]:
-    """Where something stands in a JSON value."""
+    """Places of all values in a JSON value."""
     yield place
     inside = content.items() if isinstance(content, dict) else enumerate(content[:20]) if isinstance(content, list) else ()
     for key, value in inside:
@@ -422,7 +422,7 @@ def places(content: object, place: tuple = ()) -> Iterator[tuple]:
 
 
 def objects(rng: random.Random, data: bytes) -> tuple[str, bytes]:
-    """(what was done, a damaged JSON file)."""
+    """(kind of damage, a damaged JSON file)."""
     what = rng.choice(("value", "value", "value", "gone", "renamed", "more", "twice", "raw", "text"))
     if what == "text":
         return encoding(rng, data)
@@ -457,7 +457,7 @@ def objects(rng: random.Random, data: bytes) -> tuple[str, bytes]:
 
 
 def toml(rng: random.Random, data: bytes) -> tuple[str, bytes]:
-    """(what was done, a damaged TOML file)."""
+    """(kind of damage, a damaged TOML file)."""
     lines = data.decode().split("\n")
     at = rng.randrange(len(lines))
     new = rng.choice(
@@ -495,7 +495,7 @@ def toml(rng: random.Random, data: bytes) -> tuple[str, bytes]:
 
 
 def python(rng: random.Random, data: bytes) -> tuple[str, bytes]:
-    """(what was done, damaged lines of Python)."""
+    """(kind of damage, damaged lines of Python)."""
     lines = data.decode().split("\n")
     at = rng.randrange(len(lines))
     what = rng.choice(("line gone", "word", "raise", "cut", "text"))
@@ -514,7 +514,7 @@ def python(rng: random.Random, data: bytes) -> tuple[str, bytes]:
 
 
 def fmu(rng: random.Random, data: bytes) -> tuple[str, bytes]:
-    """(what was done, an FMU damaged in one of its parts, or in its archive)."""
+    """(kind of damage, an FMU damaged in one of its parts, or in its archive)."""
     at = rng.randrange(len(data))
     what = rng.choice(("archive cut", "archive bit", "archive hole", *["member"] * 7))
     if what != "member":
@@ -571,8 +571,8 @@ DAMAGES = {
 
 @dataclass(frozen=True)
 class Case:
-    """A case by its seed: its `verb`, the `file` that was damaged and `how`; how it ended: exit `code` (negative: by a signal;
-    None: its time was over), `seconds`, what it `said` on standard error; `faults` of it, which should be none."""
+    """A case by its seed: its `verb`, the damaged `file` and `how`; exit `code` (negative: by a signal; None: out of time),
+    `seconds`, standard error `said`, and `faults`, of which there should be none."""
 
     seed: int
     verb: str
@@ -588,7 +588,7 @@ FAULTS = ("exit code", "traceback", "over 60 s", "NaN in JSON", "half-written", 
 
 
 def undamaged(verbs: Sequence[str], good: Mapping[str, Path], home: Path) -> Iterator[tuple[str, int | None, str]]:
-    """(verb, exit code, standard error) of each of their commands on good files: a case must be refused for its damage."""
+    """(verb, exit code, standard error) of each command on good files, to show that refusals come from the damage."""
     for verb in verbs:
         for words in COMMANDS[verb]:
             place = home / "case"
@@ -599,7 +599,7 @@ def undamaged(verbs: Sequence[str], good: Mapping[str, Path], home: Path) -> Ite
 
 
 def run_case(seed: int, good: Mapping[str, Path], home: Path, verbs: Sequence[str]) -> Case:
-    """Damage a file as the seed has it, run its command in a fork, and look at what is left."""
+    """Damage a file by the seed, run its command in a fork, and check the result."""
     rng = random.Random(seed)
     verb = rng.choices(verbs, [RARE.get(verb, 1.0) for verb in verbs])[0]
     words = rng.choice(COMMANDS[verb])
@@ -677,12 +677,12 @@ def _faults(verb: str, words: Sequence[str], code: int | None, said: str, out: P
     if "Traceback" in said:
         yield "traceback"
     lines = [line for line in said.splitlines() if not re.match(r"vpp: note: |vpp \w+: .* \(\d+ s\)$", line)]  # notes, stages
-    if code == 2 and len(lines) != 1 and verb not in ("hil", "twin"):  # these say more, as they run
+    if code == 2 and len(lines) != 1 and verb not in ("hil", "twin"):  # these print more as they run
         yield "not one line"
     files = [path for path in out.rglob("*") if path.is_file()]
     if any(".part" in path.name or "vpp-scratch" in str(path) for path in files):
         yield "half-written"
-    if code == 2 and files and verb not in ("check", "hil", "twin"):  # a run that ended keeps what it has, by design
+    if code == 2 and files and verb not in ("check", "hil", "twin"):  # an ended run keeps its files, by design
         yield "half-written"
     for path in files:
         if path.suffix == ".json" and not _strict(path):
@@ -703,7 +703,7 @@ def _strict(path: Path) -> bool:
 def cases(first: int, runs: int, verbs: Sequence[str] = tuple(COMMANDS), minutes: float = 1e9) -> Iterator[Case]:
     """The cases of `runs` seeds from `first` on, or as many as the minutes allow."""
     end = time.monotonic() + 60.0 * minutes
-    for verb in verbs:  # what a fork should not import again
+    for verb in verbs:  # imported once, and not in every fork
         parser_of(verb)
     with tempfile.TemporaryDirectory() as name:
         home = Path(name)
@@ -716,13 +716,13 @@ def cases(first: int, runs: int, verbs: Sequence[str] = tuple(COMMANDS), minutes
 
 
 def made_apart(home: Path, verbs: Iterable[str]) -> dict[str, Path]:
-    """`materials`, made in a fork: this process loads no FMU, starts no thread."""
+    """`materials`, made in a fork, so that this process loads no FMU and starts no thread."""
     (home / "good").mkdir()
     if not (child := os.fork()):
         code = 1
         try:
-            told = {name: str(path) for name, path in materials(home / "good", verbs).items()}
-            (home / "good.json").write_text(json.dumps(told))
+            paths = {name: str(path) for name, path in materials(home / "good", verbs).items()}
+            (home / "good.json").write_text(json.dumps(paths))
             code = 0
         except BaseException:
             traceback.print_exc()
@@ -734,14 +734,14 @@ def made_apart(home: Path, verbs: Iterable[str]) -> dict[str, Path]:
 
 
 def remove(folder: Path) -> None:
-    """A case's folder, whatever a case has made of it."""
+    """Remove a case's folder with all its contents."""
     for path in sorted(folder.rglob("*"), reverse=True):
         path.rmdir() if path.is_dir() and not path.is_symlink() else path.unlink()
     folder.rmdir()
 
 
 def shown(found: Sequence[Case]) -> Iterator[str]:
-    """The table in lines: how each verb ended, what of it was at fault, and an example of each."""
+    """The lines of the table: exit codes and faults of each verb, and examples of each fault."""
     yield (
         f"{'verb':13} {'cases':>6} {'exit 0':>7} {'exit 2':>7} "
         + " ".join(f"{fault:>12}" for fault in FAULTS)

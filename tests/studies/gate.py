@@ -1,10 +1,10 @@
-"""python -m tests.studies gate: faults planted in good campaigns of three sizes of rigs, and what the gate said of each.
+"""python -m tests.studies gate: faults inserted in good campaigns of three sizes of rigs, and the gate's findings.
 
 The campaigns are the model's own response with noise and a tachometer of one mark, on rigs drawn about three sizes: 1.2 N at
 20 000 rpm and 500 Hz, 15 N at 6000 rpm and 250 Hz, 180 N at 2500 rpm and 100 Hz or 1 kHz. They are written to files and read
-as a user's are. A row is one fault, and what was said of it first, with the number that shows it; what else was said stands
-beside it. The last block counts what was said of good campaigns, where nothing should be; the emulated rigs beside the project
-hide effects, and what is said of them is only shown.
+like a user's. A row has one fault, its finding with the number that shows it, and the other findings. The last block counts the
+findings on good campaigns, which should have none. The emulated rigs beside the project have hidden effects; their findings are
+only printed.
 """
 
 import argparse
@@ -64,7 +64,7 @@ SIZES = {
     ),
 }
 SIZES["180 N, quick"] = replace(SIZES["180 N"], row=0.001, section=16.0, noise=3.0)
-"""About where rigs are drawn, by their largest thrust."""
+"""Centres about which rigs are drawn, by their largest thrust."""
 
 SPREAD = 0.2
 """Share by which a drawn rig's lags and coefficients differ from its size's."""
@@ -93,12 +93,12 @@ def scaled(name: str, factor: float, static: bool = True) -> Change:
 
 
 def both_in_rad(c: Campaign, rng) -> Campaign:
-    """Commanded and measured speed."""
+    """Commanded and measured speed in rad/s."""
     return column(column(c, "omega", lambda x: x * np.pi / 30.0), "omega_ref", lambda x: x * np.pi / 30.0)
 
 
 def thinned(c: Campaign, rng) -> Campaign:
-    """Every so manieth row, such that rows are half the fastest lag apart; means over what lies between, as slow loggers do."""
+    """Every n-th row, such that rows are half the fastest lag apart."""
     row, lag = float(np.median(c.open_loop.steps)), min(SIZES[c.folder.name].values.get("tau_omega_2", 0.053), 1.0)
     every = max(2, round(0.5 * lag / row))
 
@@ -126,13 +126,13 @@ def offset(share: float, static: bool) -> Change:
 
 
 def clipped(c: Campaign, rng) -> Campaign:
-    """At 70 % of the largest thrust."""
+    """Thrust clipped at 70 % of its largest value."""
     limit = 0.7 * float(c.open_loop["thrust"].max())
     return column(c, "thrust", lambda x: np.minimum(x, limit), static=False)
 
 
 def frozen(name: str) -> Change:
-    """A twentieth of the open-loop record stands still."""
+    """A column that is constant over a twentieth of the open-loop record."""
 
     def change(c: Campaign, rng) -> Campaign:
         values, rows = c.open_loop[name].copy(), len(c.open_loop)
@@ -166,7 +166,7 @@ def gaps(c: Campaign, rng) -> Campaign:
 
 
 def late_commands(c: Campaign, rng) -> Campaign:
-    """Commands logged late, by as long as the speed takes."""
+    """Commands that are logged late by the lag of the speed."""
     rows = max(2, round(SIZES[c.folder.name].values.get("tau_omega_1", 0.172) / float(np.median(c.open_loop.steps))))
 
     def change(record: Record) -> Record:
@@ -208,7 +208,7 @@ def narrow_rig(c: Campaign) -> dict:
 
 
 def newtons(c: Campaign) -> dict:
-    """A rig.json that declares the rig's thrust, whatever the files hold."""
+    """A rig.json that declares the rig's thrust in N, whatever unit the files have."""
     return {"thrust": {"min": 0.0, "max": SIZES[c.folder.name].scales.thrust_scale, "unit": "N"}}
 
 
@@ -219,8 +219,8 @@ def wrong_scale(c: Campaign) -> dict:
 
 @dataclass(frozen=True)
 class Planted:
-    """A fault: what it changes, the code that has to be said, and what stands in a rig.json beside it. `fit`: only a fit
-    shows it."""
+    """A fault: its change, the code of the required finding, and the contents of a rig.json beside it. `fit`: only a fit shows
+    the fault."""
 
     change: Change
     code: str
@@ -264,14 +264,14 @@ FAULTS = {
 
 
 def good(size: str, seed: int, section: float | None = None) -> Campaign:
-    """A campaign of a rig drawn about a size; `section` s of each kind of move, the size's own unless told."""
+    """A campaign of a rig drawn about a size; `section` s of each kind of move (default: the size's)."""
     rng = np.random.default_rng([seed, len(size)])
     rig = replace(SIZES[size], section=section or SIZES[size].section)
     return varied(rig, rng, SPREAD).campaign(rng, Path(size))
 
 
 def written(campaign: Campaign, folder: Path, rig: Mapping | None = None) -> Campaign:
-    """The campaign as a reader finds it."""
+    """The campaign, written to files and read again."""
     write_campaign(OutputFolder(folder), campaign)
     if rig is not None:
         (folder / "rig.json").write_text(json.dumps({"format": "vpp-rig/1", **rig}))
@@ -279,7 +279,7 @@ def written(campaign: Campaign, folder: Path, rig: Mapping | None = None) -> Cam
 
 
 def said(campaign: Campaign, fit: bool) -> tuple[Finding, ...]:
-    """What the gate says: of the files, and of the fit where there is nothing that forbids one."""
+    """Findings of the gate on the files and, unless one of them is an error, on the fit."""
     findings = look(campaign).findings
     if not fit or any(f.level == ERROR for f in findings):
         return findings
@@ -290,15 +290,15 @@ def said(campaign: Campaign, fit: bool) -> tuple[Finding, ...]:
 
 
 def planted(fault: str, campaign: Campaign, seed: int = 0) -> tuple[Finding, ...]:
-    """What is said of a good campaign with a fault put into it."""
+    """Findings on a good campaign with a fault inserted."""
     plan, rng = FAULTS[fault], np.random.default_rng([seed, 1])
     with tempfile.TemporaryDirectory() as folder:
         spoilt = plan.change(campaign, rng)
         try:
             measured = written(spoilt, Path(folder), plan.rig and plan.rig(campaign))
-        except BadInput as refused:  # the reader knows already that no thrust is this large
-            told = f"the reader refuses {refused.found}"
-            return (Finding(plan.code, refused.where, refused.field, 0.0, "1", told, f"expected {refused.allowed}"),)
+        except BadInput as refused:  # the reader itself refuses so large a thrust
+            text = f"the reader refuses {refused.found}"
+            return (Finding(plan.code, refused.where, refused.field, 0.0, "1", text, f"expected {refused.allowed}"),)
         return said(measured, plan.fit)
 
 

@@ -1,8 +1,8 @@
-"""What can be hidden in the studies' rig: effects of the contract's list, and others that are in no list.
+"""Hidden effects of the studies' rig: those of the contract's list, and others that are in no list.
 
-Sizes are shares of the rig's own scales, times those of the paper's rig (`physics.in_time` takes them to another). Each effect
-has a full size, about the largest that a rig is used with, and a least, about where it stops to matter; a case draws between.
-`kernel` says which parameters of the project's effect the drawn size should come out as, in the project's units.
+Sizes are shares of the rig's own scales, times those of the paper's rig (`physics.in_time` converts them). Each effect has a
+full size, about the largest in use, and a least size, about where it becomes negligible; a case draws between them. `kernel`
+gives the true values of the project's parameters for a drawn size, in the project's units.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,13 +15,13 @@ from .rig import Size
 
 @dataclass(frozen=True)
 class Draw:
-    """Where sizes come from: `strength` from 0, the least, to 1, full size."""
+    """A source of sizes: `strength` from 0, the least, to 1, full size."""
 
     rng: np.random.Generator
     strength: float
 
     def size(self, least: float, full: float) -> float:
-        """As large as the strength says, by ratio."""
+        """Interpolated by the strength, on a logarithmic scale."""
         return float(least ** (1.0 - self.strength) * full**self.strength)
 
     def signed(self, least: float, full: float) -> float:
@@ -29,7 +29,7 @@ class Draw:
         return float(self.rng.choice([-1.0, 1.0])) * self.size(least, full)
 
     def any(self, low: float, high: float) -> float:
-        """What is no size: log-uniform."""
+        """A setting that does not depend on the strength: log-uniform."""
         return float(np.exp(self.rng.uniform(*np.log([low, high]))))
 
     def one(self, *of):
@@ -39,13 +39,13 @@ class Draw:
 
 @dataclass(frozen=True)
 class Hidden:
-    """One effect. `draw(Draw)`: settings of the physics, or a force from outside (`rig.Rig.extra`) under "extra".
+    """One effect. `draw(Draw)`: settings of the physics, or an external force (`rig.Rig.extra`) under "extra".
 
-    `kernel(settings, size)`: true values of the project's parameters, by bare name; {}: no one number corresponds.
-    `relatives`: names in the list of which it is another form or a special case; without its own name there, naming one of
-    them is no mistake.
-    `special`: of special cases, settings about as large, from which their sizes are fitted: where a special case can't be told
-    from the effect, its name is right.
+    `kernel(settings, size)`: true values of the project's parameters, by bare name; {} if no single number corresponds.
+    `relatives`: names in the list of which it is another form or a special case; if its own name is missing there, naming one
+    of them is correct.
+    `special`: special cases, with settings of about the same size, from which their fits start. If the records cannot
+    distinguish a special case from the effect, the name of the special case is correct.
     """
 
     name: str
@@ -64,7 +64,7 @@ def _some_signed(name, least, full):
 
 
 def _either_lag(which, name, least, full, signed=False):
-    """In the first or the last of a channel's lags."""
+    """The effect acts in the first or the last of a channel's lags."""
     return lambda g: {name: (g.signed if signed else g.size)(least, full), which: g.one(0.0, 1.0)}
 
 
@@ -93,7 +93,7 @@ def _newton_per_deg(size):
 
 
 def _rate(g):
-    """Of the first lag, the last lag, or the command."""
+    """A rate limit of the first lag, the last lag, or the command."""
     rate = g.size(1.6, 0.5)
     return g.one({"slew": rate}, {"rate": rate, "last_stage": 0.0}, {"rate": rate, "last_stage": 1.0})
 
@@ -104,7 +104,7 @@ def _map_term(g):
 
 
 def _sag(g):
-    """Of the speed that a loop can hold, or of speed itself."""
+    """A sag of the speed that a loop can hold, or of the speed itself."""
     return g.one({"droop": g.size(0.02, 0.2)}, {"speed_max_w": g.rng.uniform(0.98, 1.05), "sag": g.size(0.07, 0.2)})
 
 
@@ -119,7 +119,7 @@ def _voltage(g):
 
 
 def _fade(g):
-    """In a line with time, towards an end, or with load."""
+    """A fade linear in time, towards an end, or with load."""
     form, there = g.one(0, 1, 2), {"fade": -g.size(0.015, 0.08)}
     if form == 0:
         return there
@@ -155,7 +155,7 @@ LISTED = (
         lambda g: {"speed_min": g.any(0.1, 0.3), "speed_max": g.size(1.6, 0.6)},
         lambda s, size: {"slowest": size.span * s["speed_min"], "full": size.span * s["speed_max"]},
         relatives=("pitch_rate_limit",),
-        special={"pitch_rate_limit": lambda s: {"rate": s["speed_max"]}},  # all of it where nothing moves slowly enough
+        special={"pitch_rate_limit": lambda s: {"rate": s["speed_max"]}},  # equivalent if no move is slow enough
     ),
     Hidden(
         "pitch_stall_latch",
@@ -192,7 +192,7 @@ LISTED = (
         _sag_parameters,
         special={
             "speed_saturation": lambda s: {"speed_max_w": 0.9 * s.get("speed_max_w", 1.0)}
-        },  # where it acts at one load only
+        },  # equivalent if it acts at one load only
     ),
     Hidden("supply_voltage", _voltage, _same("volt_share", "share")),
     Hidden(
@@ -233,7 +233,7 @@ LISTED = (
 
 @dataclass(frozen=True)
 class Gusts:
-    """After each large step of a command, a puff of wind, the same each time the commands are given."""
+    """A gust after each large step of a command, the same whenever the commands are repeated."""
 
     amplitude: float
     seed: int
@@ -271,22 +271,22 @@ def _tone(least, full, frequencies):
 
 OUTSIDE = (
     Hidden("voltage_ceiling", lambda g: {"volt_gain": g.size(1.02, 0.95), "discharge": g.any(0.1, 0.25)}),
-    # Stribeck friction of the linkage, against the actuator's pull: a dead-zone whose width falls once it moves.
+    # Stribeck friction of the linkage, against the actuator's pull: a dead zone that is narrower in motion.
     Hidden(
         "stick_slip",
         _some("friction", 0.02, 0.06),
         relatives=("pitch_error_deadzone", "pitch_stop_band", "pitch_stop_restart"),
     ),
-    # Thrust turns the blade back: in rest a bend of the map.
+    # Thrust twists the blade back; at rest this is a change of the map.
     Hidden("blade_torsion", _some("torsion", 0.08, 0.25), relatives=("map_terms",)),
-    Hidden("warming_actuator", _some("warm", 0.4, 1.2)),  # pitch grows slower within 40 s
-    # The servo knows whole steps of about 1 deg only, counted from where the normalised pitch is 0, not from 0 deg.
+    Hidden("warming_actuator", _some("warm", 0.4, 1.2)),  # the pitch becomes slower within 40 s
+    # The servo has whole steps of about 1 deg, counted from a normalised pitch of 0, not from 0 deg.
     Hidden("servo_steps", _some("pitch_step", 0.05, 0.1), relatives=("pitch_command_resolution",)),
     Hidden("speed_hunting", lambda g: {"hunt_hz": g.size(3.0, 1.5), "hunt_zeta": g.size(0.4, 0.15)}),
     Hidden("one_sided_delay", _some_signed("late_up", 0.05, 0.15)),  # only steps up, or only steps down, are late
     Hidden("speed_ramp", _some("ramp", 2.0, 0.8)),  # the speed controller limits acceleration
-    Hidden("stall_hysteresis", _some("stall", 0.06, 0.2)),  # thrust falls at high pitch and low speed, and comes back late
-    # The load cell creeps with the logarithm of time: several recirculations of the other sign.
+    Hidden("stall_hysteresis", _some("stall", 0.06, 0.2)),  # thrust falls at high pitch and low speed, and recovers late
+    # The load cell creeps with the logarithm of time: like several recirculations of the other sign.
     Hidden("cell_creep", _some("creep", 0.04, 0.12), relatives=("recirculation",)),
     Hidden("gusts", _gusts),
     Hidden("mains_hum", _tone(0.003, 0.01, (50.0, 100.0))),  # locked to the record's start
@@ -307,7 +307,7 @@ UNLISTED = (
     Hidden("coarse_controller", _some("esc_step", 0.012, 0.06)),
     Hidden("parting_flow", _some("parting", 0.04, 0.15)),
 )
-"""Further forms in no list, thought of before there was anything that learns: what the study of learned terms hides."""
+"""Further effects in no list, chosen before any learning existed, for the study of learned terms."""
 
 HIDDEN = {h.name: h for h in (*LISTED, *OUTSIDE, *UNLISTED)}
 
@@ -325,4 +325,4 @@ PAIRS = (
     ("pitch_delay", "supply_sag"),
     ("pitch_backlash", "sensor_lag"),
 )
-"""Effects that may well be on one rig."""
+"""Effects that are plausible on one rig."""

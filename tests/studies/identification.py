@@ -1,12 +1,12 @@
-"""python -m tests.studies identification: are the estimates as good as theory allows, and their intervals true?
+"""python -m tests.studies identification: errors of the estimates over the Cramer-Rao bound, and coverage of the intervals.
 
 Many records, each with other commands and other noise, are fitted from the paper's start (its averaged time constants, its
 static map), thrust alone, without prior. Errors are compared with the standard deviation that linear theory gives for the
 record at the true parameters: the Cramer-Rao bound where the noise is white.
 
-A pair's single constants are a root of what the response tells: near a double pole their errors are no longer Gaussian, even
-if what is told is known as well as the bound allows. `bent` says how large they then are: the constants' rms error where the
-regular coordinates (log of the sum, spread) scatter as the bound says, Gaussian.
+The response determines sum and spread of a pair of constants; the single constants are a root of these. Near a double pole
+their errors are not Gaussian, even if sum and spread are known as well as the bound allows. `bent` is the constants' rms error
+if the regular coordinates (log of the sum, spread) are Gaussian with the covariance of the bound.
 """
 
 import argparse
@@ -34,13 +34,13 @@ FORMS = {
     "tau_beta sum": lambda p: p["tau_beta_1"] + p["tau_beta_2"],
     "tau_beta product": lambda p: p["tau_beta_1"] * p["tau_beta_2"],
 }
-"""What of a pair the response tells apart well, and without names that could be swapped."""
+"""Functions of a pair that the response determines well, and that are symmetric in the two constants."""
 
 DRAWS = 256
-"""Of the coordinates, low-discrepancy, for the errors that are `bent`: good to 1 % over some records."""
+"""Low-discrepancy draws of the coordinates for `bent`, which they give to 1 % over some records."""
 
 FIRST = 200
-"""Records that are also judged alone."""
+"""Number of records that are also judged alone."""
 
 COLOURED = 0.1
 """Correlation time of the second study's residuals, s."""
@@ -50,8 +50,8 @@ COLOURED = 0.1
 class Trials:
     """Fits of as many records, one a row (trials, quantities), for the parameters and then FORMS.
 
-    `error`; `theory`: what linear theory says of it; `bent`: its rms where only the coordinates are linear; `covered`: whether
-    the 95 % interval holds the truth; `covered_white`: whether that for white residuals does (parameters only). `profiled`:
+    `error`; `theory`: its standard deviation by linear theory; `bent`: its rms if only the coordinates are linear; `covered`:
+    whether the 95 % interval contains the truth; `covered_white`: the same for white residuals (parameters only). `profiled`:
     whether the interval came from the profile (parameters only). `seconds` (trials,) of the refinement.
     """
 
@@ -105,7 +105,7 @@ def _trial(seed: int, std: float, memory: float, section: float) -> tuple:
 
 
 def _theory(problem: Problem, std: float, memory: float) -> tuple[np.ndarray, np.ndarray]:
-    """At the truth: (standard deviations by linear theory, rms errors where only the coordinates are linear)."""
+    """At the truth: (standard deviations by linear theory, rms errors if only the coordinates are linear)."""
     coordinates = problem.coordinates
     x = coordinates.vector(TRUTH)
     _, jacobian = problem.evaluate(x)
@@ -129,8 +129,8 @@ def _slope(form, values: np.ndarray) -> np.ndarray:
 def show(title: str, found: Trials) -> None:
     """Print a study's table.
 
-    The column with theory's own deviations has the luck of the draw in it and nothing of what is estimated: what ours falls
-    short of it is what not knowing the noise costs.
+    The column with theory's own deviations contains only the chance of the draws; ours falls short of it because the noise
+    is unknown.
     """
     count, n, (ratio, uncertainty) = len(found.error), len(BASE_PARAMETERS), found.ratio
     relative = 100 * np.median(found.theory, axis=0) / np.abs([*(TRUTH[n] for n in BASE_PARAMETERS), *_forms_at_truth()])
@@ -150,7 +150,7 @@ def show(title: str, found: Trials) -> None:
 
 
 def show_first(found: Trials) -> None:
-    """Print what the first records alone would have said: how much of it is luck."""
+    """Print the results of the first records alone, to show the effect of chance."""
     ratio, uncertainty = found.ratio
     n = len(BASE_PARAMETERS)
     worst = int(np.argmax(ratio[:n]))
@@ -167,7 +167,7 @@ def _forms_at_truth() -> list[float]:
 
 
 def _share(covered: np.ndarray) -> str:
-    """Mean and standard error in %; the parameters of one record are not independent, so records are what counts."""
+    """Mean and standard error in %, over records, because the parameters of one record are not independent."""
     each = covered.reshape(len(covered), -1).mean(axis=1)
     return f"{100 * each.mean():5.1f} ± {100 * each.std() / np.sqrt(len(each)):.1f} %"
 

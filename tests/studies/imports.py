@@ -1,7 +1,7 @@
-"""python -m tests.studies imports: one truth in a zoo of formats, and what `vpp import csv` made of each.
+"""python -m tests.studies imports: the same data in many formats, and the result of `vpp import csv` for each.
 
-Aimed at: what comes out equals what went in, to the digits that were written, or one line that says why not, exit code 2 and
-nothing written.
+Aim: the imported data equal the original to the digits that were written, or there is one line with the reason, exit code 2 and
+no output.
 """
 
 import argparse
@@ -31,10 +31,10 @@ def main(arguments):
     counts = {False: [0, 0], True: [0, 0]}
     for format in formats():
         with tempfile.TemporaryDirectory() as folder:
-            good, told = came_out(format, Path(folder), run)
+            good, result = came_out(format, Path(folder), run)
         counts[bool(format.refused)][0] += good
         counts[bool(format.refused)][1] += 1
-        print(f"{'as it must' if good else 'NOT SO':10}  {format.name:38}  {told}", flush=True)
+        print(f"{'as it must' if good else 'NOT SO':10}  {format.name:38}  {result}", flush=True)
     read, refused = counts[False], counts[True]
     print(f"\n{read[0]} of {read[1]} formats came out as they went in")
     print(f"{refused[0]} of {refused[1]} others: one line that says why not, nothing written")

@@ -1,6 +1,6 @@
-"""Campaigns that lack something, or hold something odd: of the project's own plant with noise, for rigs of three sizes.
+"""Incomplete or unusual campaigns, of the project's own plant with noise, for rigs of three sizes.
 
-The truth is the fine-tuned map in each rig's own scales. What is written is what a stranger's folder would hold, no more.
+The truth is the fine-tuned map in each rig's own scales. The files have only what a user's folder would have.
 """
 
 import json
@@ -19,7 +19,7 @@ from vpp_fmu.record import Record, write_record
 
 Columns = dict[str, np.ndarray]
 Files = dict[str, Columns]
-"""Columns by name, and these by the file's name."""
+"""Columns by name, for each file by name."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ SECTION = 14.0
 """s of speed only, of pitch only, of both on the paper's rig: some forty lags."""
 
 SHORTEST, LONGEST = 0.8, 5.0
-"""For how long a level is held, in sums of the pitch's lags."""
+"""Range of the hold of a level, in sums of the pitch's lags."""
 
 
 def random_levels(size: Size, rng: np.random.Generator, rows: int, low: float, high: float) -> np.ndarray:
@@ -84,19 +84,19 @@ def _simulator(scales: Scales) -> Simulator:
 
 
 def responded(size: Size, commands: Columns) -> np.ndarray:
-    """(rows, 3): thrust, speed and pitch of the plant itself."""
+    """(rows, 3): thrust, speed and pitch of the plant without noise."""
     return _simulator(size.scales).simulate(size.truth, commands, np.diff(commands["time"]))
 
 
 def measured(size: Size, commands: Columns, rng: np.random.Generator, noise: float = 1.0) -> Columns:
-    """With what its sensors show; `noise` in units of the rig's own."""
+    """The commands with the readings of the sensors; `noise` in units of the rig's own."""
     thrust, omega, _ = responded(size, commands).T
     shown = tachometer(commands["time"], omega, noise * JITTER * rng.standard_normal(REVOLUTIONS))
     return {**commands, "omega": shown, "thrust": thrust + noise * size.noise * rng.standard_normal(len(thrust))}
 
 
 JITTER = 25e-6
-"""s, by which a pulse of the mark comes early or late."""
+"""s by which a pulse of the mark comes early or late."""
 
 REVOLUTIONS = 200_000
 
@@ -130,8 +130,8 @@ def steady(size: Size, rng: np.random.Generator, speeds, pitches) -> Columns:
     ]
     thrust = np.array(rows) + 0.1 * size.noise * rng.standard_normal(len(rows))
     full = np.ones(len(rows))
-    told = {"omega_ref": omega, "beta_ref": beta, "omega": omega, "thrust": thrust}
-    return told | {"thrust_std": size.noise * full, "samples": 100.0 * full}
+    columns = {"omega_ref": omega, "beta_ref": beta, "omega": omega, "thrust": thrust}
+    return columns | {"thrust_std": size.noise * full, "samples": 100.0 * full}
 
 
 def stepped(size: Size, rng: np.random.Generator) -> Columns:
@@ -149,13 +149,13 @@ def stepped(size: Size, rng: np.random.Generator) -> Columns:
 
 
 def whole(size: Size, rng: np.random.Generator, parts: str = "wbx") -> Files:
-    """A campaign that lacks nothing."""
-    told = commanded(size, rng, parts)
+    """A complete campaign."""
+    given = commanded(size, rng, parts)
     return {
         "static": steady(size, rng, np.linspace(0.35, 1.0, 5), np.linspace(-5.0, 10.0, 5)),
         "steps": stepped(size, rng),
-        "open_loop": measured(size, told, rng),
-        "repeat": measured(size, told, rng),
+        "open_loop": measured(size, given, rng),
+        "repeat": measured(size, given, rng),
         "validation": measured(size, commanded(size, rng, "x"), rng),
     }
 
@@ -165,7 +165,7 @@ LONG = ("open_loop", "repeat", "validation")
 
 
 def only(*names: str) -> Callable[[Files, Size, np.random.Generator], Files]:
-    """Nothing but these files."""
+    """Keep only these files."""
     return lambda files, size, rng: {n: c for n, c in files.items() if n in names}
 
 
@@ -178,10 +178,10 @@ def recorded(parts: str, pitch=(-4.5, 9.5), seconds: float | None = None, **grid
     """Other sections of commands in the long records, as long as `seconds`; a `grid` of steady points, or none."""
 
     def change(files, size, rng):
-        told, other = (commanded(size, rng, parts, pitch) for _ in range(2))
+        given, other = (commanded(size, rng, parts, pitch) for _ in range(2))
         if seconds is not None:
-            told = {n: c[: round(seconds * size.rate) + 1] for n, c in told.items()}
-        found = {"open_loop": measured(size, told, rng), "repeat": measured(size, told, rng)}
+            given = {n: c[: round(seconds * size.rate) + 1] for n, c in given.items()}
+        found = {"open_loop": measured(size, given, rng), "repeat": measured(size, given, rng)}
         found["validation"] = measured(size, other, rng)
         return found | ({"static": steady(size, rng, **grid)} if grid else {})
 
@@ -197,15 +197,15 @@ def one_move(files: Files, size: Size, rng: np.random.Generator) -> Files:
     """Records with a single step of the speed."""
     rows, top = round(20.0 * size.slowness * size.rate), size.scales.omega_scale
     speed = np.where(np.arange(rows) < rows // 4, 0.5 * top, 0.9 * top)
-    told = {"time": np.arange(rows) / size.rate, "omega_ref": speed, "beta_ref": np.full(rows, 3.0)}
-    return {n: measured(size, told, rng) for n in ("open_loop", "repeat")}
+    given = {"time": np.arange(rows) / size.rate, "omega_ref": speed, "beta_ref": np.full(rows, 3.0)}
+    return {n: measured(size, given, rng) for n in ("open_loop", "repeat")}
 
 
 def at_rest(files: Files, size: Size, rng: np.random.Generator) -> Files:
-    """Commands that never move, of a rotor that stands."""
-    told = commanded(size, rng, "--")
-    told["omega_ref"] = np.zeros(len(told["time"]))
-    return {name: measured(size, told, rng) for name in ("open_loop", "repeat")}
+    """Constant commands, with the rotor at standstill."""
+    given = commanded(size, rng, "--")
+    given["omega_ref"] = np.zeros(len(given["time"]))
+    return {name: measured(size, given, rng) for name in ("open_loop", "repeat")}
 
 
 def resting_records(files: Files, size: Size, rng: np.random.Generator) -> Files:
@@ -214,7 +214,7 @@ def resting_records(files: Files, size: Size, rng: np.random.Generator) -> Files
 
 
 def emptied(column: str, share: float):
-    """Cells at random without a value."""
+    """Random cells without a value."""
 
     def change(columns, size, rng):
         return columns | {column: np.where(rng.random(len(columns[column])) < share, np.nan, columns[column])}
@@ -223,7 +223,7 @@ def emptied(column: str, share: float):
 
 
 def sparse(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
-    """A load cell that renews more slowly than the rows."""
+    """A load cell with fewer readings than rows."""
     return columns | {"thrust": np.where(np.arange(len(columns["time"])) % 30 == 0, columns["thrust"], np.nan)}
 
 
@@ -234,22 +234,22 @@ def section_emptied(columns: Columns, size: Size, rng: np.random.Generator) -> C
 
 
 def without(name: str):
-    """A column less."""
+    """Remove a column."""
     return each(lambda columns, size, rng: {n: c for n, c in columns.items() if n != name})
 
 
 def with_gaps(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
-    """Three times a second and a half is missing."""
+    """Three gaps of 1.5 s."""
     time, end = columns["time"], columns["time"][-1]
     lost = np.any([(time > at) & (time < at + 1.5) for at in (0.2 * end, 0.5 * end, 0.8 * end)], axis=0)
     return {n: c[~lost] for n, c in columns.items()}
 
 
 def uneven(files: Files, size: Size, rng: np.random.Generator) -> Files:
-    """Rows whose distance varies by a factor of three."""
+    """Row intervals that vary by a factor of three."""
     found = dict(files)
-    told = {n: files[n] for n in ("open_loop", "validation")}
-    for name, columns in told.items():
+    given = {n: files[n] for n in ("open_loop", "validation")}
+    for name, columns in given.items():
         rows = len(columns["time"])
         step = rng.uniform(0.5, 1.5, rows) / size.rate
         commands = {n: columns[n] for n in ("omega_ref", "beta_ref")}
@@ -272,13 +272,13 @@ def sampled(rate: float, seconds: float):
 
 
 def quantised(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
-    """Thrust in counts of four noises."""
+    """Thrust in counts of four standard deviations of the noise."""
     count = 4.0 * size.noise
     return columns | {"thrust": count * np.round(columns["thrust"] / count)}
 
 
 def saturated(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
-    """A load cell that ends at 0.4 of the thrust scale."""
+    """A load cell that saturates at 0.4 of the thrust scale."""
     return columns | {"thrust": np.minimum(columns["thrust"], 0.4 * size.scales.thrust_scale)}
 
 
@@ -290,19 +290,19 @@ def mid_flight(columns: Columns, size: Size, rng: np.random.Generator) -> Column
 
 
 def powered(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
-    """A battery's voltage and current beside it."""
+    """Additional columns with a battery's voltage and current."""
     rows = len(columns["time"])
     return columns | {"voltage": 24.0 - 0.5 * np.linspace(0.0, 1.0, rows), "current": 8.0 + rng.standard_normal(rows)}
 
 
 def annotated(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
-    """Columns that nobody knows, one of them of text."""
+    """Additional unknown columns, one of them text."""
     rows = len(columns["time"])
     return columns | {"mood": np.full(rows, "calm", dtype=object), "temperature": np.full(rows, 21.5)}
 
 
 def noiseless(files: Files, size: Size, rng: np.random.Generator) -> Files:
-    """The plant's own response to the last bit that a file holds; a repeat of it would be a copy."""
+    """The plant's own response to the precision of a file, without a repeat, which would be a copy."""
     found = {name: file for name, file in files.items() if name != "repeat"}
     for name in set(LONG) & set(found):
         found[name] = measured(size, {n: files[name][n] for n in ("time", "omega_ref", "beta_ref")}, rng, 0.0)
@@ -326,27 +326,27 @@ def static_from_standstill(files: Files, size: Size, rng: np.random.Generator) -
 
 
 def offset(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
-    """A load cell whose zero is off by three times all thrust there is."""
+    """A load cell whose zero is off by three times the thrust scale."""
     return columns | {"thrust": columns["thrust"] + 3.0 * size.scales.thrust_scale}
 
 
 def noisier_repeat(files: Files, size: Size, rng: np.random.Generator) -> Files:
     """A repeat with four times the noise."""
-    told = {n: files["open_loop"][n] for n in ("time", "omega_ref", "beta_ref")}
-    return files | {"repeat": measured(size, told, rng, 4.0)}
+    given = {n: files["open_loop"][n] for n in ("time", "omega_ref", "beta_ref")}
+    return files | {"repeat": measured(size, given, rng, 4.0)}
 
 
 def dead_cell(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
-    """A load cell that shows one number."""
+    """A load cell with a constant reading."""
     return columns | {"thrust": np.full(len(columns["time"]), 1.0)}
 
 
 def from_standstill(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
-    """The rotor stands before and after."""
+    """The rotor is at standstill at the beginning and at the end."""
     rows = len(columns["time"])
     still = (np.arange(rows) < rows // 8) | (np.arange(rows) > 7 * rows // 8)
-    told = {n: columns[n] for n in ("time", "beta_ref")} | {"omega_ref": np.where(still, 0.0, columns["omega_ref"])}
-    return measured(size, told, rng)
+    given = {n: columns[n] for n in ("time", "beta_ref")} | {"omega_ref": np.where(still, 0.0, columns["omega_ref"])}
+    return measured(size, given, rng)
 
 
 def raw_stretches(seconds: float):
@@ -355,15 +355,15 @@ def raw_stretches(seconds: float):
     def change(files, size, rng):
         speeds, pitches = np.meshgrid(np.linspace(0.4, 1.0, 3), np.linspace(-4.0, 9.0, 3))
         rows = round(seconds * size.rate)
-        told = {"omega_ref": np.repeat(speeds.ravel() * size.scales.omega_scale, rows)}
-        told["beta_ref"] = np.repeat(pitches.ravel(), rows)
-        return {"static_raw": measured(size, {"time": np.arange(9 * rows) / size.rate, **told}, rng)}
+        given = {"omega_ref": np.repeat(speeds.ravel() * size.scales.omega_scale, rows)}
+        given["beta_ref"] = np.repeat(pitches.ravel(), rows)
+        return {"static_raw": measured(size, {"time": np.arange(9 * rows) / size.rate, **given}, rng)}
 
     return change
 
 
 def unstepped(files: Files, size: Size, rng: np.random.Generator) -> Files:
-    """Runs of steps that hold no step."""
+    """Runs of steps without a step."""
     return {
         "steps": files["steps"]
         | {n: np.full(len(files["steps"]["run"]), files["steps"][n][0]) for n in ("omega_ref", "beta_ref")}
@@ -372,14 +372,14 @@ def unstepped(files: Files, size: Size, rng: np.random.Generator) -> Files:
 
 @dataclass(frozen=True)
 class Case:
-    """A campaign: of which rig, what was done to a whole one; `declared`: with a rig.json."""
+    """A campaign: the size of its rig, and the change to a complete campaign; `declared`: with a rig.json."""
 
     size: str
     change: Callable[[Files, Size, np.random.Generator], Files]
     declared: bool = True
 
     def write(self, folder: Path, seed: int = 0) -> None:
-        """Its files."""
+        """Write its files."""
         size, rng = SIZES[self.size], np.random.default_rng(seed)
         out = OutputFolder(folder)
         for name, columns in self.change(whole(size, rng), size, rng).items():
@@ -389,7 +389,7 @@ class Case:
 
 
 def declaration(size: Size) -> str:
-    """The rig.json that names a rig's scales: its map is then compared in its own coefficients."""
+    """A rig.json that names the rig's scales, so that its map is compared in its own coefficients."""
     return json.dumps({"format": "vpp-rig/1", "scales": scale_parameters(size.scales)})
 
 
@@ -450,4 +450,4 @@ CASES: Mapping[str, Case] = {
     "dead load cell": Case("micro", each(dead_cell)),
     "repeat of other noise": Case("big", noisier_repeat),
 }
-"""By what is the matter."""
+"""Cases by their peculiarity."""

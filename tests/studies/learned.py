@@ -1,10 +1,11 @@
-"""python -m tests.studies learned: where an effect is in no list, does `vpp diagnose` learn it, at its place, and do no harm?
+"""python -m tests.studies learned: does `vpp diagnose` learn an effect that is in no list, at its place and without harm?
 
-On the emulator of the diagnosis study (rig.py). Each of the library's effects in turn is hidden in a rig and deleted from the
-list that the diagnosis is given; twelve further forms that no list has were thought of before there was anything that learns
-(`hidden_effects.UNLISTED`); and rigs without anything. A case counts by what ships: the place and the driver, the share of the
-thrust error's power removed on a record that nobody saw, and whether that is below 0. Where a term was learned, the model with
-it is exported in both flavours, validated by fmpy, and run through fmpy over that record: to the functions' bits, or not.
+The rigs are those of the diagnosis study's emulator (rig.py). Each of the library's effects in turn is hidden in a rig and
+deleted from the diagnosis' library; twelve further effects in no list were chosen before any learning existed
+(`hidden_effects.UNLISTED`); and there are rigs without hidden effects. A case is judged by the final model: port and driver of
+its term, the share of the thrust error's power removed on a hold-out record, and whether that is below 0. A model with a
+learned term is exported in both flavours, validated by fmpy, and run through fmpy over that record, to compare it bit by bit
+with the functions.
 """
 
 import argparse
@@ -86,7 +87,7 @@ RIGHT = {
     "reading_delay": (_THRUST, {"thrust"}),
     "sensor_drift": (_THRUST, {"time"}),
 }
-"""Ports and drivers that are right: those of the physics, and what is the same to any record."""
+"""Correct ports and drivers: those of the physics, and those that no record can distinguish from them."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -128,7 +129,7 @@ def main(arguments: list[str]) -> None:
 
 
 def cases(options: argparse.Namespace) -> list[Case]:
-    """All that was asked for, each with a seed of its own."""
+    """The requested cases, each with its own seed."""
     only = set(filter(None, options.effects.split(",")))
     names = {"unlisted": [h.name for h in UNLISTED], "deleted": [h.name for h in LISTED if h.name in RIGHT], "none": []}
     given = {"size": options.size, "rate": options.rate, "seconds": options.seconds}
@@ -148,7 +149,7 @@ def _kind(case: Case) -> str:
 
 
 def one(case: Case, limit: float, pages: str | None = None) -> dict:
-    """A case's row, from a process of its own."""
+    """A case's row, from a separate process."""
     began = time.perf_counter()
     try:
         return apart(outcome, case, pages, limit=limit)
@@ -196,12 +197,12 @@ TRUE_CURVES = {
     ),
     "soft_stop": ("reading", "thrust", (0, 1), lambda r, v: -r["bend"] * np.maximum(v - 0.4 * r.size.thrust, 0.0)),
 }
-"""Port, driver, the powers of the driver that other parameters take up (a thrust map's, a lag's), and what the rig (rig.c) adds
-there over values of the driver, where that is a curve."""
+"""Port, driver, the powers of the driver that other parameters absorb (a thrust map's, a lag's), and the curve that the rig
+(rig.c) adds there over values of the driver."""
 
 
 class _Settings(dict):
-    """Of a rig, with its size."""
+    """Settings of a case's rig, with its size."""
 
     def __init__(self, case: Case):
         super().__init__(case.rig.settings)
@@ -209,7 +210,7 @@ class _Settings(dict):
 
 
 def draw_curve(case: Case, found: Diagnosis, folder: Path) -> None:
-    """A page with what was learned, as a table and as the law that took its place, beside what is in the rig."""
+    """Write a page with the learned curve, as a table and as the law that replaced it, beside the curve of the rig."""
     port, driver, powers, true = TRUE_CURVES[case.hidden[0]]
     learned = found.learned
     term, curve = learned.term, learned.curve
@@ -243,8 +244,8 @@ FLAVOURS = {"python": python_fmu, "native": native_fmu}
 
 
 def exported(found: Diagnosis, record: Record, true: np.ndarray) -> dict:
-    """What ships as FMUs, run through fmpy over a record whose true thrust is given: what validation says of them, how many of
-    their rows are not the functions' to the bit, and the thrust error [N] of the base and of what ships."""
+    """Export base and final model as FMUs and run them through fmpy over a record whose true thrust is given. Returns the
+    problems that validation finds, the numbers of rows that differ from the functions, and the thrust errors [N] of both."""
     said, differ, errors = [], {}, []
     for fit in (found.base, found.final):
         parameters = found.parameters(fit)
@@ -303,7 +304,7 @@ def _place(term: Term) -> list[str]:
 
 
 def removed(row: dict) -> float:
-    """Share of the true error's power that what ships removes on the unseen record."""
+    """Share of the true error's power that the final model removes on the hold-out record."""
     return 1.0 - (row["after"] / row["before"]) ** 2
 
 
@@ -323,19 +324,19 @@ def line(row: dict) -> str:
 
 
 def table(rows: Sequence[dict]) -> str:
-    """What came out, by kind, beside what is aimed at."""
-    told = []
+    """Results by kind, beside the aims."""
+    lines = []
     for kind in KINDS:
         part = [r for r in rows if r["kind"] == kind and not r["failed"]]
         if not part:
             continue
         learned = [r for r in part if r["learned"]]
         shipped = [removed(r) for r in part if r["effects"]]
-        told.append(f"\n{kind}: {len(part)} rigs, {sum(r['lacking'] for r in part)} lack something, {len(learned)} learned")
+        lines.append(f"\n{kind}: {len(part)} rigs, {sum(r['lacking'] for r in part)} lack something, {len(learned)} learned")
         if kind == "none":
-            told.append(f"  learned without anything there: {len(learned)} (aim: 1 of 100 at most)")
+            lines.append(f"  learned without anything there: {len(learned)} (aim: 1 of 100 at most)")
             continue
-        told += [
+        lines += [
             f"  {what}: {sum(r[key] for r in learned)} of {len(learned)}"
             for what, key in (
                 ("port right", "port_right"),
@@ -346,21 +347,21 @@ def table(rows: Sequence[dict]) -> str:
         ]
         gains = [removed(r) for r in learned]
         if gains:
-            told.append(f"  removed where learned: median {np.median(gains):.2f} (aim: 0.8), worst {min(gains):.2f} (aim: 0)")
+            lines.append(f"  removed where learned: median {np.median(gains):.2f} (aim: 0.8), worst {min(gains):.2f} (aim: 0)")
         if shipped:
-            told.append(
+            lines.append(
                 f"  removed where anything ships: median {np.median(shipped):.2f}, worst {min(shipped):.2f}, of {len(shipped)}"
             )
         seconds = [r["learning_cpu"] for r in part if r["learning_cpu"] > 0.0]
         if seconds:
-            told.append(f"  CPU seconds of learning: median {np.median(seconds):.0f}, most {max(seconds):.0f} (aim: 20)")
-    told += _exports([r["fmus"] for r in rows if r.get("fmus")])
+            lines.append(f"  CPU seconds of learning: median {np.median(seconds):.0f}, most {max(seconds):.0f} (aim: 20)")
+    lines += _exports([r["fmus"] for r in rows if r.get("fmus")])
     failed = [r["name"] for r in rows if r["failed"]]
-    return "\n".join([*told, *([f"\nfailed: {', '.join(failed)}"] if failed else [])])
+    return "\n".join([*lines, *([f"\nfailed: {', '.join(failed)}"] if failed else [])])
 
 
 def _exports(rows: Sequence[dict]) -> list[str]:
-    """What came of the models with a learned term as FMUs."""
+    """Results of the exported models with a learned term."""
     if not rows:
         return []
     differ = ", ".join(f"{flavour} {sum(r['differ'][flavour] for r in rows)}" for flavour in FLAVOURS)

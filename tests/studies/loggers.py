@@ -1,14 +1,14 @@
-"""python -m tests.studies loggers: does `vpp diagnose` depend on what measured speed, and on when its rows were written?
+"""python -m tests.studies loggers: does `vpp diagnose` depend on the speed sensor, and on the time at which rows are written?
 
-On the emulator of the diagnosis study (rig.c), read by other speed sensors and loggers (sensors.py). `--part nothing`: rigs
-that hide nothing, and the diagnosis should say nothing. `hidden`: one effect of the pitch or of the inflow. `pairs`: a strong
-slow effect and a weak fast one; the weak one should not be passed over.
+The emulator of the diagnosis study (rig.c) is read by other speed sensors and loggers (sensors.py). `--part nothing`: rigs
+without hidden effects, on which the diagnosis should find none. `hidden`: one effect of the pitch or of the inflow. `pairs`: a
+strong slow effect and a weak fast one; the weak one should not be passed over.
 
-An effect counts as detectable where the true model is 20 nats or more above the best base model, in expectation: half the
-squared distance, over the noise, of the noise-free readings from those of the same rig without the effect, with the nine base
-parameters and the logger's nuisance parameters free (offset of all readings, delay of speed, its filter where it has one).
-There speed has the uncertainty of a mark's pulses, one a revolution, whatever the sensor. Of a pair it is the weak effect, with
-the strong one known. Each case depends on `--first-seed` and its number alone.
+An effect counts as detectable if the expected log-likelihood of the true model is 20 nats or more above that of the best base
+model. This is half the squared distance, over the noise, of the noise-free readings from those of the same rig without the
+effect, with the nine base parameters and the logger's nuisance parameters free (offset of all readings, delay of speed, its
+filter if it has one). The uncertainty of speed there is that of one mark a revolution, whatever the sensor. For a pair it is
+the log-likelihood of the weak effect, with the strong one known. Each case depends on `--first-seed` and its number alone.
 """
 
 import argparse
@@ -35,14 +35,14 @@ from .scores import NAMED, named, share
 from .sensors import Encoder, LoggedRig, Logger, Mark, Telemetry
 
 PARTS = {"nothing": 300, "hidden": 400, "pairs": 100}
-"""Cases of each by default; of `hidden` the effects take turns."""
+"""Default numbers of cases; in `hidden` the effects take turns."""
 
 EFFECTS = ("pitch_command_deadband", "pitch_backlash", "inflow_lag", "pitch_rate_limit")
 STRONG = ("thrust_gain_drift", "sensor_drift")
 WEAK = ("inflow_lag", "pitch_rate_feedthrough", "pitch_backlash", "pitch_command_deadband")
 STRENGTHS = dict.fromkeys(EFFECTS, (0.5, 1.0)) | dict.fromkeys(STRONG, (0.8, 1.0))
 STRENGTHS_WEAK = dict(zip(WEAK, ((0.4, 1.0), (0.3, 0.8), (0.0, 0.4), (0.0, 0.4)), strict=True))
-"""As in hidden_effects.py, from 0, the least size, to 1. Inflow and feedthrough are faint: they need more to be detectable."""
+"""As in hidden_effects.py, from 0 (least size) to 1. Inflow and feedthrough are weak, so they need more to be detectable."""
 
 LEVELS = {
     "sensor": ("1 mark", "2 marks", "3 marks", "4 marks", "encoder", "telemetry"),
@@ -60,25 +60,25 @@ LATE = (0.5, 1.0, 1.5, 2.0)
 """Rows by which a command is logged late or early."""
 
 FILTER, REFRESH = (0.01, 0.05), (0.005, 0.04)
-"""s of telemetry."""
+"""Ranges of the filter and of the refresh time of telemetry [s]."""
 
 NOISE = (0.3, 2.0)
-"""Over SHARE of the rig's thrust, log-uniform."""
+"""Range of the noise over SHARE of the rig's thrust, log-uniform."""
 
 SECONDS, SECONDS_FAST = (40.0, 90.0), (30.0, 40.0)
-"""Of the open-loop record; from 1000 Hz on."""
+"""s of the open-loop record; the second from 1000 Hz on."""
 
 UNSEEN = 40.0
-"""s of the noise-free record that judges the model."""
+"""s of the noise-free hold-out record."""
 
 SETTLED = 1.0
-"""s on the paper's rig for which the first command of that record has been held."""
+"""s on the paper's rig for which the first command of that record is held at its start."""
 
 DRAWS = 1000
-"""Of an efficient estimator's errors."""
+"""Draws of an efficient estimator's errors."""
 
 CLOSE = 1.02
-"""Thrust error on unseen data over the noise, up to which it counts as the noise's."""
+"""Thrust error on hold-out data over the noise, up to which the model counts as close to the noise."""
 
 LOGGERS = {"row_clock", "reading_delay", "speed_reading_delay"}
 """Effects of the logger: a name, but no defect of the rig."""
@@ -93,12 +93,12 @@ class Case:
     number: int
 
     def random(self, stream: int) -> np.random.Generator:
-        """One of the case's own sources."""
+        """One of the case's random generators."""
         return np.random.default_rng([self.first, [*PARTS].index(self.part), self.number, stream])
 
     @cached_property
     def factors(self) -> dict:
-        """What the campaign is like. `lag` and `span` of rows, as `sensors.Logger`; `level` of the noise."""
+        """Factors of the campaign. `lag` and `span` of rows, as `sensors.Logger`; `level` of the noise."""
         found = {name: self._balanced(k, levels) for k, (name, levels) in enumerate(LEVELS.items())}
         rng = self.random(0)
         late, within = float(rng.choice(LATE)), float(rng.uniform(0.0, 1.0))
@@ -118,7 +118,7 @@ class Case:
 
     @property
     def hidden(self) -> tuple[str, ...]:
-        """Names of what is hidden; of a pair the strong one first."""
+        """Names of the hidden effects; of a pair the strong one first."""
         if self.part == "pairs":
             return STRONG[self.number % 2], WEAK[self.number // 2 % len(WEAK)]
         return (EFFECTS[self.number % len(EFFECTS)],) if self.part == "hidden" else ()
@@ -132,7 +132,7 @@ class Case:
 
     @cached_property
     def rig_alone(self) -> LoggedRig:
-        """The rig without what it hides."""
+        """The rig without its hidden effects."""
         f, rng = self.factors, self.random(2)
         size = SIZES["paper"].drawn(rng)
         kind = f["sensor"]
@@ -142,25 +142,25 @@ class Case:
         return LoggedRig(settings, size, float(f["rate"]), f["noise"], f["level"], sensor=sensor, logger=logger)
 
     def with_sizes(self, *sizes: dict[str, float]) -> LoggedRig:
-        """The rig with these settings too."""
+        """The rig with these additional settings."""
         alone = self.rig_alone
         merged = {k: v for own in (alone.settings, *sizes) for k, v in own.items()}
         return replace(alone, settings=merged)
 
     @property
     def rig(self) -> LoggedRig:
-        """With what it hides."""
+        """The rig with its hidden effects."""
         return self.with_sizes(*self.sizes)
 
     def measured(self) -> Campaign:
-        """What the diagnosis is given."""
+        """The campaign that the diagnosis gets."""
         files = (self.factors[n] for n in ("repeat", "validation", "static", "steps"))
         return campaign(self.rig, self.random(3), Files(self.factors["seconds"], *files))
 
     def unseen(self) -> tuple[Record, float]:
-        """(a record of other commands without noise, the true delay [s] of its speed behind its thrust).
+        """(hold-out record of other commands without noise, the true delay [s] of its speed behind its thrust).
 
-        It begins settled: a diagnosis leaves out the readings of a rotor that is in motion at the start."""
+        It begins settled, because a diagnosis leaves out the readings of a rotor that is in motion at the start."""
         rng, rig = self.random(4), self.rig
         rest = rig.clock.rows(SETTLED)
         commands = (np.concatenate([np.full(rest, c[0]), c]) for c in command_sequences.both(rng, rig.clock, UNSEEN))
@@ -170,7 +170,7 @@ class Case:
         return Record(columns, "unseen"), read.delay
 
     def evidence(self, record: Record) -> float:
-        """Nats by which the true model is above the best base model, in expectation."""
+        """Expected log-likelihood of the true model over the best base model [nats]."""
         if not self.sizes:
             return 0.0
         known = self.sizes[0] if self.part == "pairs" else {}
@@ -192,19 +192,19 @@ class Case:
         return float(np.mean(np.hypot(errors, noise) <= CLOSE * noise))
 
     def summary(self) -> dict:
-        """For a line of the file."""
+        """Entries of a line of the file."""
         head = {"part": self.part, "first": self.first, "number": self.number}
         return head | {"hidden": list(self.hidden), "factors": self.factors, "sizes": list(self.sizes)}
 
 
 def logger_of(found: Diagnosis, rpm: float) -> dict:
-    """What a diagnosis says of the logger, s: `lag` of all readings (below 0 they lead), and by how much speed is read later
-    than thrust at `rpm`, a mean over a mark's window included; its sensor in words."""
+    """The logger as diagnosed, s: `lag` of all readings (below 0 they lead), and `delay` of speed behind thrust at `rpm`,
+    including the mean over a mark's window; its `sensor` in words."""
     logger, row = found.logger, found.fitted[0].record.period
     sensor, delay = logger.sensor, logger.sensor.filter + logger.sensor.delay
     if sensor.kind == "mark":
         window = 60.0 / (sensor.marks_per_revolution * rpm)
-        delay += 0.5 * window + 0.5 * min(row, window)  # its last pulse came in the row before, anywhere
+        delay += 0.5 * window + 0.5 * min(row, window)  # its last pulse came at a random time in the row before
     elif sensor.refresh:
         delay += 0.5 * min(row, sensor.refresh)
     return {"lag": logger.offset, "delay": delay, "sensor": f"{sensor.kind} {sensor.marks_per_revolution}"}
@@ -235,7 +235,7 @@ def says_something(row: dict) -> bool:
 
 
 def gives_name(row: dict) -> bool:
-    """Puts an effect, of the list or learned, into the model, or names some that it can't tell apart."""
+    """Adds an effect of the list or a learned one to the model, or names a family of effects."""
     return bool(row["effects"]) or row["verdict"] in (*NAMED, "learned")
 
 
@@ -245,18 +245,18 @@ def gives_logger(row: dict) -> bool:
 
 
 def names_all(row: dict) -> bool:
-    """Every hidden effect is named, or is in a family that is."""
+    """Every hidden effect is named, or is in a named family."""
     return set(row["hidden"]) <= named(row)
 
 
 def wrong(row: dict) -> bool:
-    """Claims to know, and has an effect in its model for which nothing hidden is among the names that it can't tell apart."""
+    """Names effects, but one of its model and its whole family are not hidden."""
     known = (set(row["hidden"]) & {name, *row["family"].get(name, ())} for name in row["effects"])
     return row["verdict"] in NAMED and not all(known)
 
 
 def learns(row: dict) -> bool:
-    """Has learned an effect of no list."""
+    """Has learned an effect that is in no list."""
     return row["verdict"] == "learned"
 
 
@@ -266,17 +266,17 @@ def open_ended(row: dict) -> bool:
 
 
 def passes_over(row: dict) -> bool:
-    """Claims the strong effect of a pair alone."""
+    """Names the strong effect of a pair as the only one."""
     return row["hidden"][0] in named(row) and not names_all(row) and not wrong(row)
 
 
 def admits(row: dict) -> bool:
-    """Names the strong effect of a pair, and says that something is left."""
+    """Names the strong effect of a pair, and says that something is missing."""
     return row["verdict"] == "partly" and row["hidden"][0] in row["effects"]
 
 
 def close(row: dict) -> bool:
-    """The model's thrust error on unseen data is the noise's."""
+    """The model's thrust error on hold-out data is close to the noise."""
     return row["over_noise"] <= CLOSE
 
 
@@ -309,7 +309,7 @@ FACTORS: dict[str, Callable[[dict], str]] = {
 
 
 def table(part: str, found: Sequence[dict]) -> str:
-    """Counts by factor over the detectable cases (all where nothing is hidden), what is off, seconds, and what failed."""
+    """Counts by factor over the detectable cases (all if nothing is hidden), errors, seconds, and failures."""
     done = [r for r in found if not r["failed"]]
     judged = [r for r in done if part == "nothing" or r["evidence"] >= LIMIT]
     heads = ("cases", *COLUMNS[part], f"<= {CLOSE}", "lag off", "delay off", "seconds")
@@ -355,8 +355,8 @@ def line(row: dict) -> str:
         return f"{head}: failed, {row['failed']}"
     names = ", ".join([*row["effects"], *(f"({n})" for other in row["family"].values() for n in other)])
     off = "".join(f", {n} {row[n]:+.2f} ms" for n in ("lag_off", "delay_off") if n in row)
-    told = f"{row['verdict']} {names}".rstrip()
-    return f"{head}: {told}; {row['over_noise']:.3f} of the noise{off}, {row['evidence']:.0f} nats, {row['seconds']:.0f} s"
+    verdict = f"{row['verdict']} {names}".rstrip()
+    return f"{head}: {verdict}; {row['over_noise']:.3f} of the noise{off}, {row['evidence']:.0f} nats, {row['seconds']:.0f} s"
 
 
 def main(arguments: list[str]) -> None:

@@ -1,4 +1,4 @@
-"""python -m tests.studies long: what a long record costs: seconds and memory of a diagnosis of 600 s beside one of 90 s.
+"""python -m tests.studies long: seconds and memory of a diagnosis of a record of 600 s, beside those of 90 s.
 
 Aims: seconds grow no faster than the readings, and no more than 300 MB.
 """
@@ -36,8 +36,8 @@ def main(arguments: list[str]) -> None:
         except Failed as failed:
             print(f"{seconds:6.0f} s  {failed}", flush=True)
             continue
-        told = f"{c['verdict']:>12} {'+'.join(c['effects']):32} {c['seconds']:8.1f} {c['cpu']:6.1f} {c['mb']:6.0f}"
-        print(f"{seconds:6.0f} s {c['readings']:9} {told}", flush=True)
+        result = f"{c['verdict']:>12} {'+'.join(c['effects']):32} {c['seconds']:8.1f} {c['cpu']:6.1f} {c['mb']:6.0f}"
+        print(f"{seconds:6.0f} s {c['readings']:9} {result}", flush=True)
         costs.append(c)
     for a, b in pairwise(costs):
         more, seconds, cpu, mb = (b[n] / a[n] for n in ("readings", "seconds", "cpu", "mb"))

@@ -1,10 +1,10 @@
-"""python -m tests.studies measured FOLDER [--diagnose]: campaigns and logs, by the error on what no fit has seen.
+"""python -m tests.studies measured FOLDER [--diagnose]: errors of campaigns and logs on data that no fit has seen.
 
-FOLDER is a campaign or holds campaigns, or holds logs of a stand, or folders of them, a log a day: logs of RCbenchmark, and any
-table where an import.toml beside them says what its columns are (`vpp import csv LOG --propose import.toml`). A campaign is
-identified, exported, and its FMU run by fmpy on validation.csv. Of logs that follow each other by name each is fitted and the
-other predicted as it stands, with the fitted one's map of the speed. The floor of a campaign is its noise, that of a day what
-the fitted model leaves when its steady map alone is fitted to that day: what days differ in, no lag explains.
+FOLDER is a campaign, or contains campaigns, logs of a stand (one a day), or folders of these. Logs are those of RCbenchmark,
+and any table beside which an import.toml defines the columns (`vpp import csv LOG --propose import.toml`). A campaign is
+identified, exported, and its FMU run by fmpy on validation.csv. Of two logs that follow each other by name, each is fitted and
+the other predicted by the same model, with the fitted one's map of the speed. The floor of a campaign is its noise. The floor
+of a day is the error after the steady map alone is fitted to that day, because no lag explains the difference between days.
 """
 
 import argparse
@@ -37,8 +37,8 @@ MAP = ("c20", "c11", "c21", "c12", "c30")
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table, all N: of the model as identified, of the diagnosis' base and of what it ships (None: not asked
-    for), the floor (None: not known)."""
+    """One line of the table, errors in N: of the identified model, of the diagnosis' base and of its final model (None: not
+    requested), and the floor (None: unknown)."""
 
     name: str
     identified: float
@@ -64,7 +64,7 @@ def main(arguments: list[str]) -> None:
 
 
 def found(folder: Path, look: bool) -> Iterator[Row]:
-    """A row for each campaign, and two for each pair of logs, in a folder and those in it. BadInput where there is nothing."""
+    """A row for each campaign, and two for each pair of logs, in a folder and its subfolders. BadInput if there is none."""
     if not folder.is_dir():
         raise BadInput(folder, "folder", "no folder", "a campaign, or a folder of campaigns or of a stand's logs")
     rows = 0
@@ -74,8 +74,8 @@ def found(folder: Path, look: bool) -> Iterator[Row]:
             rows += 1
             continue
         for one, other in pairwise(logs(place)):
-            for fitted, told in ((one, other), (other, one)):
-                yield of_days(fitted, told, look)
+            for fitted, predicted in ((one, other), (other, one)):
+                yield of_days(fitted, predicted, look)
                 rows += 1
     if not rows:
         allowed = f"a campaign, two logs of RCbenchmark, or two tables beside an {FILE} that says what their columns are"
@@ -88,7 +88,7 @@ def is_campaign(folder: Path) -> bool:
 
 
 def logs(folder: Path) -> list[Path]:
-    """The logs of a folder by name, those that are records in time; of each other file one line says why it is none."""
+    """The logs of a folder by name, if they are records in time; for each other file a line says why it is left out."""
     kept, mapping = [], (folder / FILE).exists()
     for path in sorted(p for p in folder.iterdir() if p.is_file() and p.name != FILE):
         why = "" if mapping else _no_record(path)
@@ -100,7 +100,7 @@ def logs(folder: Path) -> list[Path]:
 
 
 def _no_record(path: Path) -> str:
-    """Why a file is no record of an RCbenchmark stand; empty where it is one."""
+    """Why a file is no record of an RCbenchmark stand; empty if it is one."""
     if ".csv" not in path.suffixes:
         return f"neither a log of RCbenchmark nor a table with an {FILE} beside it"
     try:
@@ -110,17 +110,17 @@ def _no_record(path: Path) -> str:
 
 
 def of_campaign(campaign: Campaign, look: bool) -> Row:
-    """A campaign by its validation record, where it has one; else cross-validated."""
+    """A campaign by its validation record if it has one, else cross-validated."""
     known, name = identify(campaign), campaign.folder.name
     floor = known.noise.std
-    told = f"{name}: noise of one reading {floor:.4g} N ({known.noise.basis})"
+    text = f"{name}: noise of one reading {floor:.4g} N ({known.noise.basis})"
     error = known.predictions[known.fitted[0]].rmse_thrust
     if campaign.validation is not None:
         error = in_fmpy(known.parameters, campaign)
-        told += f"; rmse on validation.csv {error:.4g} N through the FMU in fmpy"
-        told += f", fit {known.predictions['validation'].fit_thrust:.1f} %"
-        told += f", {100 * known.coverage['validation']:.1f} % of the readings in the 95 % band"
-    print(told, flush=True)
+        text += f"; rmse on validation.csv {error:.4g} N through the FMU in fmpy"
+        text += f", fit {known.predictions['validation'].fit_thrust:.1f} %"
+        text += f", {100 * known.coverage['validation']:.1f} % of the readings in the 95 % band"
+    print(text, flush=True)
     if not look:
         return Row(name, error, None, None, floor, "")
     seen = diagnose(campaign)
@@ -133,7 +133,7 @@ def of_campaign(campaign: Campaign, look: bool) -> Row:
 
 
 def of_days(fitted: Path, other: Path, look: bool) -> Row:
-    """One day's log fitted, the other predicted as it stands."""
+    """One day's log is fitted, and the other predicted by the same model."""
     name = f"{fitted.stem} -> {other.stem}"
     campaign = days(fitted, other)
     known = identify(campaign)
@@ -154,7 +154,7 @@ def of_days(fitted: Path, other: Path, look: bool) -> Row:
 
 
 def days(fitted: Path, other: Path) -> Campaign:
-    """Two logs as open-loop and validation record of a campaign, taken in as a stranger would: by `vpp import`. BadInput."""
+    """Two logs as open-loop and validation record of a campaign, by `vpp import` as a user would. BadInput."""
     with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
         warnings.simplefilter("ignore", RecordWarning)
         for log, kind in ((fitted, "open_loop"), (other, "validation")):
@@ -170,7 +170,7 @@ def days(fitted: Path, other: Path) -> Campaign:
 
 
 def map_of_the_day(parameters: ParameterSet, campaign: Campaign) -> float:
-    """N on the other day, the steady map alone fitted to it."""
+    """Thrust error [N] on the other day, with the steady map alone fitted to it."""
     record = campaign.validation
     there = refine(parameters.model, [record], parameters.values, MAP, channels=("thrust",))
     return rmse(there.problem.thrust_errors(there.values)[0])
@@ -193,14 +193,14 @@ def _say(name: str, seen: Diagnosis, before: float, after: float, where: str) ->
     print(f"{name}: {_verdict(seen)}; {where} {before:.4g} N before, {after:.4g} N after", flush=True)
     for effect, judged in seen.selection.judgements.items():
         gains = ", ".join(f"{channel} {gain:+.4g}" for channel, gain in judged.gain.items())
-        told = artefact(seen, effect)
+        note = artefact(seen, effect)
         print(
-            f"  {effect}: evidence {judged.evidence:.4g} nats; cross-validated {gains}" + f"; {told}" * bool(told), flush=True
+            f"  {effect}: evidence {judged.evidence:.4g} nats; cross-validated {gains}" + f"; {note}" * bool(note), flush=True
         )
 
 
 def table(rows: list[Row]) -> str:
-    """A line a row, N."""
+    """A line for each row, N."""
     width = max((len(r.name) for r in rows), default=0)
     lines = [f"{'N':{width}}  identified  before   after   floor  verdict"]
     for r in rows:

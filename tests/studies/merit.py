@@ -1,4 +1,4 @@
-"""The paper's figures of merit on a record like the paper's, and whether the search finds its optimum from anywhere."""
+"""The paper's figures of merit on a record like the paper's, and the search's convergence from random starts."""
 
 import time
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ def random_starts(count: int) -> Refinement:
 
 @dataclass(frozen=True)
 class Merit:
-    """A search in the paper's figures: its cost, iterations, seconds, and how far the farthest parameter is off the optimum."""
+    """A search: its costs, iterations, seconds, and the largest distance of a parameter from the optimum [its std]."""
 
     method: str
     start: float
@@ -38,7 +38,7 @@ class Merit:
 
 @threadpool_limits.wrap(limits=1)
 def figures_of_merit(section: float = SECTION) -> tuple[list[Merit], float]:
-    """Searches on one record with the paper's final cost in noise; and the start's cost if only its time constants are off."""
+    """(searches on a record whose noise has the paper's final cost, cost of a start with only the time constants wrong)."""
     rng = np.random.default_rng(0)
     record = measured(commands(rng, section), rng, BASE.values()["thrust_scale"] * np.sqrt(2.0 * PAPER["end"]))
     ours = refine(BASE, [record], AVERAGED, channels=("thrust",))

@@ -56,10 +56,10 @@ PARTS = {
     ),
     "export": Part(("vpp_fmu/export/*.py",), ("test_fmu", "test_own_models", "test_fmi3")),
 }
-"""The kernel without what is learned and the twin, whose tests take minutes."""
+"""Learned terms and twin of the kernel are left out, because their tests take minutes."""
 
 SECONDS = 180
-"""CPU seconds after which a run of the tests counts as failed: a loop that no longer ends is noticed."""
+"""CPU seconds after which a run of the tests counts as failed, so that an endless loop is noticed."""
 
 NEGATED = {
     **{ast.Lt: ast.GtE, ast.GtE: ast.Lt, ast.Gt: ast.LtE, ast.LtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq},
@@ -134,12 +134,12 @@ def _mutated(node: ast.AST) -> Iterator[str]:
 
 
 def modules(part: Part) -> list[str]:
-    """Its files."""
+    """Files of a part."""
     return sorted(str(path.relative_to(ROOT)) for pattern in part.modules for path in ROOT.glob(pattern))
 
 
 def passed(tree: Path, part: Part) -> bool:
-    """Whether its tests pass in a tree."""
+    """Whether a part's tests pass in a tree."""
     words = [
         sys.executable,
         "-m",
@@ -159,7 +159,7 @@ def passed(tree: Path, part: Part) -> bool:
 
 
 def tried(tree: Path, part: Part, chosen: Sequence[Mutation]) -> list[Mutation]:
-    """Those that survive; each is printed with what became of it."""
+    """The mutations that survive; each mutation is printed with its result."""
     if not passed(tree, part):
         raise SystemExit(f"{', '.join(part.tests)}: a test fails without a mutation")
     survivors = []

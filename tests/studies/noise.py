@@ -11,16 +11,16 @@ SHARE = 0.0086
 """Standard deviation of a reading over the rig's thrust: 0.13 N of 15 N, as in the shared records."""
 
 LSB = 2e-4
-"""Of the converter, over the rig's thrust: half of 16 bits on a load cell for six times the thrust (0.003 N of 15 N)."""
+"""A count of the converter over the rig's thrust: half of 16 bits on a load cell for six times the thrust (0.003 N of 15 N)."""
 
 SLOW, MEMORY = 0.37, 0.13
-"""AR: standard deviation of the slow part over the whole's; the time [s on the paper's rig] in which it forgets: the air's."""
+"""AR: standard deviation of the slow part over the whole's; its correlation time [s on the paper's rig], that of the air."""
 
 CORNER = 2.0
-"""1/f: Hz below which it is more than white noise: an amplifier's."""
+"""1/f: corner frequency [Hz] of an amplifier, below which it exceeds white noise."""
 
 HUM = {50.0: 0.5, 100.0: 0.15}
-"""Hz, of the mains: amplitude over the standard deviation of the rest."""
+"""Mains hum: amplitude at each frequency [Hz] over the standard deviation of the other noise."""
 
 FREEDOM = 3.0
 """Degrees of freedom of Student's t."""
@@ -34,8 +34,8 @@ COARSE, DITHER = 1.5, 0.5
 
 @dataclass(frozen=True)
 class Noise:
-    """Of one of KINDS, or "1/f" without hum. `std` N; readings `row` s apart; a rig `slow` times slower than the paper's; a
-    converter's `count` N."""
+    """Noise of one of KINDS, or "1/f" without hum. `std` N; readings `row` s apart; a rig `slow` times slower than the paper's;
+    a converter's `count` N."""
 
     kind: str
     std: float
@@ -45,11 +45,11 @@ class Noise:
 
     @property
     def resolution(self) -> float:
-        """N a count of what is read."""
+        """Resolution of a reading [N]."""
         return COARSE * self.std if self.kind == "quantised" else self.count
 
     def reading(self, rng: np.random.Generator, force: np.ndarray) -> np.ndarray:
-        """What is read (rows,) N of a force (rows,) N."""
+        """Reading (rows,) N of a force (rows,) N."""
         return self.resolution * np.round((force + self._draw(rng, len(force))) / self.resolution)
 
     def _draw(self, rng: np.random.Generator, rows: int) -> np.ndarray:
@@ -73,9 +73,9 @@ class Noise:
         return float(np.exp(-self.row / (MEMORY * self.slow)))
 
     def _flicker(self, rng: np.random.Generator, rows: int) -> np.ndarray:
-        n = 2 * rows  # of twice the length, so that the record's end knows nothing of its start
+        n = 2 * rows  # twice the length, so that the record's end is independent of its start
         frequency = np.fft.rfftfreq(n, self.row)
-        frequency[0] = np.inf  # a mean is the tare's
+        frequency[0] = np.inf  # the tare removes a mean
         return np.fft.irfft(np.fft.rfft(self.std * rng.standard_normal(n)) * np.sqrt(CORNER / frequency), n)[:rows]
 
     def _hum(self, rng: np.random.Generator, rows: int) -> np.ndarray:
@@ -87,7 +87,7 @@ class Noise:
     def power(self, turns: np.ndarray) -> np.ndarray:
         """Power a row [N^2] at frequencies in cycles a row above 0; white noise of `std` has std^2 at each.
 
-        Without lines and spikes, which a record's reader can take out.
+        Without lines and spikes, which can be removed from a record.
         """
         power = np.full(len(turns), self.std**2)
         if self.kind == "AR":

@@ -1,4 +1,4 @@
-"""Work in a process of its own, so that its memory is its own, and that it can be stopped or crash alone."""
+"""Work in a separate process, so that its memory is separate, and that it can be stopped or crash alone."""
 
 import os
 import pickle
@@ -12,12 +12,12 @@ ROOT = Path(__file__).parents[2]
 
 
 class Failed(Exception):
-    """The work did not come to its end: in one line, why."""
+    """The work did not finish; the message gives the reason in one line."""
 
 
 def apart(work: Callable, *arguments, limit: float | None = None, environment: Mapping[str, str] | None = None):
-    """`work(*arguments)` of another process, within `limit` s. `work` is a function of a module of the studies; what goes in
-    and out can be pickled. Failed where it ends otherwise."""
+    """Result of `work(*arguments)` in another process, within `limit` s. `work` is a function of a module of the studies; its
+    arguments and its result can be pickled. Raises Failed if it does not finish."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "result")
         command = [sys.executable, "-m", "tests.studies.own_process", str(path)]
@@ -41,16 +41,16 @@ def apart(work: Callable, *arguments, limit: float | None = None, environment: M
 
 
 def peak() -> float:
-    """MB that this process has had at most.
+    """Peak memory of this process [MB].
 
-    By its own account, since getrusage's starts with what the process had that this one was forked from.
+    It is read from /proc, since getrusage's begins with the memory of the process from which this one was forked.
     """
-    told = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-    return int(told["VmHWM"].split()[0]) / 1024.0
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    return int(status["VmHWM"].split()[0]) / 1024.0
 
 
 def main() -> None:
-    """The other process."""
+    """Run as the other process."""
     work, arguments = pickle.load(sys.stdin.buffer)
     result = work(*arguments)
     Path(sys.argv[1]).write_bytes(pickle.dumps(result))

@@ -1,6 +1,6 @@
-"""python -m tests.studies paper: the numbers of `vpp paper` that matter, beside the paper's.
+"""python -m tests.studies paper: the main numbers of `vpp paper`, beside the paper's.
 
-They are those of a folder that `vpp paper -o FOLDER` wrote, or, without one, of a study that is done now.
+They are those of a folder that `vpp paper -o FOLDER` wrote, or, without one, of a study that is run now.
 """
 
 import argparse
@@ -14,9 +14,9 @@ from vpp_fmu.app.cli import main as vpp
 from vpp_fmu.app.paper.published import COLUMNS, KEY, Row
 
 
-def numbers(told: Mapping) -> str:
-    """The table of a paper.json: what a reader wants to know first, without why it differs."""
-    rows = {row["name"]: Row(**row) for row in told["rows"]}
+def numbers(content: Mapping) -> str:
+    """The table of a paper.json: its main rows, without the reasons of the differences."""
+    rows = {row["name"]: Row(**row) for row in content["rows"]}
     return table(_short(COLUMNS), [_short(rows[name].cells()) for name in KEY])
 
 
@@ -32,7 +32,7 @@ def main(arguments):
     with tempfile.TemporaryDirectory() as made:
         if options.folder is None and vpp(["paper", "-o", made]):
             raise SystemExit(2)
-        told = json.loads((options.folder or Path(made)).joinpath("paper.json").read_text())
-    if options.write and not told["plan"]["as_the_paper"]:
+        content = json.loads((options.folder or Path(made)).joinpath("paper.json").read_text())
+    if options.write and not content["plan"]["as_the_paper"]:
         raise SystemExit(f"{options.folder}: a quick study is not written into a page")
-    show("paper", numbers(told), options.write)
+    show("paper", numbers(content), options.write)

@@ -27,7 +27,7 @@ _CELL = "ring_hz ring_zeta cell_time creep bias drift vibration reading_delay sp
 _UNLISTED = "servo_load gear gear_pitch esc_step drain drain_time torque torque_load coast notch parting surge untwist"
 _UNLISTED += " untwist_time friction_cell bend"
 OPTIONS = tuple(" ".join([_COMMAND, _PITCH, _LINKAGE, _SUPPLY, _SPEED, _THRUST, _CELL, _UNLISTED]).split())
-"""What can be switched on in rig.c; 0 is off."""
+"""Options of rig.c; 0 is off."""
 
 PAPER = {"tau_w1": 0.172, "tau_w2": 0.053, "tau_b1": 0.2, "tau_b2": 0.07}
 PAPER |= {"c20": 0.355, "c11": 0.064, "c21": 0.8, "c12": -0.16, "c30": -0.081}
@@ -37,7 +37,7 @@ _TIMES = "tau_w1 tau_w2 tau_b1 tau_b2 pitch_delay late_up stall_time speed_delay
 _TIMES += " surge untwist_time"
 _RATES = "torque torque_load coast slew speed_min speed_max rate stall_speed ramp hunt_hz ring_hz"
 POWER = dict.fromkeys(f"{_TIMES} cell_time reading_delay speed_late".split(), 1) | dict.fromkeys(_RATES.split(), -1)
-"""Power of time in a setting that goes with how fast a rig is. What warms, discharges or creeps does so in its own time."""
+"""Exponent of time in each setting that scales with how fast a rig is. Warming, discharge and creep have their own time."""
 
 
 def in_time(settings: Mapping[str, float], slow: float) -> dict[str, float]:
@@ -51,7 +51,7 @@ class _Rig(ctypes.Structure):
 
 @dataclass(frozen=True)
 class Frame:
-    """How a rig is integrated and read: `row` s from row to row, about `step` s of integration, `slow` times slower than the
+    """Integration and reading of a rig: `row` s from row to row, about `step` s of integration, `slow` times slower than the
     paper's rig, `full` speed [rpm]."""
 
     row: float
@@ -62,8 +62,8 @@ class Frame:
 
 @dataclass(frozen=True)
 class Run:
-    """What happened, without noise, each (rows,): speed, pitch and load-cell force, normalised; speed as the tachometer
-    shows it [rpm]; revolutions since the start."""
+    """Signals of a run, without noise, each (rows,): speed, pitch and load-cell force, normalised; speed as the tachometer
+    reads it [rpm]; revolutions since the start."""
 
     omega: np.ndarray
     beta: np.ndarray
@@ -80,8 +80,8 @@ def run(
     angle: float = 0.3,
     jitter: np.ndarray | None = None,
 ) -> Run:
-    """The rig under normalised commands (rows,). `angle` [revolutions]: of the mark at the start; `jitter` [s]: by what each
-    pulse of the mark comes late, (pulses(...),) or longer."""
+    """The rig under normalised commands (rows,). `angle`: that of the mark at the start [revolutions]; `jitter`: delay of each
+    pulse of the mark [s], (pulses(...),) or longer."""
     unknown = set(settings) - {*BASE, *OPTIONS}
     if unknown:
         raise KeyError(*unknown)
@@ -99,7 +99,7 @@ def run(
 
 
 def pulses(frame: Frame, rows: int) -> int:
-    """More than the mark gives in a record of so many rows, the time before it included."""
+    """An upper bound of the mark's pulses in a record of so many rows, including the time before it."""
     return int(1.5 * frame.full / 60.0 * (rows * frame.row + 2.0 * frame.slow)) + 100
 
 
@@ -114,5 +114,5 @@ def _library() -> ctypes.CDLL:
         made = path.with_suffix(f".{os.getpid()}")
         command = ["cc", "-O2", "-shared", "-fPIC", "-x", "c", "-", "-o", str(made), "-lm"]
         subprocess.run(command, input=text.encode(), check=True)
-        made.replace(path)  # at once: another process may be doing the same
+        made.replace(path)  # atomic, because another process may do the same
     return ctypes.CDLL(str(path))

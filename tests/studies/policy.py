@@ -1,10 +1,10 @@
 """python -m tests.studies policy --seeds 20: cost of the tuned PID, of the law of the best pairs, and of a learned law.
 
 Each seed is a rig of the energy study, known with 10 % of uncertainty in each parameter. All three controllers are made from
-that knowledge: both PID laws are tuned on set-points of the kind that is flown later, the network is learned on plants of the
-uncertainty. Then each flies 50 other plants of it, over set-points and noise that none has seen; and the same plants with a
-dead band of the pitch command of 1 to 2.5 deg, which nobody knows of. Cost: integral of the squared error over the thrust's
-scale [s] in a flight.
+that knowledge: both PID laws are tuned on set-points of the later test's kind, the network is learned on plants of the
+uncertainty. Each is then tested on 50 other plants of the uncertainty with new set-points and noise, and on these with an
+unknown dead band of the pitch command of 1 to 2.5 deg. Cost: integral of the squared error over the thrust's scale [s] in a
+flight.
 """
 
 import argparse
@@ -31,16 +31,16 @@ from vpp_fmu.parameters import ParameterSet
 from .energy import points, rig
 
 PLANTS, NOISE, UNITS = 50, 0.13, 6
-"""Held-out plants of each seed; N of a reading; hidden units."""
+"""Held-out plants of each seed; noise of a reading [N]; hidden units."""
 
 HIDDEN, WIDTHS = "pitch_command_deadband", (1.0, 2.5)
-"""What the twin lacks, and its half width [deg]."""
+"""The effect that the controllers do not know, and the range of its half width [deg]."""
 
 LAWS = "tuned PID", "best pairs", "learned"
 
 
 def costs(seed: int, generations: int) -> dict[str, dict[str, np.ndarray]]:
-    """(plants,) costs by what is flown ("as known", "with a dead band") and by law."""
+    """Costs (plants,) by test ("as known", "with a dead band") and by law."""
     rng = np.random.default_rng([seed, 47])
     truth = rig(rng)
     parameters = ParameterSet(BASE).replaced(truth.values)

@@ -1,10 +1,10 @@
-"""python -m tests.studies power_residual [--rigs 60] [--first-seed 0]: effects of power that synthetic rigs hide.
+"""python -m tests.studies power_residual [--rigs 60] [--first-seed 0]: hidden effects of power on synthetic rigs.
 
-Each rig has equations of its own: lags of speed and pitch, torque, a motor with a winding that heats, a servo and a supply. Its
-map and motor are fitted from steady points as in the study `power`; the lags that the diagnosis gets are wrong by 1 %. Noise is
-white, and half of the rigs have slow noise, too. A rig hides nothing, one effect, or a power that depends on the rate of
-speed by a curve that no effect has. Printed are the false names, the share named of those with an expected evidence of EXPECTED
-nats or more and of the others, and the share of the 95 % intervals that have the true size.
+Each rig has its own equations: lags of speed and pitch, torque, a motor with a winding that heats, a servo and a supply. Its
+map and motor are fitted from steady points as in the study `power`; the lags that the diagnosis gets are wrong by up to 1 %.
+Noise is white, and half of the rigs also have slow noise. A rig has no hidden effect, one, or a power that depends on the rate
+of speed by a curve that no effect has. Printed are the false names, the share named of those with an expected evidence of
+EXPECTED nats or more and of the others, and the share of the 95 % intervals that contain the true size.
 """
 
 import argparse
@@ -30,14 +30,14 @@ from vpp_fmu.record import Record
 KINDS = ("none", "resistance_heating", "servo_load rate", "servo_load rate and thrust", "supply_sag", "power_drift", "curve")
 EXPECTED = 20.0
 WITHOUT_TORQUE = "resistance_heating, no torque"
-"""Rigs that heat and whose steady points have no torque: the size is rough."""
+"""Rigs that heat and whose steady points have no torque, which makes the size uncertain."""
 BLOCK = 0.5 / 30.0
 LAGS = {"tau_omega_1": 0.12, "tau_omega_2": 0.05, "tau_beta_1": 0.1, "tau_beta_2": 0.06}
 
 
 @dataclass(frozen=True)
 class Rig:
-    """What one seed draws."""
+    """The rig of one seed."""
 
     seed: int
     kind: str
@@ -92,7 +92,7 @@ class Rig:
             power = power + self.size * np.abs(rate)
         if hidden == "servo_load rate and thrust":
             power = power + self.size * np.abs(rate * thrust)
-        if hidden == "curve":  # outside the list: the power depends on how the speed came about
+        if hidden == "curve":  # in no list: the power depends on the rate of speed
             power = power * (1.0 + 0.02 * d["strength"] * np.tanh(faster / 2000.0))
         return power * (1.0 + self.size * time) if hidden == "power_drift" else power
 
@@ -105,13 +105,13 @@ class Rig:
 
     @property
     def size(self) -> float:
-        """Of the servo or the supply."""
+        """Size of the hidden effect of servo, supply or drift."""
         d = self.drawn
         scales = {"servo_load rate": 0.3, "servo_load rate and thrust": 0.05, "supply_sag": 0.1, "power_drift": 5e-4}
         return scales.get(self.kind, 0.0) * d["strength"]
 
     def record(self, rng, hidden):
-        """What the rig's logger writes."""
+        """The record of the rig's logger."""
         d = self.drawn
         time, omega_ref, beta_ref = self.commands(rng)
         tau = list(LAGS.values())
@@ -149,7 +149,7 @@ class Rig:
 
     @cached_property
     def parameters(self) -> ParameterSet:
-        """The identified plant: lags by 1 % wrong, torque and motor from the steady points."""
+        """The identified plant: lags wrong by up to 1 %, torque and motor from the steady points."""
         values = {n: t * (1.0 + s) for (n, t), s in zip(LAGS.items(), self.drawn["scatter"], strict=True)}
         base = ParameterSet(BASE).replaced(values)
         return fit_power(steady_readings(self.points, base.values)).added_to(base)
@@ -159,13 +159,13 @@ class Rig:
         return self.record(np.random.default_rng([self.seed, 79]), hidden)
 
     def diagnosed(self, hidden: str) -> PowerDiagnosis:
-        """With a validation record of its own commands."""
+        """The diagnosis, with a validation record of its own commands."""
         unseen = self.record(np.random.default_rng([self.seed, 80]), hidden)
         return diagnose_power({"open_loop": self.open_loop(hidden)}, unseen, self.parameters, BLOCK)
 
     def expected(self, found: PowerDiagnosis) -> float:
-        """Evidence of what is hidden if its size were known, under the noise of the same record without it. A voltage's noise
-        is that of the final fit."""
+        """Evidence of the hidden effect if its size were known, under the noise of the same record without it. A voltage's
+        noise is that of the final fit."""
         clean, full = self.open_loop("none"), self.open_loop(self.kind)
         if self.kind == "supply_sag":
             problem, signal = found.voltage[1].problem, full["voltage"] - clean["voltage"]
@@ -179,7 +179,7 @@ class Rig:
 
 
 def thrust_of(omega, beta):
-    """N, of the paper's map."""
+    """Thrust [N] of the paper's map."""
     w, b, v = omega / 6000.0, (beta + 5.0) / 15.0, BASE.values()
     return 15.0 * (v["c20"] * w**2 + v["c11"] * w * b + v["c21"] * w**2 * b + v["c12"] * w * b**2 + v["c30"] * w**3)
 
@@ -198,7 +198,7 @@ def two_lags(command, slow, fast, step):
 
 @dataclass(frozen=True)
 class Outcome:
-    """Of one rig: names found, expected evidence of what is hidden, and for each size whether its interval has the truth."""
+    """Result of a rig: names, expected evidence of the hidden effect, and for each size whether its interval has the truth."""
 
     kind: str
     names: tuple[str, ...]

@@ -1,11 +1,11 @@
-"""python -m tests.studies readings: what a logger does, told from what the rotor does?
+"""python -m tests.studies readings: does the diagnosis distinguish delays of a logger from those of the rotor?
 
-On the emulator of the diagnosis study (rig.py), which runs through; a logger of 10 to 100 rows a second, even or uneven, sets
-the commands and writes the rows. Hidden in turn, and together: rows that hold what was read a share of a row earlier (`age`), a
-load cell that is read late, a motor that is late. Three lags are all that a record holds of these: from the speed's command to
-the speed that is read, from there to the thrust that is read, from the pitch's command to the thrust. A case is `right` where
-the names are, a `family` where they are among those that it does not tell apart, `same` where other names put all three lags
-within TOLD; else it has missed a name, or has a wrong one, or says that something is missing where nothing is.
+The emulator of the diagnosis study (rig.py) runs continuously; a logger of 10 to 100 rows a second, even or uneven, sets the
+commands and writes the rows. Hidden in turn, and together: rows with readings from a share of a row earlier (`age`), a load
+cell that is read late, a motor that is late. A record determines only three lags of these: from the speed's command to the
+speed reading, from there to the thrust reading, from the pitch's command to the thrust reading. A case is `right` if its names
+are right, `family` if they are in a family that the diagnosis does not distinguish, and `same` if other names give all three
+lags within CLOSE. Otherwise it has `missed` a name or is `wrong`: it has a false name or a false "something is missing".
 """
 
 import argparse
@@ -31,33 +31,33 @@ from .physics import PAPER, Frame, run
 from .rig import SIZES
 
 FINE = 0.001
-"""s at which the rig is looked at: rows are whole multiples of it."""
+"""s between samples of the rig: rows are whole multiples of it."""
 
 UNEVEN = 0.5
-"""Share by which an uneven row is longer or shorter than the usual one, at most."""
+"""Largest share by which an uneven row is longer or shorter than the usual one."""
 
 RATES = (100.0, 50.0, 25.0, 10.0)
 """Hz."""
 
 LATE, MOTOR = 0.03, 0.04
-"""s by which the load cell is read late, and by which the motor is late."""
+"""Delays of the load cell's reading and of the motor, s."""
 
 AGES = (0.5, 1.0)
-"""Rows by which what is read is old."""
+"""Ages of the readings in rows."""
 
 LAGS = ("motor and row", "thrust after speed", "pitch and row")
-TOLD = 2.0
-"""ms: so near is the same lag."""
+CLOSE = 2.0
+"""ms within which lags count as the same."""
 
 NAMES = ("row_clock", "reading_delay", "speed_delay")
 RIVALS = (*NAMES, "speed_reading_delay", "pitch_delay", "sensor_lag", "speed_asymmetry", "start_from_rest")
 SOME = tuple(e for e in LIBRARY if e.off is None or e.name in RIVALS)
-"""What a late reading may be taken for; the whole library with --whole."""
+"""Effects that a late reading may be confused with; --whole allows the whole library."""
 
 
 @dataclass(frozen=True)
 class Logged:
-    """One case: `rate` Hz of the rows, `even` or not, `age` rows, `late` and `motor` s; what is 0 is not there."""
+    """One case: `rate` Hz of the rows, `even` or not, `age` rows, `late` and `motor` s; 0: absent."""
 
     rate: float
     even: bool
@@ -68,14 +68,14 @@ class Logged:
 
     @property
     def name(self) -> str:
-        """As the table tells it."""
+        """Name in the table."""
         parts = [f"{self.age:g} rows"] * bool(self.age) + [f"read {1e3 * self.late:g} ms late"] * bool(self.late)
         parts += [f"motor {1e3 * self.motor:g} ms late"] * bool(self.motor)
         return f"{self.rate:g} Hz {'even' if self.even else 'uneven'}, {', '.join(parts) or 'nothing'}"
 
     @property
     def hidden(self) -> set[str]:
-        """The effects that are there."""
+        """The hidden effects."""
         return {name for name, size in zip(NAMES, (self.age, self.late, self.motor), strict=True) if size}
 
     @property
@@ -85,14 +85,14 @@ class Logged:
         return 1e3 * np.array([self.motor + row, self.late, self.late + row])
 
     def campaign(self, seed: int = 0) -> Campaign:
-        """An open-loop record, and another one."""
+        """An open-loop record and a validation record."""
         one, other = (self.record(np.random.default_rng([seed, k]), name) for k, name in enumerate(("open_loop", "validation")))
-        # Rows slower than a revolution do not tell the kind of sensor: their user declares it.
+        # Rows slower than a revolution do not determine the kind of sensor, so it is declared.
         rig = infer_rig([one], None, SIZES["paper"].declared | {"sensor": {"kind": MARK, "marks_per_revolution": 1}})
         return Campaign(Path("logged"), None, (), one, None, other, rig=rig)
 
     def record(self, rng: np.random.Generator, name: str) -> Record:
-        """What the logger writes of the rig, commands a row."""
+        """The logger's record of the rig; commands change only at a row."""
         size, row = SIZES["paper"], 1.0 / self.rate
         w, b = open_loop(rng, Clock(row, 1.0), self.seconds)
         speed, pitch = size.commands(w, b)
@@ -110,7 +110,7 @@ class Logged:
 
 
 def cases() -> Iterator[Logged]:
-    """Row spacings by what is hidden."""
+    """Row spacings and hidden effects in all combinations."""
     sets = [(age, late, motor) for age in (0.0, *AGES) for late in (0.0, LATE) for motor in (0.0, MOTOR)]
     sets = [s for s in sets if not (s[0] == AGES[1] and all(s[1:]))]
     for rate, even, (age, late, motor) in itertools.product(RATES, (True, False), sets):
@@ -118,7 +118,7 @@ def cases() -> Iterator[Logged]:
 
 
 def outcome(case: Logged, seed: int = 0, library=SOME) -> dict:
-    """What a diagnosis of the case says."""
+    """Result of a diagnosis of the case."""
     began = time.perf_counter()
     campaign = case.campaign(seed)
     found = diagnose(campaign, library, workers=1)
@@ -137,7 +137,7 @@ def outcome(case: Logged, seed: int = 0, library=SOME) -> dict:
     elif found.verdict == "family" and case.hidden <= named:
         word = "family"
     else:
-        same = effects and np.all(np.abs(off) < TOLD)
+        same = effects and np.all(np.abs(off) < CLOSE)
         word = "same" if same else "wrong" if alarm or effects - case.hidden else "missed"
     before, after = (found.errors(fit)[0] for fit in (found.base, found.final))
     return {
@@ -169,16 +169,16 @@ def main(arguments: list[str]) -> None:
         rows.append((case, found))
         lags = ", ".join(f"{o:+.1f}" for o in found["off"])
         other = "".join(f" or {', '.join(v)} for {k}" for k, v in found["family"].items())
-        told = f"{found['verdict']}: {', '.join(found['effects']) or 'no effect'}{other}"
+        text = f"{found['verdict']}: {', '.join(found['effects']) or 'no effect'}{other}"
         print(
-            f"{case.name:55s} {found['word']:7s} {told}; ms off {lags}; {found['before']:.3f} -> {found['after']:.3f} N",
+            f"{case.name:55s} {found['word']:7s} {text}; ms off {lags}; {found['before']:.3f} -> {found['after']:.3f} N",
             flush=True,
         )
     print(table(rows))
 
 
 def table(rows: list[tuple[Logged, dict]]) -> str:
-    """How often right, by what and how rows are logged, and the lags' errors in ms."""
+    """Counts of each result by row spacing, and the lags' errors in ms."""
     words = ("right", "family", "same", "missed", "wrong")
     lines = [f"{'':14s}" + "".join(f"{w:>8s}" for w in words) + f"{'median ms off, largest':>26s}"]
     for rate, even in sorted({(c.rate, c.even) for c, _ in rows}):

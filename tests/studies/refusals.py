@@ -1,8 +1,8 @@
-"""python -m tests.studies refusals [--signals]: what is typed or given wrongly, the one line said of it, the exit code.
+"""python -m tests.studies refusals [--signals]: wrong options and files, the one line printed for each, and the exit code.
 
-Options of every verb, folders and files that can't be used, FMUs that are none or would fill the disk. Aimed at: exit code 2,
-one line that says what was found and what is allowed, nothing written. `--signals`: also commands that are stopped in the
-middle of their work; aimed at: the signal's exit code, one line, no process left, nothing written.
+Options of every verb, folders and files that cannot be used, FMUs that are invalid or would fill the disk. Aim: exit code 2,
+one line with the found and the allowed value, no output. `--signals`: also commands that are stopped in the middle of their
+work. Aim: the signal's exit code, one line, no process left, no output.
 """
 
 import argparse
@@ -46,8 +46,8 @@ class Refusal:
     @property
     def in_order(self) -> bool:
         """Exit code 2, one line with what was found and what is allowed, nothing written."""
-        told = self.said.count("\n") == 1 and "found" in self.said and "expected" in self.said
-        return self.code == 2 and told and "Traceback" not in self.said and not self.wrote
+        is_one_line = self.said.count("\n") == 1 and "found" in self.said and "expected" in self.said
+        return self.code == 2 and is_one_line and "Traceback" not in self.said and not self.wrote
 
 
 OPTIONS = [
@@ -84,7 +84,7 @@ def refusals(folder: Path) -> Iterator[Refusal]:
 
 
 def given(folder: Path) -> dict[str, Path]:
-    """Files that are good, by what they are."""
+    """Good files, by their role."""
     texts = {
         "record": ("record.csv", RECORD),
         "profile": ("profile.csv", "time,thrust_set\n0,1.5\n0.1,1.5\n"),
@@ -98,7 +98,7 @@ def given(folder: Path) -> dict[str, Path]:
 
 
 def folders(files: dict[str, Path], folder: Path, out: Path) -> Iterator[Refusal]:
-    """Folders and files that can't be read or written, or speak of another model."""
+    """Folders and files that cannot be read or written, or that belong to another model."""
     simulate = ("simulate", str(files["record"]), "--parameters", str(files["parameters"]))
     yield refused("output: a file", simulate, files["record"])
     yield refused("output: below a file", simulate, files["record"] / "out")
@@ -135,7 +135,7 @@ def folders(files: dict[str, Path], folder: Path, out: Path) -> Iterator[Refusal
 
 
 def _identification(**values: float) -> dict:
-    """What `plan` reads of an identification.json."""
+    """The part of an identification.json that `plan` reads."""
     known = {name: {"value": value, "std": 0.1} for name, value in values.items()}
     return {"parameters": known, "correlation": {"names": list(known), "matrix": [[1.0]]}}
 
@@ -148,7 +148,7 @@ def _made(path: Path, mode: int) -> Path:
 
 @contextlib.contextmanager
 def someone_else() -> Iterator[None]:
-    """No bit of permission binds root."""
+    """Act as another user, since permissions do not restrict root."""
     before = os.geteuid()
     if before == 0:
         os.seteuid(NOBODY)

@@ -1,14 +1,14 @@
-/* A rig's physics for the studies, written from the descriptions of its effects alone: nothing here knows the project's kernel.
+/* A rig's physics for the studies, written from the descriptions of its effects alone, independent of the project's kernel.
  *
  * All quantities are normalised by the rig's own scales (w = speed / full speed, b = (pitch + offset) / span, T = thrust / full
  * thrust), time in s. Everything moves by small explicit steps. `struct rig` is put before this text by physics.py, one double a
  * field: `step` [s] of the integration, `slow`, how many times slower than the paper's rig this one is, `full` speed [rpm], lags,
- * map, and what is switched on; an option that is 0 is off.
+ * map, and options; an option that is 0 is off.
  */
 #include <math.h>
 #include <stdlib.h>
 
-#define PREROLL 2.0 /* s on the paper's rig: for so long the first command stands before the record begins, at t = 0 */
+#define PREROLL 2.0 /* s on the paper's rig: the first command is held for so long before the record begins, at t = 0 */
 
 static double clip(double v, double low, double high) { return v < low ? low : v > high ? high : v; }
 
@@ -25,7 +25,7 @@ static double late(const struct rig *r, const double *command, long step, long s
 struct state {
     double held, led, heat, x, b, play, active, timer, latched, before;
     double y, w, spin, trail, push, inflow, slow, creep[4], cell, cell_rate, load, stalled;
-    double worn, twisted, drained, esc, stuck, parted, w_before, started; /* of what is in no list */
+    double worn, twisted, drained, esc, stuck, parted, w_before, started; /* of effects in no list */
 };
 
 /* Rate of the actuator's stage that carries the nonlinear effects: from error e and time constant tau. */
@@ -94,7 +94,7 @@ static double rotor(const struct rig *r, struct state *s, const double *command,
     if (r->speed_max_w > 0.0) u = fmin(u, r->speed_max_w - r->sag * b);
     if (r->volt_gain > 0.0) u = fmin(u, r->volt_gain * volt);
     u *= 1.0 + r->volt_share * (volt - 1.0);
-    if (r->esc_step > 0.0) { /* the speed controller passes on what differs enough */
+    if (r->esc_step > 0.0) { /* the speed controller passes on changes above a threshold */
         if (fabs(u - s->esc) > r->esc_step) s->esc = u;
         u = s->esc;
     }
@@ -200,7 +200,7 @@ static struct state settled(const struct rig *r, double w, double b) {
     return s;
 }
 
-/* A signal as it was some time ago: the last `size` values, the newest at `at`. */
+/* A delayed signal: its last `size` values, the newest at `at`. */
 struct past {
     double *values;
     long size, at;
@@ -213,16 +213,16 @@ static struct past remembered(double delay, double step, double value) {
     return p;
 }
 
-/* Takes the newest value, gives the oldest. */
+/* Stores the newest value, returns the oldest. */
 static double passed(struct past *p, double value) {
     p->values[p->at] = value;
     p->at = (p->at + 1) % p->size;
     return p->values[p->at];
 }
 
-/* A record of n rows, `sub` steps apart; what a row shows was there before its command acted. `angle`: of the mark at the start,
- * revolutions; `jitter[m]` s: by what the m-th of at most `pulses` comes late. `shown`: as the 4 us timer measures it, held from
- * pulse to pulse, rpm. `turn`: revolutions since the start. */
+/* A record of n rows, `sub` steps apart; the outputs of a row are those before its command acted. `angle`: that of the mark at
+ * the start, revolutions; `jitter[m]`: delay of the m-th of at most `pulses` pulses, s. `shown`: speed as the 4 us timer
+ * measures it, held from pulse to pulse, rpm. `turn`: revolutions since the start. */
 void run(const struct rig *r, long n, long sub, const double *w_ref, const double *b_ref, double angle, long pulses,
          const double *jitter, double *omega, double *beta, double *load, double *shown, double *turn) {
     struct state s = settled(r, w_ref[0], b_ref[0]);

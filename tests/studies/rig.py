@@ -1,7 +1,7 @@
-"""An emulator of rigs that shares no code with the project's kernel: campaigns of a rig of any size, with what is hidden in it.
+"""An emulator of rigs that shares no code with the project's kernel: campaigns of a rig of any size, with hidden effects.
 
-Its own physics (rig.c), its own sensors: one mark a revolution with a 4 us timer, a thrust reading in counts of a converter
-that is ranged for the rig's thrust, noise of several kinds (noise.py), and the rotor's own vibration.
+It has its own physics (rig.c) and sensors: one mark a revolution with a 4 us timer, a thrust reading in counts of a converter
+that is ranged for the rig's thrust, noise of several kinds (noise.py), and the rotor's vibration.
 """
 
 import json
@@ -22,21 +22,21 @@ from .noise import LSB, SHARE, Noise
 from .physics import PAPER, Frame, Run, in_time, pulses, run
 
 STEP = 0.0001
-"""Of the rig's own integration, s on the paper's rig: the error that it leaves is below what 500 000 readings tell."""
+"""Step of the rig's integration, s on the paper's rig: its error is below the resolution of 500 000 readings."""
 
 JITTER = 0.0025
 """Revolutions at full speed by which a pulse of the mark comes early or late (25 us of the paper's 10 ms)."""
 
 VIBRATION = (0.0003, 0.0035)
-"""Of full thrust at full speed, once a revolution."""
+"""Range of the vibration over full thrust, at full speed, once a revolution."""
 
 SPREAD = 0.15
-"""Of what is drawn about a standard size, about the paper's settings, either way."""
+"""Largest relative deviation of drawn sizes and settings from a standard size and from the paper's settings."""
 
 
 @dataclass(frozen=True)
 class Size:
-    """How large a rig is: `speed` rpm, pitch from -`offset` over `span` deg, and `thrust` N are 1 in the physics; `slow` times
+    """Size of a rig: `speed` rpm, pitch from -`offset` over `span` deg, and `thrust` N are 1 in the physics; `slow` times
     slower than the paper's rig; a supply of `volt` V."""
 
     name: str
@@ -54,7 +54,7 @@ class Size:
 
     @property
     def scales(self) -> dict[str, float]:
-        """The normalisation in which the rig's map is what it is, as a rig.json declares it."""
+        """The scales of the rig's normalised map, as a rig.json declares them."""
         return {"omega_scale": self.speed, "beta_scale": self.span, "beta_offset": self.offset, "thrust_scale": self.thrust}
 
     def commands(self, w: np.ndarray, b: np.ndarray) -> Commands:
@@ -68,7 +68,7 @@ class Size:
 
     @property
     def declared(self) -> dict:
-        """What its rig.json says, as `vpp_fmu.rig.read_rig` gives it."""
+        """Contents of its rig.json, as `vpp_fmu.rig.read_rig` gives them."""
         (slowest, lowest), (fastest, highest) = (
             self.commands(*ends) for ends in zip(command_sequences.GRID_SPEED, command_sequences.GRID_PITCH, strict=True)
         )
@@ -106,15 +106,15 @@ def random_base(rng: np.random.Generator, slow: float) -> dict[str, float]:
 
 
 def random_vibration(rng: np.random.Generator) -> float:
-    """Of full thrust."""
+    """Vibration over full thrust."""
     return float(np.exp(rng.uniform(*np.log(VIBRATION))))
 
 
 @dataclass(frozen=True)
 class Rig:
     """One rig. `settings`: of physics.py, base and options; `rate` Hz of its logger; `kind` and `level` of the noise, the level
-    over SHARE; `extra(clock, speed, pitch)`: force (rows,) of full thrust that comes from outside the physics and repeats with
-    the normalised commands; `vibration` of full thrust; `locked`: whether a record starts on the rotor's mark.
+    over SHARE; `extra(clock, speed, pitch)`: external force (rows,) over full thrust, which repeats with the normalised
+    commands; `vibration` over full thrust; `locked`: whether a record starts on the rotor's mark.
     """
 
     settings: Mapping[str, float]
@@ -128,17 +128,17 @@ class Rig:
 
     @property
     def clock(self) -> Clock:
-        """Of its records."""
+        """The clock of its records."""
         return Clock(1.0 / self.rate, self.size.slow)
 
     @property
     def noise(self) -> Noise:
-        """Of its thrust reading."""
+        """The noise of its thrust reading."""
         thrust = self.size.thrust
         return Noise(self.kind, SHARE * self.level * thrust, 1.0 / self.rate, self.size.slow, LSB * thrust)
 
     def frame(self, step: float = STEP) -> Frame:
-        """How it is integrated, at `step` s on the paper's rig."""
+        """Its integration and reading, at `step` s on the paper's rig."""
         return Frame(1.0 / self.rate, step * self.size.slow, self.size.slow, self.size.speed)
 
     def run(self, speed: np.ndarray, pitch: np.ndarray, step: float = STEP) -> Run:
@@ -146,18 +146,18 @@ class Rig:
         return run(self.settings, self.frame(step), *self.size.shares(speed, pitch))
 
     def force(self, found: Run, speed: np.ndarray, pitch: np.ndarray) -> np.ndarray:
-        """Force on the load cell (rows,) N, without noise, and without the vibration that every rig has."""
+        """Force on the load cell (rows,) N, without noise and without vibration."""
         force = self.size.thrust * found.load
         if self.extra is None:
             return force
         return force + self.size.thrust * self.extra(self.clock, *self.size.shares(speed, pitch))
 
     def record(self, rng: np.random.Generator, commands: Commands, name: str) -> Record:
-        """What a record of these normalised commands holds."""
+        """A record of these normalised commands."""
         return self.observed(rng, commands, name)[0]
 
     def observed(self, rng: np.random.Generator, commands: Commands, name: str) -> tuple[Record, np.ndarray]:
-        """(what a record of these normalised commands holds, the force (rows,) N behind it, as `force`)."""
+        """(a record of these normalised commands, its true force (rows,) N, as `force`)."""
         speed, pitch = self.size.commands(*commands)
         rows, frame = len(speed), self.frame()
         jitter = JITTER * 60.0 / self.size.speed * rng.standard_normal(pulses(frame, rows))
@@ -183,7 +183,7 @@ class Rig:
 
 @dataclass(frozen=True)
 class Files:
-    """What a campaign holds beside an open-loop record of so many `seconds`."""
+    """Files of a campaign beside an open-loop record of so many `seconds`."""
 
     seconds: float = 90.0
     repeat: bool = True
@@ -197,12 +197,12 @@ VALIDATION = 2.0 / 3.0
 
 
 def campaign(rig: Rig, rng: np.random.Generator, files: Files = Files()) -> Campaign:
-    """What is measured on a rig."""
-    told = command_sequences.open_loop(rng, rig.clock, files.seconds)
+    """A campaign measured on a rig."""
+    orders = command_sequences.open_loop(rng, rig.clock, files.seconds)
     other = command_sequences.both(rng, rig.clock, VALIDATION * files.seconds)
-    records = {"open_loop": rig.record(rng, told, "open_loop"), "repeat": None, "validation": None}
+    records = {"open_loop": rig.record(rng, orders, "open_loop"), "repeat": None, "validation": None}
     if files.repeat:
-        records["repeat"] = rig.record(rng, told, "repeat")
+        records["repeat"] = rig.record(rng, orders, "repeat")
     if files.validation:
         records["validation"] = rig.record(rng, other, "validation")
     commanded = command_sequences.steps(rig.clock) if files.steps else ()
@@ -224,7 +224,7 @@ def static_map(rig: Rig, rng: np.random.Generator) -> StaticMap:
 
 
 def save(measured: Campaign, size: Size, path: Path) -> None:
-    """Write a campaign as a folder that `vpp` takes."""
+    """Write a campaign as a folder that `vpp` accepts."""
     folder = OutputFolder(path)
     for name in ("open_loop", "repeat", "validation"):
         if (record := getattr(measured, name)) is not None:
@@ -235,8 +235,8 @@ def save(measured: Campaign, size: Size, path: Path) -> None:
         runs = [r.with_columns(run=np.full(len(r), k)) for k, r in enumerate(measured.steps)]
         columns = {n: np.concatenate([r[n] for r in runs]) for n in ("run", *measured.steps[0].columns)}
         write_record(folder, "steps.csv", Record(columns, "steps"))
-    told = dict(size.declared)
+    content = dict(size.declared)
     for name, unit in (("speed", "rpm"), ("pitch", "deg")):
-        low, high = told[name]
-        told[name] = {"min": low, "max": high, "unit": unit}
-    folder.write("rig.json", json.dumps({"format": "vpp-rig/1", **told}, indent=2) + "\n")
+        low, high = content[name]
+        content[name] = {"min": low, "max": high, "unit": unit}
+    folder.write("rig.json", json.dumps({"format": "vpp-rig/1", **content}, indent=2) + "\n")

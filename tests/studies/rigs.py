@@ -1,10 +1,10 @@
-"""python -m tests.studies rigs: are rigs of three sizes identified and diagnosed alike?
+"""python -m tests.studies rigs: are rigs of three sizes identified and diagnosed equally well?
 
 Campaigns of a micro, a paper-sized and a big rig, measured on the studies' emulator, which shares no code with the project's
-kernel. Identification: the static map, the steps, and an open-loop record with its repeat, white noise; errors of the nine
-parameters are compared with the Cramer-Rao bound of what was fitted, thrust and static map. The bound is that of thrust
-alone, and so is the fit; a second column adds the speed channel to the fit, and may fall below it. Diagnosis: six effects of
-full size, each alone on a rig.
+kernel. Identification uses the static map, the steps, and an open-loop record with its repeat, under white noise. Errors of the
+nine parameters are compared with the Cramer-Rao bound of thrust and static map. The bound and the fit use thrust alone; a
+second column adds the speed channel to the fit, and may fall below the bound. Diagnosis: six effects of full size, each alone
+on a rig.
 """
 
 import argparse
@@ -34,7 +34,7 @@ RATES = {"micro": 1000, "paper": 250, "big": 100}
 """Hz of each rig's logger."""
 
 SECONDS = 30.0, 90.0, 120.0
-"""Of the open-loop record: on the paper's rig, and the least and most on any."""
+"""s of the open-loop record: the least on any rig, that on the paper's, and the most on any."""
 
 EFFECTS = (
     "pitch_command_deadband",
@@ -51,9 +51,10 @@ AIM = 1.1
 
 @dataclass(frozen=True)
 class Trials:
-    """Of as many campaigns, one a row (campaigns, parameters): errors of the fit to `thrust` alone and of the fit to thrust and
-    speed (`both`) over the bound's standard deviation; that over the true value (`bound`); whether the 95 % interval held the
-    truth. `distance` (campaigns, 2): of both fits, the squared error in the bound's own metric, 1 a parameter at the bound.
+    """Results of campaigns, one a row (campaigns, parameters): errors of the fit to `thrust` alone and of the fit to thrust and
+    speed (`both`) over the bound's standard deviation; that over the true value (`bound`); whether the 95 % interval contains
+    the truth (`covered`). `distance` (campaigns, 2): squared error of both fits in the bound's metric, 1 a parameter at the
+    bound.
     """
 
     thrust: np.ndarray
@@ -94,7 +95,7 @@ def main(arguments: list[str]) -> None:
 
 
 def whole(seed: int, size: str, rate: int, kind: str = "single", **given) -> Case:
-    """A whole campaign of a rig, in which what is hidden is of full size, and the noise that of the shared records."""
+    """A complete campaign of a rig, with hidden effects of full size and the noise of the shared records."""
     low, usual, high = SECONDS
     seconds = float(np.clip(usual * SIZES[size].slow, low, high))
     return draw(seed, kind, size=size, rate=rate, seconds=seconds, strength=1.0, level=1.0, locked=True, **WHOLE, **given)
@@ -109,7 +110,7 @@ def trials(size: str, rate: int, seeds: Sequence[int], workers: int = 1) -> Tria
 @threadpool_limits.wrap(limits=1)
 def _trial(seed: int, size: str, rate: int) -> tuple[np.ndarray, ...]:
     case = whole(seed, size, rate, "none", noise="white")
-    rig = replace(case.rig, vibration=0.0)  # white noise alone: of that the bound is known
+    rig = replace(case.rig, vibration=0.0)  # white noise alone, for which the bound is known
     measured = campaign(rig, case.random(3), replace(case.factors.files, validation=False))
     truth = rig.truth()
     true, least = np.array([truth[n] for n in BASE_PARAMETERS]), bound(measured, rig)
@@ -122,7 +123,7 @@ def _trial(seed: int, size: str, rate: int) -> tuple[np.ndarray, ...]:
 
 
 def _without_speed(measured: Campaign) -> Campaign:
-    """The same campaign, no record of which has a speed."""
+    """The same campaign without the measured speed."""
 
     def bare(record: Record) -> Record:
         return Record({n: c for n, c in record.columns.items() if n != "omega"}, record.source)
@@ -138,16 +139,16 @@ def bound(measured: Campaign, rig: Rig) -> np.ndarray:
     records = [r for r in (measured.open_loop, measured.repeat) if r is not None]
     experiments = [e for r in records for e in independent_readings([r], model.values(truth), ("thrust",))]
     _, jacobian = Problem(model, experiments, model.values(truth), BASE_PARAMETERS).rows(truth)
-    told = np.linalg.inv(covariance(jacobian * model.values(truth)["thrust_scale"], std))
+    information = np.linalg.inv(covariance(jacobian * model.values(truth)["thrust_scale"], std))
     static = measured.static
     terms = design(static.omega_ref, static.beta_ref, truth) * truth["thrust_scale"] * np.sqrt(static.samples)[:, None] / std
     places = [BASE_PARAMETERS.index(n) for n in TERMS]
-    told[np.ix_(places, places)] += terms.T @ terms
-    return np.linalg.inv(told)
+    information[np.ix_(places, places)] += terms.T @ terms
+    return np.linalg.inv(information)
 
 
 def show(size: str, rate: int, found: Trials) -> None:
-    """Print how the errors of one rig's parameters compare with the bound."""
+    """Print the errors of the parameters of one rig over the bound."""
     n, s = len(found.bound), SIZES[size]
     print(
         f"\n{size}: {s.thrust:g} N, {s.speed:g} rpm, {rate} Hz, {n} campaigns, white noise. Aim: rmse at most {AIM} of bound."
@@ -171,7 +172,7 @@ def _rms(ratios: np.ndarray) -> str:
 
 
 def show_diagnoses(wanted: Sequence[Case], workers: int, limit: float) -> None:
-    """Diagnose and print a line each, as they are done, and what came of all."""
+    """Diagnose, and print a line for each case as it is done, and the totals."""
     print("\nDiagnosis: full size, open loop, repeat, validation, static map and steps. Error in N on a record nobody saw.")
     heads = f"{'rig':6} {'Hz':>5} {'s':>4} {'hidden':24} {'verdict':12} {'named':32} {'true':>9} {'found':>20}"
     print(f"{heads} {'before':>8} {'after':>8} {'s':>5} {'CPU':>5} {'MB':>5}")

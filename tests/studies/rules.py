@@ -1,4 +1,4 @@
-"""python -m tests.studies rules: what each rule of a diagnosis is worth.
+"""python -m tests.studies rules: the effect of each rule of a diagnosis.
 
 Each case of the study `diagnosis` runs with all rules, and then without each rule that decided something in the case. The table
 counts the cases in which a rule decided, those that ran without it, and those in which the verdict or the names then differ:
@@ -23,7 +23,7 @@ from .cases import Case
 @dataclass(frozen=True)
 class Rule:
     """A rule is a function of the diagnosis; `place`: module:name or module:class.name. `without(original, *arguments)` returns
-    two functions: one gives the value without the rule, one tells from the value with it whether the rule decided anything."""
+    two functions: one gives the value without the rule, the other decides from the value with it whether it had an effect."""
 
     place: str
     without: Callable
@@ -65,17 +65,17 @@ class Rule:
 
 
 def _constant(neutral) -> Callable:
-    """The rule's value is `neutral` without it; it decides where it is another one."""
+    """The rule's value is `neutral` without it; the rule decides if its value is another one."""
     return lambda original, *given, **named: (lambda: neutral, lambda value: value != neutral)
 
 
 def _unchanged(position: int) -> Callable:
-    """Without the rule, an argument is returned as it is; it decides where it returns something else."""
+    """Without the rule, an argument is returned unchanged; the rule decides if it returns another object."""
     return lambda original, *given, **named: (lambda: given[position], lambda value: value is not given[position])
 
 
 def _reason(text: str) -> Callable:
-    """A reason to reject an effect; it decides where it is the only one."""
+    """A reason to reject an effect; the rule decides if this is the only reason."""
 
     def without(original, *given, **named):
         return (
@@ -87,7 +87,7 @@ def _reason(text: str) -> Callable:
 
 
 def _flag(*others: str) -> Callable:
-    """A check of lack of fit; it decides where it alone finds something."""
+    """A check of lack of fit; the rule decides if this check alone finds something."""
     return lambda original, lack: (lambda: False, lambda value: value and not any(getattr(lack, name) for name in others))
 
 
@@ -150,7 +150,7 @@ class Asked:
     rule: str | None = None
 
     def summary(self) -> dict:
-        """That of the case, and the rule."""
+        """Summary of the case, and the rule."""
         return self.case.summary() | {"without": self.rule}
 
 
@@ -195,13 +195,13 @@ def outcome(asked: Asked, threads: int) -> dict:
         stack.enter_context(RULES[asked.rule].removed())
         try:
             return diagnosis.outcome(asked.case, threads, LIBRARY) | {"without": asked.rule}
-        except Exception as error:  # without a rule anything may happen: the table says so
+        except Exception as error:  # without a rule any error may occur; the table has it
             nothing = {"failed": None, "verdict": type(error).__name__, "effects": [], "family": {}, "seconds": 0.0}
             return asked.summary() | nothing
 
 
 def table(rows: Sequence[dict]) -> str:
-    """One line a rule."""
+    """One line for each rule."""
     found = {_key(row): row for row in rows if not row["failed"]}
     all_rules = [row for row in found.values() if row["without"] is None]
     lines = [f"{len(all_rules)} cases with all rules, {len(rows) - len(found)} runs failed", ""]
@@ -225,7 +225,7 @@ def _said(row: dict) -> tuple:
 
 
 def _fine(row: dict) -> bool:
-    """Whether the diagnosis is right: nothing false is named, and what is missing is named or said to be missing."""
+    """Whether the diagnosis is right: no false name, and the hidden effects are named or said to be missing."""
     if row["kind"] == "none":
         return row["verdict"] == "none"
     return scores.hit(row) if row["kind"] in ("single", "pair") else not scores.wrong(row)

@@ -11,10 +11,10 @@ from .detectable import LIMIT
 from .hidden_effects import HIDDEN
 
 NAMED = ("attributed", "family")
-"""Verdicts that claim to know the name."""
+"""Verdicts that name effects."""
 
 ALWAYS = frozenset({"rotor_vibration"})
-"""What every rig of the study has: naming it is never wrong."""
+"""Effects of every rig of the study: naming them is never wrong."""
 
 Rows = Sequence[dict]
 
@@ -27,30 +27,30 @@ def interval(k: int, n: int) -> tuple[float, float]:
 
 
 def found(c: dict) -> set[str]:
-    """Names that the diagnosis put into the model, less what every rig has."""
+    """Effects that the diagnosis put into the model, less those of every rig."""
     return set(c["effects"]) - (ALWAYS - set(c["hidden"]))
 
 
 def named(c: dict) -> set[str]:
-    """What it claims to know: its effects, and what it can't tell from them."""
+    """Named effects: those of the model and their families, if the verdict names effects."""
     return found(c).union(*c["family"].values()) if c["verdict"] in NAMED else set()
 
 
 def right(c: dict) -> set[str]:
-    """Names that are no mistake: what is hidden, what these data can't tell from it; of what the list lacks, its relatives."""
-    lacks = c["kind"] in ("outside", "deleted")
-    relatives = {r for h in c["hidden"] for r in HIDDEN[h].relatives} if lacks else set()
+    """Correct names: the hidden effects, those that these data cannot distinguish from them, and relatives of unlisted ones."""
+    is_unlisted = c["kind"] in ("outside", "deleted")
+    relatives = {r for h in c["hidden"] for r in HIDDEN[h].relatives} if is_unlisted else set()
     return {*c["hidden"], *relatives}.union(*c["equal"].values())
 
 
 def hit(c: dict) -> bool:
-    """Every hidden effect claimed, or what these data can't tell from it, no other found beside."""
+    """Every hidden effect is named, or one that these data cannot distinguish from it, and the model has no other effect."""
     known = all({h, *c["equal"].get(h, ())} & named(c) for h in c["hidden"])
     return known and len(found(c)) == len(c["hidden"])
 
 
 def wrong(c: dict) -> bool:
-    """Claims to know, and has in its model an effect that is not there: neither it nor what can't be told from it is right."""
+    """Names effects, but one of them and its whole family are false, or there are more than are hidden."""
     if c["verdict"] not in NAMED:
         return False
     return any(not right(c) & {name, *c["family"].get(name, ())} for name in found(c)) or len(found(c)) > max(
@@ -59,27 +59,27 @@ def wrong(c: dict) -> bool:
 
 
 def passed_over(c: dict) -> bool:
-    """Claims to know all, and lacks one of what is there."""
+    """Names effects, but misses a hidden one; no name is wrong."""
     return c["verdict"] in NAMED and not wrong(c) and not hit(c)
 
 
 def honest(c: dict) -> bool:
-    """Says that something is left, and names nothing that is not there."""
+    """Says that something is missing, and names nothing false."""
     return c["verdict"] not in (*NAMED, "none") and found(c) <= right(c)
 
 
 def detectable(c: dict) -> bool:
-    """Whether the open-loop records could show it: of a pair, both."""
+    """Whether the open-loop records could show the hidden effect; of a pair, both."""
     return c["evidence"] >= LIMIT
 
 
 def betrayed(c: dict) -> bool:
-    """Called wrong, by a model that these records tell from the truth."""
+    """Wrong, with a model that these records distinguish from the truth."""
     return wrong(c) and c["behind"] >= LIMIT
 
 
 def removed(c: dict) -> float:
-    """Share of the true error's power that the model which ships removes, on a record that nobody saw."""
+    """Share of the true error's power that the final model removes on a hold-out record."""
     before, after = c["true_error"]
     return 1.0 - (after / before) ** 2
 
@@ -90,13 +90,13 @@ def ships(c: dict) -> bool:
 
 
 def worse(c: dict) -> bool:
-    """What ships is worse than its base."""
+    """The final model is worse than its base."""
     return ships(c) and removed(c) < 0.0
 
 
 @dataclass(frozen=True)
 class Column:
-    """Of the tables, under a group's head and its own: how many of the rows `of` which pass the `test`."""
+    """A column of the tables, under the heads `group` and `head`: how many of the rows selected by `of` pass the `test`."""
 
     group: str
     head: str
@@ -104,7 +104,7 @@ class Column:
     test: Callable[[dict], bool]
 
     def cell(self, part: Rows) -> str:
-        """`k/n`, empty where there are none."""
+        """`k/n`, empty if there are no rows."""
         own = [c for c in part if self.of(c)]
         return f"{sum(map(self.test, own))}/{len(own)}" if own else ""
 
@@ -121,7 +121,7 @@ def _pair(c):
     return c["kind"] == "pair" and detectable(c)
 
 
-def _lacking(c):
+def _unlisted(c):
     return c["kind"] in ("outside", "deleted") and detectable(c)
 
 
@@ -136,12 +136,11 @@ COLUMNS = (
     Column("", "honest", _pair, honest),
     Column("", "passed", _pair, lambda c: passed_over(c) or c["verdict"] == "none"),
     Column("", "wrong", _pair, wrong),
-    Column("no list", "wrong", _lacking, wrong),
+    Column("no list", "wrong", _unlisted, wrong),
     Column("ships", "worse", ships, worse),
 )
-"""Singles, pairs, and what is in no list count where they are detectable. `missing`: false "something is missing"; `open`:
-neither named nor called none;
-`honest`: says that something is left and names nothing false; `passed`: one passed over in silence."""
+"""Singles, pairs, and effects in no list count if they are detectable. `missing`: false "something is missing"; `open`: neither
+named, wrong nor none; `honest`: says that something is missing and names nothing false; `passed`: an effect is passed over."""
 
 FACTORS: dict[str, Callable[[dict], object]] = {
     "all": lambda c: "",
@@ -170,7 +169,7 @@ def _short(edge: float) -> str:
 
 
 def tables(rows: Rows) -> str:
-    """All that is printed."""
+    """The printed tables."""
     done = [c for c in rows if not c["failed"]]
     lines = [*_noteworthy(rows), "", *by_factor(done), "", *by_effect(done), "", *figures(done)]
     if len(done) < len(rows):
@@ -179,7 +178,7 @@ def tables(rows: Rows) -> str:
 
 
 def by_factor(rows: Rows) -> list[str]:
-    """One line a level of a factor, the COLUMNS beside it."""
+    """One line for each level of a factor, with the COLUMNS."""
     lines = _head("factor")
     for factor, level in FACTORS.items():
         levels = sorted({level(c) for c in rows}, key=_order)
@@ -189,14 +188,14 @@ def by_factor(rows: Rows) -> list[str]:
 
 
 def _order(level: str) -> tuple[float, str]:
-    """Numbers by size, and below the first edge first; words behind them."""
+    """Sort key: numbers by size, levels below the first edge first; words last."""
     number = re.match(r"[<>]? ?(\d[\d.]*)", level)
     place = float(number[1]) + {"<": -1e-6, ">": 1e-6}.get(level[0], 0.0) if number else np.inf
     return place, level
 
 
 def by_effect(rows: Rows) -> list[str]:
-    """One line a hidden effect or pair."""
+    """One line for each hidden effect or pair."""
     lines = _head("hidden")
     for hidden in dict.fromkeys(tuple(c["hidden"]) for c in rows):
         lines.append(_cells(" + ".join(hidden) or "-", [c for c in rows if tuple(c["hidden"]) == hidden]))
@@ -216,7 +215,7 @@ def _cells(what: str, part: Rows) -> str:
 
 
 def _noteworthy(rows: Rows) -> list[str]:
-    """Each case that is not as it should be: enough to run it again."""
+    """A line for each case that is not as it should be, with what is needed to run it again."""
     lines = []
     for c in rows:
         if c["failed"]:
@@ -237,8 +236,8 @@ def _noteworthy(rows: Rows) -> list[str]:
 def _case(c: dict) -> str:
     f = c["factors"]
     files = " ".join(n for n in ("repeat", "validation", "static", "steps") if f[n])
-    told = f"{f['size']} {f['rate']} Hz {f['seconds']:.0f} s, {f['noise']} x {f['level']:.2f}, {files or 'open loop only'}"
-    return f"{c['name']} ({told}" + (f"; evidence {c['evidence']:.0f})" if c["hidden"] and "evidence" in c else ")")
+    rig = f"{f['size']} {f['rate']} Hz {f['seconds']:.0f} s, {f['noise']} x {f['level']:.2f}, {files or 'open loop only'}"
+    return f"{c['name']} ({rig}" + (f"; evidence {c['evidence']:.0f})" if c["hidden"] and "evidence" in c else ")")
 
 
 def _said(c: dict) -> str:
@@ -249,7 +248,7 @@ def _said(c: dict) -> str:
 def figures(rows: Rows) -> list[str]:
     """The study's figures, one a line, with counts and intervals."""
     singles, none = [c for c in rows if _single(c)], [c for c in rows if _none(c)]
-    pairs, lacking = [c for c in rows if _pair(c)], [c for c in rows if _lacking(c)]
+    pairs, unlisted = [c for c in rows if _pair(c)], [c for c in rows if _unlisted(c)]
     lines = [f"detectable: log-likelihood of {LIMIT:g} or more over the best base model in the open-loop records, noise-free"]
     lines.append(share("false name where nothing is hidden (aim <= 1 %)", COLUMNS[0].test, none))
     lines.append(share("false 'something is missing' there (aim <= 2 %)", COLUMNS[1].test, none))
@@ -262,11 +261,11 @@ def figures(rows: Rows) -> list[str]:
     lines.append(share("  one or none, and says so", honest, pairs))
     lines.append(share("  called wrong", wrong, pairs))
     lines.append(share("    by a model that these records tell from the truth", betrayed, pairs))
-    lines.append(share("in no list, or deleted from it: called wrong (aim <= 1 %)", wrong, lacking))
-    lines.append(share("  by a model that these records tell from the truth", betrayed, lacking))
-    told = [c for c in lacking if "with_own_name" in c]
+    lines.append(share("in no list, or deleted from it: called wrong (aim <= 1 %)", wrong, unlisted))
+    lines.append(share("  by a model that these records tell from the truth", betrayed, unlisted))
+    repeated = [c for c in unlisted if "with_own_name" in c]
     lines.append(
-        share("  of these, with its own name in the list called so", lambda c: c["hidden"][0] in c["with_own_name"], told)
+        share("  of these, with its own name in the list called so", lambda c: c["hidden"][0] in c["with_own_name"], repeated)
     )
     claimed = [c for c in rows if c["kind"] == "single" and c["verdict"] in NAMED and detectable(c)]
     lines.append(
@@ -282,7 +281,7 @@ def figures(rows: Rows) -> list[str]:
 
 
 def _shipped(rows: Rows, singles: Rows) -> list[tuple[str, Rows]]:
-    """Vibration is left out: on another record its phase is another."""
+    """Groups of cases, without vibration, whose phase differs on another record."""
     kept = [c for c in rows if not ALWAYS & set(c["effects"]) and not ALWAYS & set(c["hidden"])]
     return [
         ("detectable singles, named or not", [c for c in singles if c in kept]),
@@ -301,9 +300,9 @@ def _removed(what: str, part: Rows) -> str:
 
 
 def _p_values(part: Rows, when: str) -> list[float]:
-    """Of the diagnosis' own test of lack of fit, where it tells them."""
-    told = ((c["lack_of_fit"] or {}).get(when) for c in part)
-    return [t["p"] for t in told if isinstance(t, dict) and t.get("p") is not None]
+    """p-values of the diagnosis' own test of lack of fit, if it reports them."""
+    tests = ((c["lack_of_fit"] or {}).get(when) for c in part)
+    return [t["p"] for t in tests if isinstance(t, dict) and t.get("p") is not None]
 
 
 def _calibration(what: str, p: Sequence[float]) -> list[str]:
@@ -316,7 +315,7 @@ def _calibration(what: str, p: Sequence[float]) -> list[str]:
 
 
 def _costs(rows: Rows) -> list[str]:
-    """Seconds and memory by how much was measured."""
+    """Seconds and memory by the number of readings."""
     lines = []
     for band in sorted({_readings(c) for c in rows}, key=_order):
         part = [c for c in rows if _readings(c) == band]

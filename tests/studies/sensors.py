@@ -1,4 +1,4 @@
-"""Speed sensors, and a logger that writes its rows early or late: what they make of the emulated rig's motion.
+"""Speed sensors, and a logger that writes its rows early or late, for the emulated rig.
 
 The rig moves on a grid of FINE (rig.c). A sensor turns that motion into a value at any time; the logger reads it once a row, or
 as the mean over a row.
@@ -16,7 +16,7 @@ from .physics import Frame, run
 from .rig import STEP, Rig
 
 FINE = 0.0005
-"""s of the grid on which motion is kept; between its points it is straight. Rows of the study are whole multiples of it."""
+"""s of the grid of the motion, which is linear between its points. Rows of the study are whole multiples of it."""
 
 TIMER = 4e-6
 """s: a tick of the timer that times the pulses of a mark."""
@@ -25,12 +25,12 @@ RESOLUTION = 1.0
 """rpm of an encoder and of telemetry."""
 
 BEFORE, AFTER = 1.0, 4
-"""s at rest that are kept before a record, for the pulses before its first row; rows simulated behind its last one."""
+"""s at rest before a record, for the pulses before its first row; rows that are simulated after its last one."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """`time` s, evenly spaced, `omega` rpm and `turn` revolutions, each (n,); straight between the times."""
+    """`time` s, evenly spaced, `omega` rpm and `turn` revolutions, each (n,); linear between the times."""
 
     time: np.ndarray
     omega: np.ndarray
@@ -44,7 +44,7 @@ class Mark:
     marks: int
 
     def shows(self, rng: np.random.Generator, motion: Motion, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(rpm, age s of the middle of what that is the mean of), at any times s."""
+        """(speed rpm, age s of the middle of its averaging window), at any times s."""
         turn = self.marks * motion.turn
         pulses = np.interp(np.arange(np.ceil(turn[0]), np.floor(turn[-1]) + 1.0), turn, motion.time)
         last = np.searchsorted(pulses, at, side="right") - 1
@@ -55,7 +55,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class Encoder:
-    """The speed of the moment."""
+    """The instantaneous speed."""
 
     def shows(self, rng: np.random.Generator, motion: Motion, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As `Mark.shows`."""
@@ -64,14 +64,14 @@ class Encoder:
 
 @dataclass(frozen=True)
 class Telemetry:
-    """Speed behind a first-order filter of `time_constant` s; a new value every `refresh` s, whatever the rows, then held."""
+    """Speed after a first-order filter of `time_constant` s; a new value every `refresh` s, whatever the rows, then held."""
 
     time_constant: float
     refresh: float
 
     def shows(self, rng: np.random.Generator, motion: Motion, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As `Mark.shows`; the filter counts as old by its time constant."""
-        # Exact for an input that is straight between the grid's points.
+        """As `Mark.shows`; the filter adds its time constant to the age."""
+        # Exact for an input that is linear between the grid's points.
         ratio = (motion.time[1] - motion.time[0]) / self.time_constant
         keep = np.exp(-ratio)
         mean = (1.0 - keep) / ratio
@@ -87,10 +87,10 @@ Sensor = Mark | Encoder | Telemetry
 
 @dataclass(frozen=True)
 class Logger:
-    """When the readings of a row are taken, in rows. `lag`: how long before the row's command acts; the contract's is 0.
+    """Times of the readings of a row, in rows. `lag`: time before the row's command acts; the contract's is 0.
 
     Readings that are taken after their command acts, and commands that are logged late, make the same rows: `lag` below 0,
-    readings lead. Commands that are logged early have a lag above 0. `span`: readings are means over so much, centred.
+    readings lead. Commands that are logged early have a lag above 0. `span`: length of the centred mean of a reading.
     """
 
     lag: float = 0.0
@@ -105,8 +105,8 @@ class Logger:
 
 @dataclass(frozen=True)
 class Reading:
-    """Commands [rpm, deg], and what the logger reads without noise: `omega` rpm, `force` N, and the `age` s of the speed behind
-    the force; each (rows,)."""
+    """Commands [rpm, deg], and readings without noise: `omega` rpm, `force` N, and the `age` s of the speed relative to the
+    force; each (rows,)."""
 
     speed: np.ndarray
     pitch: np.ndarray
@@ -116,20 +116,20 @@ class Reading:
 
     @property
     def delay(self) -> float:
-        """s, the mean age of speed over the rows that show a new value."""
+        """Mean age of speed over the rows with a new value, s."""
         new = np.diff(self.omega, prepend=np.nan) != 0.0
         return float(self.age[new].mean())
 
 
 @dataclass(frozen=True)
 class LoggedRig(Rig):
-    """A rig whose records a `logger` writes, with the speed that a `sensor` shows."""
+    """A rig with a `logger` of its records and a `sensor` of its speed."""
 
     sensor: Sensor = Encoder()
     logger: Logger = Logger()
 
     def read(self, rng: np.random.Generator, commands: Commands) -> Reading:
-        """What is read while these normalised commands (rows,) are sent, a row apart."""
+        """Readings while these normalised commands (rows,) are sent, one a row."""
         speed, pitch = self.size.commands(*commands)
         row = 1.0 / self.rate
         fine = round(row / FINE)
@@ -146,7 +146,7 @@ class LoggedRig(Rig):
         return Reading(speed, pitch, *(each.mean(axis=1) for each in (shown, force, age)))
 
     def observed(self, rng: np.random.Generator, commands: Commands, name: str) -> tuple[Record, np.ndarray]:
-        """(what a record of these normalised commands holds, the force (rows,) N behind it, without noise)."""
+        """(a record of these normalised commands, its force (rows,) N without noise)."""
         read = self.read(rng, commands)
         columns = {"time": np.round(np.arange(len(read.speed)) / self.rate, 9), "omega_ref": read.speed, "beta_ref": read.pitch}
         columns |= {"omega": np.round(read.omega, 2), "thrust": self.noise.reading(rng, read.force)}

@@ -8,13 +8,13 @@ from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 
 STEP = 0.004
-"""The paper's 250 Hz, s."""
+"""Period of the paper's 250 Hz, s."""
 
 SECTION = 20.0
-"""Speed only, pitch only, both: this long each, s."""
+"""Length of each section (speed only, pitch only, both), s."""
 
 SPEED, PITCH, HOLD = (2000.0, 6000.0), (-5.0, 10.0), (1.0, 2.5)
-"""Levels in rpm and deg, and for how long one is held, s: all drawn evenly."""
+"""Ranges of levels in rpm and deg, and of their hold, s; all uniform."""
 
 NOISE = 0.3
 """Standard deviation of a thrust reading, N: 0.02 of the paper's scale."""
@@ -24,7 +24,7 @@ TRUTH = FINE_TUNED | {"tau_beta_1": FINE_TUNED["tau_beta_2"], "tau_beta_2": FINE
 
 
 def commands(rng: np.random.Generator, section: float = SECTION) -> Record:
-    """Three sections of `section` s; the channel that is not in play rests in the middle of its range."""
+    """Three sections of `section` s; a channel that does not move is in the middle of its range."""
     rows = round(section / STEP)
     speed = [_levels(rng, rows, *SPEED), np.full(rows, np.mean(SPEED)), _levels(rng, rows, *SPEED)]
     pitch = [np.full(rows, np.mean(PITCH)), _levels(rng, rows, *PITCH), _levels(rng, rows, *PITCH)]
@@ -65,7 +65,7 @@ def _rho(memory: float) -> float:
 
 
 def _innovation(rows: int, memory: float) -> np.ndarray:
-    """Variance (rows,) of what drives the noise; the first row is drawn from the settled noise."""
+    """Variance (rows,) of the noise's innovations; the first row is drawn from the stationary noise."""
     variance = np.full(rows, 1.0 - _rho(memory) ** 2)
     variance[0] = 1.0
     return variance

@@ -1,8 +1,8 @@
 """python -m tests.studies tuning: are tuned gains better than those they start from, and robust ones better in the worst case?
 
-The paper's model with its assumed pitch actuator, through an ideal loop as the paper has it and through the rig's measurement
-chain; the same model on rigs of 1.2 N and 180 N, three times as fast and as slow; what a diagnosis makes of the example
-campaign; then plants drawn from the parameters' uncertainty. Robust gains are judged on 200 plants that no search has seen.
+Cases: the paper's model with its assumed pitch actuator, through an ideal loop as the paper has it and through the rig's
+measurement chain; the same model on rigs of 1.2 N and 180 N, three times as fast and as slow; the diagnosed model of the
+example campaign; then plants drawn from the parameters' uncertainty. Robust gains are judged on 200 held-out plants.
 """
 
 import argparse
@@ -43,7 +43,7 @@ def a_task(parameters: ParameterSet, chain: Mapping[str, float] = CHAIN, **more)
 
 
 def tuned(task: Task, workers: int) -> Tuning:
-    """Its controllers, tuned."""
+    """Tune the task's controllers."""
     return tune(task, controllers(task.parameters).settings, workers)
 
 
@@ -62,7 +62,7 @@ def elsewhere(scales: Scales, slower: float) -> ParameterSet:
 
 
 def diagnosed() -> ParameterSet:
-    """What a diagnosis makes of the example campaign."""
+    """The diagnosed parameters of the example campaign."""
     found = diagnose(read_campaign(example_folder()))
     return found.parameters(found.final).replaced(ASSUMED)
 
@@ -103,12 +103,12 @@ def show_against(found: Tuning) -> None:
     """Both actuators against speed alone."""
     print("\nBoth actuators against speed alone, tuned gains. Aim: better down.")
     for row in against(found):
-        told = [f"{settling(row[n]['settling'])}, squared error {row[n]['squared_error']:.4f} s" for n in found.tuned]
-        print(f"  {row['before']:4.3g} -> {row['after']:4.3g} N: {told[0]} against {told[1]}")
+        texts = [f"{settling(row[n]['settling'])}, squared error {row[n]['squared_error']:.4f} s" for n in found.tuned]
+        print(f"  {row['before']:4.3g} -> {row['after']:4.3g} N: {texts[0]} against {texts[1]}")
 
 
 def show_robust(title: str, found: Tuning) -> None:
-    """Nominal and robust gains on plants that no search has seen."""
+    """Nominal and robust gains on held-out plants."""
     print(f"\n{title}. Aim: robust gains have the lower worst cost of {JUDGED} other plants.")
     for name, each in found.tuned.items():
         nominal, robust = each.judged["tuned"], each.judged["robust"]

@@ -1,15 +1,15 @@
-"""python -m tests.studies twin: how soon does the rig's twin see a change, and how often does it see one that is none?
+"""python -m tests.studies twin: the delay at which the rig's twin detects a change, and its rate of false alarms.
 
-Emulated rigs of the paper's size, each a little different (`hil.physics`, its noise and the tare's), are measured by campaigns
-of three lengths and identified as `vpp identify` does; the twin is the one that `vpp hil run --twin` has, with the band that
-it reads. A change begins BEGIN s into a run of random steps. False alarms are counted over hours of random steps, of the
-controller's own commands under random set-points, and of set-points that stand; each run of RUN s starts anew.
+Emulated rigs of the paper's size, each slightly different (`hil.physics`, its noise and the tare's), are measured by campaigns
+of three lengths and identified as by `vpp identify`; the twin and its band are those of `vpp hil run --twin`. A change begins
+BEGIN s into a run of random steps. False alarms are counted over hours of random steps, of the controller's own commands under
+random set-points, and of constant set-points; each run of RUN s starts anew.
 
 The physics, the loop and the twin's model are compiled and run in virtual time, since 100 h through the emulated buses would
-take 7 h of a core; the blocks of half a second then go to the twin as it stands. `--rigs` runs go through buses, drivers and
-loop as they are, too.
+take 7 h of a core; the unchanged twin then gets the blocks of half a second. `--rigs` runs go through the unchanged buses,
+drivers and loop, too.
 
-Aims: no more than one false alarm in 100 h, and no change missed where the campaign was the paper's.
+Aims: no more than one false alarm in 100 h, and no change missed after a campaign of the paper's length.
 """
 
 import argparse
@@ -48,20 +48,21 @@ from vpp_fmu.record import Record
 from vpp_fmu.structured import as_json
 
 DT, BEGIN, RUN, WATCHED = 0.004, 20.0, 600.0, 300.0
-"""s: a tick; when a change begins; a run for false alarms; how long a change is looked for."""
+"""s: a tick; begin of a change; a run for false alarms; time within which a change must be detected."""
 
 ROWS = round(BLOCK / DT)
 REST = 2000.0, 0.0
-"""rpm, deg: where a closed loop starts from."""
+"""rpm, deg: commands at the start of a closed loop."""
 TARE = 0.006
 """N: standard deviation of a tare's error, the noise's mean over 4 s."""
 SPREAD = 0.1
-"""Of the rigs' own parameters about the emulated one's, either way."""
+"""Largest relative deviation of a rig's parameters from the emulated rig's."""
 DRAWN = ("inertia", "kp_lac", "lift", "induced", "resistance")
 
 
 class Length(NamedTuple):
-    """Of a campaign: points a side of its static map, levels of its steps, s of an open-loop section and of the validation."""
+    """Length of a campaign: points a side of its static map, levels of its steps, s of an open-loop section and of the
+    validation."""
 
     name: str
     points: int
@@ -77,7 +78,7 @@ KINDS = ("random steps", "closed loop", "standing set-points")
 
 
 class Known(NamedTuple):
-    """A rig's own parameters, what its campaign gave with which standard deviations, and how long that was."""
+    """A rig's own parameters; the values, band and standard deviations from its campaign, and that campaign's length."""
 
     own: dict[str, float]
     values: dict[str, float]
@@ -153,7 +154,7 @@ def alarms(hour: int, known: list[Known]) -> tuple[str, str, int, float]:
 
 
 def through_buses(seed: int, known: list[Known]) -> tuple[str, float | None]:
-    """(what was changed, when the alarm came [s]) of a closed loop on the emulated rig as it is, in virtual time."""
+    """(change, time of the alarm [s]) of a closed loop on the complete emulated rig, in virtual time."""
     one, change = known[seed % len(known)], ("nothing", "thrust x 0.9")[seed // len(LENGTHS) % 2]
     rng = np.random.default_rng([seed, 4])
     hidden = {"load_cell_gain.gain": 0.9} if change != "nothing" else {}
@@ -170,8 +171,8 @@ def through_buses(seed: int, known: list[Known]) -> tuple[str, float | None]:
 
 
 def watched(one: Known, omega: np.ndarray, beta: np.ndarray, thrust: np.ndarray) -> tuple[float, str]:
-    """(when the twin alarms [s], inf if it doesn't; what that is most like) beside commands and readings (rows,), settled on
-    the first commands."""
+    """(time of the twin's alarm [s], inf if there is none; the cause that it names) for commands and readings (rows,), settled
+    on the first commands."""
     model = _plant().simulate(one.values, {"omega_ref": omega, "beta_ref": beta}, np.full(len(omega) - 1, DT))
     twin = Twin(KernelPlant(plant(), one.values), one.band)
     count = (len(model) - 1) // ROWS
@@ -206,7 +207,7 @@ def _plant() -> Simulator:
 
 @cache
 def _defaults() -> dict[str, float]:
-    """Of the parameters that differ from rig to rig."""
+    """Defaults of the parameters that differ from rig to rig."""
     return {p.name: p.default for p in rig_model().parameters if p.name in DRAWN}
 
 
@@ -215,7 +216,7 @@ def _true(own: dict[str, float], omega: np.ndarray, beta: np.ndarray, hidden: tu
 
 
 def _noise(rng: np.random.Generator, rows: int) -> np.ndarray:
-    """As the emulated load cell has it, with its tare's error."""
+    """Noise of the emulated load cell, with its tare's error."""
     cell = LoadCell(0.0, 1.0)
     kept = np.exp(-DT / cell.memory)
     drive = cell.slow * np.sqrt(1.0 - kept**2) * rng.standard_normal(rows)
@@ -228,7 +229,7 @@ def _read(rng: np.random.Generator, thrust: np.ndarray) -> np.ndarray:
 
 
 def _changed(change: str, rng: np.random.Generator, own: dict[str, float], orders: Record) -> np.ndarray:
-    """Thrust that is read on a rig in which something changes at BEGIN."""
+    """Thrust readings of a rig with a change at BEGIN."""
     omega, beta, after = orders["omega_ref"], orders["beta_ref"], orders.time >= BEGIN
     if change == "stuck rod":
         return _read(rng, _true(own | {"rod_stuck.after": BEGIN}, omega, beta, ("rod_stuck",)))
@@ -247,7 +248,7 @@ def _orders(kind: str, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray
     orders = commands.validation(seed, RUN, DT)
     if kind == "random steps":
         return orders["omega_ref"], orders["beta_ref"]
-    rows = np.repeat(rng.integers(0, len(orders), 10), len(orders) // 10)  # one stands for a minute
+    rows = np.repeat(rng.integers(0, len(orders), 10), len(orders) // 10)  # each is held for a minute
     return orders["omega_ref"][rows], orders["beta_ref"][rows]
 
 
@@ -259,7 +260,7 @@ def _loop(rng: np.random.Generator, own: dict[str, float]) -> tuple[np.ndarray, 
     noise, loop = _noise(rng, rows), _closed()
     sets = loop.vectors(own, {}, {})
     shown = loop.rows(sets, Course(wanted, noise, DT, 15.0, REST))[1]
-    # What is read in a row comes before its commands act: the first row is at rest, the others are one later.
+    # The reading of a row precedes its commands: the first row is at rest, the others are one later.
     omega, beta = (np.concatenate([[at], column]) for at, column in zip(REST, shown[:, :2].T, strict=True))
     return omega, beta, np.concatenate([shown[:1, 2], shown[:, 2]]) + np.concatenate([noise[:1], noise])
 
@@ -270,7 +271,7 @@ def _closed() -> ClosedLoop:
 
 
 def _campaign(rng: np.random.Generator, own: dict[str, float], length: Length, seed: int) -> Campaign:
-    """What `vpp hil campaign` measures, with fewer samples a point of the static map where it is short."""
+    """A campaign as by `vpp hil campaign`, with fewer samples a point of the static map."""
 
     def record(orders: Record, name: str) -> Record:
         inputs = {name: orders[name] for name in ("omega_ref", "beta_ref")}
@@ -291,13 +292,13 @@ def _campaign(rng: np.random.Generator, own: dict[str, float], length: Length, s
         record(standing([one.before, *[one.after] * 5], 1.0), f"steps, run {k}")
         for k, one in enumerate(commands.steps(length.levels))
     )
-    told = commands.open_loop(seed, length.section, DT)
+    open_loop = commands.open_loop(seed, length.section, DT)
     return Campaign(
         Path("emulated"),
         StaticMap(*np.array(points).T, source="static"),
         steps,
-        record(told, "open_loop"),
-        record(told, "repeat"),
+        record(open_loop, "open_loop"),
+        record(open_loop, "repeat"),
         record(commands.validation(seed, length.validation, DT), "validation"),
         rig=replace(commands.PAPERS),
     )
@@ -344,5 +345,5 @@ def _show_whole(found: list[tuple[str, float | None]]) -> None:
     print("\nthrough the buses, closed loop, 60 s each")
     for change in ("nothing", "thrust x 0.9"):
         times = [when for what, when in found if what == change]
-        told = ", ".join("none" if when is None else f"{when:.1f} s" for when in times)
-        print(f"{change:14} {len(times)} runs, alarms: {told}")
+        text = ", ".join("none" if when is None else f"{when:.1f} s" for when in times)
+        print(f"{change:14} {len(times)} runs, alarms: {text}")
