@@ -6,9 +6,11 @@ from functools import cache
 
 import fmpy
 import numpy as np
+import pytest
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackAllocateMemoryTYPE, fmi2CallbackFreeMemoryTYPE, fmi2CallbackFunctions
 from fmpy.fmi2 import fmi2CallbackLoggerTYPE as Logger
 
+from vpp_fmu.errors import BadInput
 from vpp_fmu.export import native_fmu
 from vpp_fmu.fmu import Fmu
 from vpp_fmu.invariants import random_steps, reference, slopes
@@ -23,6 +25,15 @@ OPTIONAL = tuple(e for e in LIBRARY if e.off is not None)
 ALL_ON = plant(e.name for e in OPTIONAL)
 FAST_PITCH = {"tau_beta_2": 0.05}
 """The paper tunes its controllers on the fine-tuned set with a faster pitch actuator (section 4.2)."""
+
+
+def refusal(call, *arguments) -> str:
+    """The message of the BadInput that a call must raise, in one line."""
+    with pytest.raises(BadInput) as refused:
+        call(*arguments)
+    message = str(refused.value)
+    assert "\n" not in message
+    return message
 
 
 def named(effect: Effect, values: Mapping[str, float]) -> dict[str, float]:
@@ -100,12 +111,17 @@ class Slave:
         if initialised:
             self.initialise()
 
-    def initialise(self, **values: float) -> "Slave":
-        """Through the initialisation with these variables set in it."""
+    def enter(self, **values: float) -> "Slave":
+        """Enter the initialization mode and set these variables in it."""
         self.time = 0.0
         self.fmi.setupExperiment(startTime=0.0)
         self.fmi.enterInitializationMode()
         self.set(**values)
+        return self
+
+    def initialise(self, **values: float) -> "Slave":
+        """The same, and leave the initialization mode."""
+        self.enter(**values)
         self.fmi.exitInitializationMode()
         return self
 

@@ -15,6 +15,7 @@ from builders import ALL_ON, FAST_PITCH, PROBES, random_steps, reference
 
 from tests.hil.quick_vpp import shorten_waits
 from tests.stalls import Stalls
+from vpp_fmu.app.cli import main
 from vpp_fmu.export import python_fmu
 from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.controller import CONTROLLER
@@ -149,6 +150,20 @@ def short_waits():
     with pytest.MonkeyPatch.context() as patch:
         shorten_waits(patch.setattr)
         yield
+
+
+@pytest.fixture
+def refused(capsys):
+    """Run `vpp` with words that it must refuse by exit code 2 and one line on standard error; that line."""
+
+    def run(*words):
+        capsys.readouterr()
+        assert main([*map(str, words)]) == 2
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        return said
+
+    return run
 
 
 @pytest.fixture

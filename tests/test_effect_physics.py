@@ -66,7 +66,7 @@ def filtered(numerator, denominator, signal, time):
 
 @pytest.mark.sampled("effect")
 @pytest.mark.parametrize(("effect", "form"), FORMS)
-@pytest.mark.parametrize("dt", [1e-6, STEP, 0.05])
+@pytest.mark.parametrize("dt", [1e-6, 0.002, STEP, 0.05])
 def test_every_form_is_off_to_the_bit(effect, form, dt):
     model = plant([effect.name])
     inputs, steps = random_steps(200, 10, model=model), np.full(199, dt)

@@ -6,6 +6,7 @@ from builders import named, random_steps, reference, simulator, slopes
 
 from vpp_fmu.export import native_fmu, python_fmu
 from vpp_fmu.fmu import Fmu, FmuInstance
+from vpp_fmu.invariants import INVARIANTS, Trial
 from vpp_fmu.kernel.learned import DRIVERS, PORTS, learned, placed
 from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
 from vpp_fmu.native import Simulator
@@ -84,15 +85,13 @@ def run(term, model, values, inputs, steps, wrt=()):
     return made.sensitivities(values, inputs, steps)
 
 
+@sampled
 @each_term
-def test_it_is_declared(term):
-    _, effect = model_of(term)
-    assert set(effect.off) <= set(effect.probe) <= {p.name for p in effect.parameters}
-    for p in effect.parameters:
-        assert base_unit(p.unit) is not None
-        assert p.nominal > 0.0
-        for value in (p.default, effect.off.get(p.name, p.default), effect.probe[p.name], *p.choices):
-            assert p.minimum <= value <= p.maximum, p.name
+@pytest.mark.parametrize("name", ["declares itself", "C is Python", "the probe shows", "finite at every bound"])
+def test_every_term_keeps_the_invariants_of_effects(term, name):
+    port, effect = TERMS[term]
+    INVARIANTS[name](Trial(effect, placed(LIBRARY, effect, PORTS[port])))
+    assert all(base_unit(p.unit) is not None for p in effect.parameters)
 
 
 @sampled
@@ -109,32 +108,6 @@ def test_off_is_the_model_without_it_to_the_bit(term, dt):
     for values in (named(effect, effect.off), named(effect, {**effect.probe, **effect.off})):
         np.testing.assert_allclose(run(term, model, values, inputs, steps)[0], without, rtol=1e-12, atol=1e-9)
         np.testing.assert_array_equal(reference(model, values, inputs, steps), run(term, model, values, inputs, steps)[0])
-
-
-@sampled
-@each_term
-def test_c_is_python_to_the_bit_and_it_shows(term):
-    model, effect = model_of(term)
-    values = named(effect, effect.probe)
-    inputs, steps = random_steps(1500, 150), np.random.default_rng(3).choice([STEP, STEP, 0.0013, 0.011], 1499)
-    shown = run(term, model, values, inputs, steps)[0]
-    np.testing.assert_array_equal(shown, reference(model, values, inputs, steps))
-    moved = np.abs(shown - simulator(BASE).simulate({}, inputs, steps)).max(axis=0)
-    assert (moved > [0.03, 3.0, 0.03]).any()
-
-
-@sampled
-@each_term
-@pytest.mark.parametrize("dt", [1e-6, STEP, 0.05])
-def test_at_every_bound_the_numbers_are_finite_and_c_is_python(term, dt):
-    model, effect = model_of(term)
-    inputs, steps = random_steps(12, 3), np.full(11, dt)
-    for p in effect.parameters:
-        for value in (p.minimum, p.maximum):
-            values = named(effect, {**effect.probe, p.name: value})
-            shown = reference(model, values, inputs, steps)
-            np.testing.assert_array_equal(run(term, model, values, inputs, steps)[0], shown)
-            assert np.isfinite(shown).all(), values
 
 
 @sampled

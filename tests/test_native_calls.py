@@ -226,18 +226,12 @@ def test_derivatives_at_the_start_are_differences(fmus, name):
     sizes = {q.name: 1e-5 * max(abs(values[q.name]), 1e-3 * q.nominal) for q in (*model.inputs, *model.parameters)}
 
     def settled(**changes):
-        slave = Slave(fmus[name], initialised=False)
-        slave.fmi.setupExperiment(startTime=0.0)
-        slave.fmi.enterInitializationMode()
-        slave.set(**{**values, **changes})
+        slave = Slave(fmus[name], initialised=False).enter(**{**values, **changes})
         found = np.array(slave.get(*unknowns))
         slave.free()
         return found
 
-    slave = Slave(fmus[name], initialised=False)
-    slave.fmi.setupExperiment(startTime=0.0)
-    slave.fmi.enterInitializationMode()
-    slave.set(**values)
+    slave = Slave(fmus[name], initialised=False).enter(**values)
     total, size = 0.0, np.maximum(np.abs(settled()), 1.0)
     for known, h in sizes.items():
         found = np.array(derivative(slave, unknowns, [known], [1.0]))
@@ -253,10 +247,7 @@ def test_derivatives_at_communication_points_are_the_simulators(fmus, name):
     wrt = tuple(p.name for p in model.parameters)[:: 1 if name == "plain" else 7]  # all take half a minute to compile
     inputs, steps = random_steps(400, 40, model=model), np.full(399, 0.0037)
     exact = simulator(model, wrt).sensitivities(values, inputs, steps)[1]
-    slave = Slave(fmus[name], initialised=False)
-    slave.fmi.setupExperiment(startTime=0.0)
-    slave.fmi.enterInitializationMode()
-    slave.set(**{n: float(column[0]) for n, column in inputs.items()})
+    slave = Slave(fmus[name], initialised=False).enter(**{n: float(column[0]) for n, column in inputs.items()})
     derivative(slave, OUTPUTS, wrt[:1], [1.0])
     slave.fmi.exitInitializationMode()
     size = np.abs(exact).max(axis=0) + 1e-12
@@ -275,10 +266,7 @@ def test_the_controllers_derivatives_are_differences(fmus):
     held, unknowns = {"thrust_set": 7.0, "thrust": 6.99}, ["omega_ref", "beta_ref"]
 
     def run(samples, **values):
-        slave = Slave(fmus["controller"], initialised=False)
-        slave.fmi.setupExperiment(startTime=0.0)
-        slave.fmi.enterInitializationMode()
-        slave.set(**values)
+        slave = Slave(fmus["controller"], initialised=False).enter(**values)
         derivative(slave, unknowns, ["kp_omega"], [1.0])
         slave.fmi.exitInitializationMode()
         slave.step(held, samples * values.get("sample_time", 0.004))

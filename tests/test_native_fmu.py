@@ -1,6 +1,5 @@
 """The native FMU: what holds for the Python flavour holds for it; the archive, its bits, what it is built by and for."""
 
-import ctypes
 import io
 import os
 import platform
@@ -76,7 +75,6 @@ test_a_state_kept_during_the_initialisation = test_fmu.test_a_state_kept_during_
 test_reset_gives_a_fresh_instance = test_fmu.test_reset_gives_a_fresh_instance
 test_a_state_begins_where_it_is_set = test_fmu.test_a_state_begins_where_it_is_set
 test_gains_are_tuned_while_the_controller_runs = test_fmu.test_gains_are_tuned_while_the_controller_runs
-test_what_is_refused_is_said = test_fmu.test_what_is_refused_is_said
 test_a_parameter_out_of_range = test_fmu.test_a_parameter_out_of_range_is_refused_by_name
 
 
@@ -211,18 +209,6 @@ def test_after_a_step_without_numbers_the_last_ones_can_be_read(way, tmp_path):
     test_fmu.keeps_the_last_numbers(native_fmu, test_fmu.WAYS[way], tmp_path)
 
 
-def test_without_callbacks_there_is_no_instance(fmus):
-    """The standard wants them: the struct, and the logger in it. What allocates memory is not used, and not asked for."""
-    fmu = fmus["plain"]
-    library = ctypes.CDLL(str(fmu.library))
-    library.fmi2Instantiate.restype = ctypes.c_void_p
-    logger = ctypes.CFUNCTYPE(None)(lambda: None)
-    some, none = (ctypes.c_void_p * 5)(ctypes.cast(logger, ctypes.c_void_p).value), (ctypes.c_void_p * 5)()
-    made = [library.fmi2Instantiate(b"a", 1, fmu.description.guid.encode(), None, given, 0, 0) for given in (None, none, some)]
-    assert [at is not None for at in made] == [False, False, True]
-    library.fmi2FreeInstance(ctypes.c_void_p(made[-1]))
-
-
 @zig
 def test_all_platforms_fit_into_150_kb_and_are_reproducible(tmp_path):
     for model in (BASE, CONTROLLER):
@@ -281,52 +267,11 @@ def test_the_loader_finds_it_there_under_fmis_name(fmus, monkeypatch):
     shutil.rmtree(own.parent)
 
 
-def test_without_a_compiler_it_is_said_in_one_line(no_compiler, monkeypatch, capsys, tmp_path):
+def test_without_a_compiler_the_export_is_refused_in_one_line(no_compiler, monkeypatch, refused, tmp_path):
     monkeypatch.setattr(toolchain, "find_spec", lambda name: None)
     for platforms, words in (("host", "no C compiler found"), ("all", "pip install 'vpp-fmu[cross]'")):
-        assert main(["export", "--flavour", "native", "--platforms", platforms, "-o", str(tmp_path)]) == 2
-        said = capsys.readouterr().err
-        assert words in said
-        assert len(said.splitlines()) == 1
+        assert words in refused("export", "--flavour", "native", "--platforms", platforms, "-o", tmp_path)
     assert not list(tmp_path.iterdir())
-
-
-OWN_MODEL = '''
-"""A low-pass filter: tau dv/dt = input - v, exact for a held input."""
-
-from vpp_fmu.kernel.types import Effect, Model, Parameter, Signal, State
-
-
-def step(ops, s, x, p, dt):
-    v = ops.lag(x.v, s.input, p.tau, dt)
-    return {"output": v}, {"v": v}
-
-
-TAU = Parameter("tau", "s", 0.1, 0.001, 10.0, "time constant", 0.1)
-V = State("v", "V", "voltage of the capacitor", lambda ops, s, p: s.input)
-LOW_PASS = Effect("low_pass", "one resistor, one capacitor", step, (TAU,), (V,))
-INPUT, OUTPUT = (Signal(n, "V", f"voltage at the {n}", -100.0, 100.0) for n in ("input", "output"))
-MODEL = Model("RcFilter", "Low-pass filter", (INPUT,), (OUTPUT,), (LOW_PASS,))
-'''
-
-
-def test_a_model_of_ones_own_becomes_an_fmu(tmp_path, monkeypatch, capsys):
-    (tmp_path / "rc_filter.py").write_text(OWN_MODEL)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    assert main(["export", "--model", "rc_filter:MODEL", "--flavour", "both", "-o", "out"]) == 0
-    time = np.arange(251) * 0.004
-    for suffix in ("", ".native"):
-        slave = Slave(Fmu(f"out/RcFilter{suffix}.fmu"))
-        shown = [slave.step({"input": 5.0}, 0.004, "output")[0] for _ in time[1:]]
-        np.testing.assert_allclose(shown, 5.0 * (1.0 - np.exp(-time[1:] / 0.1)), rtol=1e-12)
-    capsys.readouterr()
-    (tmp_path / "odd_unit.py").write_text(OWN_MODEL.replace('"V"', '"bit"'))
-    for wrong in ("odd_unit:MODEL", "rc_filter:TAU", "rc_filter:NONE", "no_such_module:MODEL", "rc_filter", ":"):
-        assert main(["export", "--model", wrong, "-o", "out"]) == 2
-        said = capsys.readouterr().err
-        assert wrong in said
-        assert len(said.splitlines()) == 1
 
 
 def test_simulation_failures_name_the_fmu(fmus):

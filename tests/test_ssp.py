@@ -122,9 +122,7 @@ def test_a_host_that_goes_by_that_order_starts_where_the_loop_does(parts, loop, 
     slaves = {}
     for name, (_, fmu) in parts.items():
         (tmp_path / f"{name}.fmu").write_bytes(fmu)
-        slaves[name] = Slave(Fmu(tmp_path / f"{name}.fmu"), initialised=False)
-        slaves[name].fmi.setupExperiment(startTime=0.0)
-        slaves[name].fmi.enterInitializationMode()
+        slaves[name] = Slave(Fmu(tmp_path / f"{name}.fmu"), initialised=False).enter()
     known = {(None, "thrust_set"): 8.0}
     graph = initial_graph(loop)
     for node in TopologicalSorter(graph).static_order():
