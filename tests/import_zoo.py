@@ -35,6 +35,10 @@ def truth() -> dict[str, np.ndarray]:
     return {"time": time, "omega_ref": omega_ref, "beta_ref": beta_ref, "omega": omega, "thrust": thrust, "voltage": voltage}
 
 
+UNITS = {"time": "s", "omega_ref": "rpm", "beta_ref": "deg", "omega": "rpm", "thrust": "N", "voltage": "V"}
+"""Of the columns of the truth."""
+
+
 @dataclass(frozen=True)
 class Format:
     """A way to write the truth. `write(path, truth)`; `words`: what its user types behind the file's name; `time` and `rest`:
@@ -49,27 +53,12 @@ class Format:
     rest: float = 1e-8
     refused: str = ""
     said: Sequence[str] = ()
-    columns: Sequence[str] = ("time", "omega_ref", "beta_ref", "omega", "thrust", "voltage")
+    columns: Sequence[str] = tuple(UNITS)
     keep: Callable[[int], np.ndarray] = field(default=lambda rows: np.ones(rows, bool))
 
 
-PLAIN = {
-    "time": "time",
-    "omega_ref": "omega_ref",
-    "beta_ref": "beta_ref",
-    "omega": "omega",
-    "thrust": "thrust",
-    "voltage": "voltage",
-}
-OWN = (
-    "--map",
-    "time=time:s",
-    "omega_ref=omega_ref:rpm",
-    "beta_ref=beta_ref:deg",
-    "omega=omega:rpm",
-    "thrust=thrust:N",
-    "voltage=voltage:V",
-)
+PLAIN = {name: name for name in UNITS}
+OWN = ("--map", *(f"{name}={name}:{unit}" for name, unit in UNITS.items()))
 TOLD = {
     "time": "t (s)",
     "omega_ref": "speed cmd (rpm)",
@@ -241,7 +230,7 @@ def _named(form: str, units: Mapping[str, str] | None = None) -> dict[str, Calla
 
 def _texts() -> list[Format]:
     told = [name.split(" (")[0] for name in TOLD.values()]
-    units = [name.split(" (")[1][:-1] for name in TOLD.values()]
+    units = list(UNITS.values())
     bare = dict(zip(TOLD, told, strict=True))
     comma = {"delimiter": ";", "decimal": ","}
     german = {"time": "Zeit [s]", "omega_ref": "Solldrehzahl [U/min]", "beta_ref": "Soll-Pitch [°]"}
@@ -288,7 +277,7 @@ def _texts() -> list[Format]:
             "no names",
             "log.csv",
             text(dict.fromkeys(PLAIN, "")),
-            ("--map", *(f"{n}={k}:{u}" for k, (n, u) in enumerate(zip(PLAIN, units, strict=True), 1))),
+            ("--map", *(f"{n}={k}:{u}" for k, (n, u) in enumerate(UNITS.items(), 1))),
         ),
         Format(
             "names once more",
@@ -329,7 +318,7 @@ def _texts() -> list[Format]:
             text(
                 dict.fromkeys(PLAIN, ""),
                 delimiter=" ",
-                cells=_named("{}: {:.10g} {}", dict(zip(PLAIN, ("s", "rpm", "deg", "rpm", "N", "V"), strict=True))),
+                cells=_named("{}: {:.10g} {}", UNITS),
             ),
         ),
         Format(

@@ -105,15 +105,6 @@ def test_gradient_of_every_operation_is_the_central_difference():
         assert shown == pytest.approx(np.sum(weights * numeric), rel=1e-8)
 
 
-def test_gradient_in_a_coefficient_is_its_term_of_the_map():
-    """Thrust is linear in c20 and c12: 15 N w^2 and 15 N w b^2, whatever the rest."""
-    inputs, steps = random_steps(ROWS, 150), np.full(ROWS - 1, 0.004)
-    weights = np.random.default_rng(0).normal(size=(ROWS, 3)) * [1.0, 0.0, 0.0]
-    outputs, gradient = Adjoint(BASE, ("c12", "c20")).gradient({}, inputs, steps, weights)
-    w, b = outputs[:, 1] / 6000.0, (outputs[:, 2] + 5.0) / 15.0
-    assert gradient == pytest.approx([np.sum(weights[:, 0] * 15.0 * term) for term in (w * b**2, w**2)], rel=1e-12)
-
-
 def test_a_tape_can_be_gone_back_over_again_and_is_linear_in_rows():
     adjoint, steps = Adjoint(ALL_ON), np.full(2 * ROWS, 0.004)
     inputs = random_steps(2 * ROWS + 1, 150, model=ALL_ON)

@@ -278,14 +278,12 @@ def test_verbose_adds_the_notes_of_the_figures(said, monkeypatch, capsys):
     assert "written to again" in shown[0]
 
 
-def test_quiet_and_verbose_are_refused_together(capsys):
-    assert main(["cache", "--quiet", "--verbose"]) == 2
-    assert "not allowed with" in capsys.readouterr().err
+def test_quiet_and_verbose_are_refused_together(refused):
+    assert "not allowed with" in refused("cache", "--quiet", "--verbose")
 
 
-def test_a_script_for_a_shell_is_no_object(capsys):
-    assert main(["completion", "bash", "--json"]) == 2
-    assert "unrecognized arguments: --json" in capsys.readouterr().err
+def test_completion_has_no_json_form(refused):
+    assert "unrecognized arguments: --json" in refused("completion", "bash", "--json")
 
 
 def test_the_levels_are_options_of_every_verb_and_of_its_parts():

@@ -3,9 +3,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from builders import refusal
 
 from vpp_fmu.campaign import read_campaign, read_static, read_steps
-from vpp_fmu.errors import BadInput
 from vpp_fmu.record import RecordWarning
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -24,10 +24,7 @@ def filled(folder, **texts):
 
 
 def failure(read, path):
-    with pytest.raises(BadInput) as error:
-        read(path)
-    message = str(error.value)
-    assert "\n" not in message
+    message = refusal(read, path)
     assert ": found " in message
     assert ", expected " in message
     return message
@@ -127,8 +124,6 @@ def test_a_folder_in_a_file_s_place(tmp_path):
     [
         ("thrust", "force", "column thrust: found only time, omega_ref, beta_ref, omega, force, expected a header with"),
         (",7.1\n", ",nan\n", "thrust, line 3: found 'nan', expected a finite number or an empty cell"),
-        ("0.004", "0.04", "time, line 4: found 0.008 after 0.04 (time goes back)"),
-        ("7.1", "7.1e5", "thrust, line 3: found 710000, expected -100000 to 100000 N"),
     ],
 )
 def test_records_are_checked(tmp_path, name, old, new, message):
@@ -215,5 +210,6 @@ def test_the_rigs(rig):
     assert campaign.missing == ()
     assert campaign.static.thrust.shape == (100,)
     assert [len(run) for run in campaign.steps] == [750] * 40
-    assert all(set(run.steps.tolist()) == {0.004} for run in campaign.steps)
-    assert (len(campaign.open_loop), len(campaign.repeat), len(campaign.validation)) == (22_500, 22_500, 15_000)
+    records = campaign.open_loop, campaign.repeat, campaign.validation
+    assert all(set(record.steps.tolist()) == {0.004} for record in (*records, *campaign.steps))
+    assert [len(record) for record in records] == [22_500, 22_500, 15_000]

@@ -52,11 +52,6 @@ def test_without_saturation_it_is_the_papers_law(t_filter, sample_time):
     assert shown.max(axis=0) == pytest.approx(shown.max(axis=0).clip([0.0, -45.0], [29999.0, 44.9]))
 
 
-def test_first_sample_is_the_proportional_part_alone():
-    first = commands({**WIDE, **DUAL}, {"thrust_set": [3.0, 3.0], "thrust": [1.5, 1.5]}, [0.004])[0]
-    assert first == pytest.approx([6000.0 * 9.82 * 0.1, 15.0 * 9.0 * 0.1 - 5.0], rel=1e-13)
-
-
 @pytest.mark.parametrize("t_filter", [0.0, 1e-6, 0.001, 0.004])
 def test_a_filter_faster_than_the_sample_is_no_filter(t_filter):
     inputs = errors(201)

@@ -129,9 +129,8 @@ def test_folders_of_one_name_are_told_apart(tmp_path, capsys):
         (["a", "b", "--effects", "magic"], "--effects: found magic"),
     ],
 )
-def test_options_that_do_not_fit_are_refused(words, said, tmp_path, capsys):
-    assert main(["diagnose", *words, "-o", str(tmp_path / "out")]) == 2
-    assert said in capsys.readouterr().err
+def test_options_that_do_not_suit_the_number_of_campaigns_are_refused(words, said, tmp_path, refused):
+    assert said in refused("diagnose", *words, "-o", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 

@@ -117,16 +117,13 @@ def test_command_fits_further_records_and_says_what_it_did(folder, tmp_path, cap
 
 
 @pytest.mark.parametrize(("text", "says"), [(None, "no such file"), ("time,omega_ref,beta_ref\n0,1,1\n", "column thrust")])
-def test_a_further_record_that_is_none_is_one_line(folder, tmp_path, capsys, text, says):
+def test_a_further_record_that_cannot_be_read_is_refused_in_one_line(folder, tmp_path, refused, text, says):
     path = tmp_path / "further.csv"
     if text is not None:
         path.write_text(text)
-    capsys.readouterr()
-    assert main(["identify", str(folder), "--record", str(path), "-o", str(tmp_path)]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
-    assert str(path) in told
-    assert says in told
+    said = refused("identify", folder, "--record", path, "-o", tmp_path)
+    assert str(path) in said
+    assert says in said
     assert not (tmp_path / "parameters.json").exists()
 
 

@@ -112,19 +112,26 @@ def test_the_score_test_sees_what_follows_a_shape():
     assert ScoreTest(0.5 * (float(score @ np.linalg.solve(covariance, score)) - count), count, bands).p < 1e-6
 
 
+def set_checks(monkeypatch, **results):
+    """The checks of lack of fit give these results; the others find nothing."""
+    nothing = {
+        "pure_error": (),
+        "score_test": ScoreTest(0.0, 10, ((10.0, 1000.0),)),
+        "_score_size": 0.0,
+        "structured_speed_share": 0.0,
+        "transient_power_share": (0.0, 0.0),
+    }
+    for name, result in (nothing | results).items():
+        monkeypatch.setattr(lack_of_fit, name, result if callable(result) else lambda *_, result=result: result)
+
+
 @pytest.mark.parametrize(
     ("effects", "p", "certain"), [((), 0.0005, True), ((), 0.002, False), (("one",), 0.002, True), (("one",), 0.02, False)]
 )
 def test_a_model_that_claims_to_explain_all_must_pass_a_stricter_test(monkeypatch, effects, p, certain):
     """Five bands and a score test: the smallest of six p-values is below q as often as p = 1 - (1 - q)^6."""
     q = 1.0 - (1.0 - p) ** (1.0 / 6.0)
-    monkeypatch.setattr(
-        lack_of_fit, "pure_error", lambda fit: tuple(Band(0.0, 1.0, 0.01, 0.001, each) for each in (q, *[0.5] * 4))
-    )
-    monkeypatch.setattr(lack_of_fit, "score_test", lambda fit: ScoreTest(0.0, 10, ((10.0, 1000.0),)))
-    monkeypatch.setattr(lack_of_fit, "_score_size", lambda fit, score: 0.0)
-    monkeypatch.setattr(lack_of_fit, "structured_speed_share", lambda fit: 0.0)
-    monkeypatch.setattr(lack_of_fit, "transient_power_share", lambda fit, channel: (0.0, 0.0))
+    set_checks(monkeypatch, pure_error=tuple(Band(0.0, 1.0, 0.01, 0.001, each) for each in (q, *[0.5] * 4)))
     found = lack_of_fit.lack_of_fit(SimpleNamespace(effects=effects), least=0.1)
     assert found.p == pytest.approx(p)
     assert (found.certain, found.significant) == (certain, certain)
@@ -134,12 +141,7 @@ def test_a_model_that_claims_to_explain_all_must_pass_a_stricter_test(monkeypatc
 @pytest.mark.parametrize(("share", "size", "lacks"), [(0.4, 0.3, False), (0.6, 0.3, True), (0.6, 0.05, False)])
 def test_a_wrong_speed_is_a_lack_of_fit_though_the_thrust_is_right(monkeypatch, share, size, lacks):
     """More than half of what is left of it, worth more than 0.1 N."""
-    monkeypatch.setattr(lack_of_fit, "pure_error", lambda fit: ())
-    monkeypatch.setattr(lack_of_fit, "score_test", lambda fit: ScoreTest(0.0, 10, ((10.0, 1000.0),)))
-    monkeypatch.setattr(lack_of_fit, "_score_size", lambda fit, score: 0.0)
-    monkeypatch.setattr(lack_of_fit, "structured_speed_share", lambda fit: share)
-    monkeypatch.setattr(lack_of_fit, "transient_power_share", lambda fit, channel: (0.0, 0.0))
-    monkeypatch.setattr(lack_of_fit, "thrust_equivalent", lambda fit, told: (size, 7.0))
+    set_checks(monkeypatch, structured_speed_share=share, thrust_equivalent=(size, 7.0))
     found = lack_of_fit.lack_of_fit(SimpleNamespace(effects=()), least=0.1, least_speed=5.0)
     assert (found.certain, found.speed_lack_of_fit, found.significant) == (False, lacks, lacks)
     assert found.only_speed is lacks
@@ -203,13 +205,8 @@ def test_so_is_a_thrust(monkeypatch, count, verified, beyond):
 )
 def test_what_rest_has_not_is_a_lack_of_fit_of_a_model_that_claims_to_know(monkeypatch, claims, share, size, lacks):
     """More than half of it, and more than 0.1 N."""
-    monkeypatch.setattr(lack_of_fit, "pure_error", lambda fit: ())
-    monkeypatch.setattr(lack_of_fit, "score_test", lambda fit: ScoreTest(0.0, 0, ()))
-    monkeypatch.setattr(lack_of_fit, "_score_size", lambda fit, score: 0.0)
-    monkeypatch.setattr(lack_of_fit, "structured_speed_share", lambda fit: 0.0)
-    monkeypatch.setattr(
-        lack_of_fit, "transient_power_share", lambda fit, channel: (share, size) if channel == "thrust" else (0.0, 0.0)
-    )
+    moving = lambda fit, channel: (share, size) if channel == "thrust" else (0.0, 0.0)  # noqa: E731
+    set_checks(monkeypatch, score_test=ScoreTest(0.0, 0, ()), transient_power_share=moving)
     found = lack_of_fit.lack_of_fit(SimpleNamespace(effects=("one",) if claims else ()), least=0.1)
     assert (found.transient_lack_of_fit, found.significant) == (lacks, lacks)
 

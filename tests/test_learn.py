@@ -100,6 +100,5 @@ def test_its_fmu_is_exported(learned, tmp_path):
     assert (tmp_path / "VppPolicy.fmu").is_file()
 
 
-def test_a_bad_call_is_one_line(tmp_path, capsys):
-    assert main(["learn", str(tmp_path / "nowhere"), "-o", str(tmp_path / "out")]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+def test_a_missing_folder_is_refused_in_one_line(tmp_path, refused):
+    refused("learn", tmp_path / "nowhere", "-o", tmp_path / "out")

@@ -20,7 +20,6 @@ from identification.diagnose.learned.learn import by_chance
 from identification.diagnose.learned.refit import Term, effect_of
 from identification.diagnose.learned.score import Scores
 from identification.diagnose.learned.screening import screened
-from vpp_fmu.app.cli import main
 from vpp_fmu.app.cli.diagnose import write_diagnosis
 from vpp_fmu.app.report.pages.diagnosis import diagnosis_page
 from vpp_fmu.app.report.summary import summary
@@ -248,15 +247,12 @@ def test_a_file_adds_its_effect_to_the_candidates(tmp_path):
         (OWN.replace('PORT = "thrust"', 'BEFORE = "wing"').replace("PORT,", '"thrust",'), "BEFORE: found 'wing'"),
     ],
 )
-def test_a_bad_file_is_one_line_and_exit_2(text, words, tmp_path, capsys):
+def test_a_bad_file_of_effects_is_refused_in_one_line(text, words, tmp_path, refused):
     record = campaign(0.0).validation
     write_record(OutputFolder(tmp_path), "record.csv", record)
     (tmp_path / "parameters.json").write_text('{"format": "vpp-parameters/1"}')
     path = Path(tmp_path, "own.py")
     if text is not None:
         path.write_text(text)
-    arguments = ["simulate", f"{tmp_path}/record.csv", "--parameters", f"{tmp_path}/parameters.json", "-o", f"{tmp_path}/out"]
-    assert main([*arguments, "--effects-from", str(path)]) == 2
-    said = capsys.readouterr().err
-    assert words in said
-    assert said.count("\n") == 1
+    given = tmp_path / "record.csv", "--parameters", tmp_path / "parameters.json", "--effects-from", path
+    assert words in refused("simulate", *given, "-o", tmp_path / "out")

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from builders import refusal
 
 import vpp_fmu as vpp
 from identification.tune.objective import closed_loop
@@ -86,19 +87,16 @@ def test_what_breaks_an_invariant_is_caught(name, tmp_path, capsys):
 def test_parts_of_an_effect_are_of_their_kind(word, other, says, tmp_path):
     path = tmp_path / "wrong.py"
     path.write_text(SOURCE.replace(word, other))
-    with pytest.raises(BadInput) as refused:
-        library_with([path])
-    assert str(refused.value).startswith(f"{path}: {says}")
+    assert refusal(library_with, [path]).startswith(f"{path}: {says}")
 
 
 @pytest.mark.parametrize("verb", ["check-effect {}", "effects --effects-from {}", "diagnose {} --effects-from {}"])
-def test_what_cannot_be_traced_is_refused_by_every_verb_with_its_line(verb, tmp_path, capsys):
+def test_python_that_cannot_be_traced_is_refused_by_every_verb_with_its_line(verb, tmp_path, refused):
     path = tmp_path / "branches.py"
     path.write_text(SOURCE.replace("ops.where(p.tau > 0.0, reading, s.thrust)", "reading if p.tau > 0.0 else s.thrust"))
     line = SOURCE[: SOURCE.index("reading = ops.where(p.tau")].count("\n") + 1
-    assert main([word.format(path) for word in verb.split()]) == 2
     said = f"{path}: effect cell_lag, step, branches.py line {line}: found if, which can't be traced, expected ops.where"
-    assert said in capsys.readouterr().err
+    assert said in refused(*(word.format(path) for word in verb.split()))
 
 
 def test_an_effect_says_its_sentence_or_else_its_description(tmp_path):
@@ -137,11 +135,10 @@ def library_model(effects):
     return plant(effects, library_with([FILE]))
 
 
-def test_verbs_take_the_file(parameters, tmp_path, capsys):
+def test_verbs_take_the_file(parameters, tmp_path, refused):
     record, out = str(vpp.example_campaign() / "validation.csv.gz"), str(tmp_path / "out")
     call = ["simulate", record, "--parameters", str(parameters), "-o", out]
-    assert main(call) == 2
-    assert "cell_lag" in capsys.readouterr().err
+    assert "cell_lag" in refused(*call)
     assert main([*call, "--effects-from", str(FILE)]) == 0
     rig = tmp_path / "rig.json"
     ranges = {"speed": {"min": 2000, "max": 6000}, "pitch": {"min": -5, "max": 10}, "thrust": {"min": 0, "max": 15}}
@@ -213,7 +210,6 @@ def test_an_installed_package_brings_verbs(installed, capsys):
     assert re.search(r"greet +of a-plugin", capsys.readouterr().out)
 
 
-def test_a_verb_that_is_none_is_one_line(installed, capsys):
+def test_an_installed_verb_without_an_example_is_refused_in_one_line(installed, refused):
     installed([("vpp.verbs", "greet", "a_plugin_verb")], {"a_plugin_verb": VERB.replace("EXAMPLE", "OTHER")})
-    assert main(["greet"]) == 2
-    assert "no EXAMPLE" in capsys.readouterr().err
+    assert "no EXAMPLE" in refused("greet")

@@ -263,12 +263,6 @@ def test_the_time_of_every_stage_and_of_the_whole_is_printed(quick):
     assert re.search(r"^the whole study: [\d.]+ s$", quick.said, re.MULTILINE)
 
 
-def test_a_seed_that_is_none_is_refused(tmp_path, capsys):
-    assert main(["paper", "--seed", "-1", "-o", str(tmp_path / "out")]) == 2
-    assert "--seed" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
 def test_values_in_cells_stay_short():
     assert [shown(value) for value in (5.0, 0.15, 0.16961234, 2.3e-8, None, "minor")] == [
         *("5", "0.15", "0.1696", "2.3e-08"),

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders import simulator
+from builders import refusal, simulator
 
 from identification.assessment.information import Information, read_knowledge
 from identification.fit.problem import Prior, Problem
@@ -244,10 +244,7 @@ BAD = [
 
 @pytest.mark.parametrize(("call", "says"), BAD)
 def test_what_makes_no_sense_is_bad_input_in_one_line(call, says):
-    with pytest.raises(BadInput) as bad:
-        call()
-    assert says in str(bad.value)
-    assert "\n" not in str(bad.value)
+    assert says in refusal(call)
 
 
 MEASURED = Rig(speed=(2100.0, 5800.0), pitch=(-5.0, 10.0), origin={"speed": "the campaign", "pitch": "the campaign"})
@@ -302,15 +299,15 @@ def ranges(record):
     return record["omega_ref"].min(), record["omega_ref"].max(), record["beta_ref"].min(), record["beta_ref"].max()
 
 
-def test_a_plan_goes_where_the_campaign_was_and_further_only_where_a_rig_json_says_so(parameters, tmp_path, capsys):
+def test_a_plan_stays_in_the_measured_ranges_unless_a_rig_json_widens_them(parameters, tmp_path, capsys, refused):
     words = ["plan", "--parameters", str(parameters), "--seconds", "8", "-o", str(tmp_path)]
     assert cli.main(words) == 0
     low, high, *pitch = ranges(read_record(tmp_path / "plan.csv"))
     assert (low >= 2100.0, high <= 5800.0) == (True, True)
     assert (min(pitch) >= -5.0, max(pitch) <= 10.0) == (True, True)
     assert "commands within speed 2100 to 5800 rpm (the campaign), pitch -5 to 10 deg (the campaign)" in capsys.readouterr().out
-    assert cli.main([*words, "--omega", "2100", "6000"]) == 2
-    assert "--omega: found 2100 to 6000 rpm, expected within 2100 to 5800 rpm" in capsys.readouterr().err
+    said = refused(*words, "--omega", "2100", "6000")
+    assert "--omega: found 2100 to 6000 rpm, expected within 2100 to 5800 rpm" in said
     rig = {"format": "vpp-rig/1", "speed": {"min": 2100, "max": 6500}, "thrust": {"min": 0, "max": 4}, "slew": {"speed": 9000}}
     (tmp_path / "rig.json").write_text(json.dumps(rig))
     words += ["--rig", str(tmp_path / "rig.json")]
@@ -320,22 +317,18 @@ def test_a_plan_goes_where_the_campaign_was_and_further_only_where_a_rig_json_sa
     assert "the rig is declared for 0 to 4 N" in told
     low, high, *pitch = ranges(read_record(tmp_path / "plan.csv"))
     assert (low >= 5900.0, high <= 6500.0, min(pitch) >= -5.0, max(pitch) <= 10.0) == (True,) * 4
-    assert cli.main([*words, "--omega-slew", "9001"]) == 2
-    assert "--omega-slew: found 9001 rpm/s, expected more than 0 and at most 9000" in capsys.readouterr().err
+    said = refused(*words, "--omega-slew", "9001")
+    assert "--omega-slew: found 9001 rpm/s, expected more than 0 and at most 9000" in said
 
 
-def test_nothing_is_planned_for_a_rig_that_nobody_knows(tmp_path, capsys):
+def test_a_plan_needs_a_measured_or_declared_range(tmp_path, capsys, refused):
     path = tmp_path / "unknown.json"
     path.write_text(to_json(ParameterSet(BASE).replaced(SORTED)))
     words = ["plan", "--parameters", str(path), "--seconds", "5", "-o", str(tmp_path)]
-    assert cli.main(words) == 2
-    assert (
-        "range of speed and pitch: found none, expected a measured or declared range. Try: --campaign DIR"
-        in capsys.readouterr().err
-    )
+    missing = "range of speed and pitch: found none, expected a measured or declared range. Try: --campaign DIR"
+    assert missing in refused(*words)
     assert not (tmp_path / "plan.csv").exists()
-    assert cli.main([*words, "--omega", "3000", "4000"]) == 2
-    assert "range of pitch: found none" in capsys.readouterr().err
+    assert "range of pitch: found none" in refused(*words, "--omega", "3000", "4000")
     assert cli.main([*words, "--omega", "3000", "4000", "--pitch", "2", "2"]) == 0
     assert "pitch 2 deg, fixed (the command line)" in capsys.readouterr().out
     assert ranges(read_record(tmp_path / "plan.csv"))[2:] == (2.0, 2.0)
@@ -364,7 +357,7 @@ def test_a_campaign_tells_range_sampling_and_noise(parameters, tmp_path, capsys)
     assert read_record(tmp_path / "out" / "plan.csv").period == 0.01
 
 
-def test_bad_calls_are_one_line_and_exit_2(parameters, tmp_path, capsys):
+def test_bad_calls_are_refused_in_one_line(parameters, tmp_path, refused):
     broken = tmp_path / "broken.json"
     broken.write_text(json.dumps({"parameters": {}, "correlation": {"names": ["c11"], "matrix": [[1.0]]}}))
     singular = tmp_path / "singular.json"
@@ -373,19 +366,13 @@ def test_bad_calls_are_one_line_and_exit_2(parameters, tmp_path, capsys):
     singular.write_text(json.dumps({"parameters": {"c11": entry, "c20": entry}, "correlation": both}))
     calls = [
         (["--pitch", "10", "-5"], "--pitch"),
-        (["--pitch-slew", "-3"], "--pitch-slew"),
-        (["--step", "0"], "step"),
         (["--rig", str(broken)], "broken.json"),
-        (["--seconds", "1e9"], "seconds"),
-        (["--noise", "nan"], "noise"),
         (["--knowledge", str(parameters)], "parameters.json"),
         (["--knowledge", str(broken)], "broken.json"),
         (["--knowledge", str(singular)], "singular.json"),
     ]
     for arguments, says in calls:
-        assert cli.main(["plan", "--parameters", str(parameters), *arguments, "-o", str(tmp_path / "bad")]) == 2
-        said = capsys.readouterr().err
-        assert said.count("\n") == 1
+        said = refused("plan", "--parameters", parameters, *arguments, "-o", tmp_path / "bad")
         for word in (says, "found", "expected"):
             assert word in said
     assert not (tmp_path / "bad" / "plan.csv").exists()
@@ -398,17 +385,15 @@ def test_knowledge_is_read_as_written(parameters):
     assert inflation == 4.0
 
 
-def test_a_range_in_which_the_thrust_hardly_changes_is_asked_about(tmp_path, capsys, monkeypatch):
+def test_a_range_without_a_measurable_change_of_thrust_needs_the_option_yes(tmp_path, refused, monkeypatch):
     """At 500 rpm the paper's rig makes at most 0.15 N, half of the noise of a reading."""
     rig = Rig(speed=(0.0, 6000.0), origin=dict.fromkeys(("speed", "pitch", "thrust"), "the campaign"))
     (tmp_path / "parameters.json").write_text(to_json(ParameterSet(plant(), source={"rig": rig.summary()})))
     tried = []
     monkeypatch.setattr("vpp_fmu.app.cli.plan.plan", lambda *given, **more: tried.append(given) or pytest.fail("planned"))
     words = ["plan", "--parameters", str(tmp_path), "--omega", "100", "500", "-o", str(tmp_path / "next")]
-    assert cli.main(words) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert "less than the 0.3 N of noise of a reading, expected a wider range. Try: --yes to go on" in said
+    said = "less than the 0.3 N of noise of a reading, expected a wider range. Try: --yes to go on"
+    assert said in refused(*words)
     assert not tried
     for more in (["--yes"], ["--omega", "100", "3000"]):
         with pytest.raises(pytest.fail.Exception):

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from studies.synthetic import NOISE, STEP, TRUTH, commands, measured
+from studies.synthetic import NOISE, STEP, TRUTH, commands
 
 from identification.assessment.prediction import Prediction, predict
 from identification.assessment.reading_noise import HOLDS, NEIGHBOURS, POINTS, REPEATS, reading_noise
@@ -158,10 +158,3 @@ def test_steps_alone_tell_the_noise_too():
     found = identify(alone(static=None, open_loop=None, validation=None))
     assert found.noise.source == HOLDS
     assert found.noise.std == pytest.approx(TRUE, rel=0.1)
-
-
-def test_a_measured_record_s_noise_survives_its_fit():
-    rng = np.random.default_rng(5)
-    record = measured(commands(rng), rng)
-    found = identify(Campaign(example_folder(), None, (), record, None, None), starts=1)
-    assert found.noise.std == pytest.approx(NOISE, rel=0.1)
