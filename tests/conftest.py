@@ -153,8 +153,20 @@ def short_waits():
 
 
 @pytest.fixture
+def printed(capsys):
+    """Run `vpp` with words that it must accept; its standard output."""
+
+    def run(*words):
+        capsys.readouterr()
+        assert main([*map(str, words)]) == 0
+        return capsys.readouterr().out
+
+    return run
+
+
+@pytest.fixture
 def refused(capsys):
-    """Run `vpp` with words that it must refuse by exit code 2 and one line on standard error; that line."""
+    """Run `vpp` with words that it must refuse by exit code 2 and one line on standard error; the line."""
 
     def run(*words):
         capsys.readouterr()

@@ -82,7 +82,7 @@ def test_a_stepper_is_the_simulator_to_the_bit():
         assert one.step(given[k], DT) == [column[k + 1] for column in expected.values()]
 
 
-def test_without_a_compiler_it_is_the_same_more_slowly(monkeypatch):
+def test_without_a_compiler_the_stepper_gives_the_same_bits(monkeypatch):
     def missing(model):
         raise CompilerMissing("none")
 
@@ -98,7 +98,7 @@ def test_without_a_compiler_it_is_the_same_more_slowly(monkeypatch):
         assert compiled.step(row, DT) == interpreted.step(row, DT)
 
 
-def test_beside_its_own_plant_it_is_that_plant():
+def test_beside_an_identical_plant_the_innovation_is_zero():
     """Without noise the innovation is 0 to the bit, and nothing is learned but how well things are known."""
     shown = ran(driven(3000))
     assert not np.any(shown["residual"])
@@ -108,7 +108,7 @@ def test_beside_its_own_plant_it_is_that_plant():
         assert np.all(np.diff(shown[f"std.{name}"][1:]) < 1e-3 * shown[f"std.{name}"][1])
 
 
-def test_one_parameter_at_rest_is_learned_as_bayes_has_it():
+def test_one_parameter_at_rest_has_the_bayesian_posterior():
     """At a place: reading = offset + error there + white noise, whose mean of n is known to var / n; the rest is a share.
 
     The error there is that of the four nodes around, at 3/4 of speed and 3/5 of pitch, and what is between them."""
@@ -135,7 +135,7 @@ def test_shares_of_the_nodes_are_linear_interpolation():
     assert weights(NUMBERS, 0.1, 1.3) == [0.0, 0.0, 0.0, 1.0] + 8 * [0.0]  # beyond, the nearest one's
 
 
-def test_an_error_that_was_there_before_is_none_of_a_change():
+def test_a_known_model_error_is_not_taken_for_a_change():
     """Back at the two places where the model has always been off, the twin learns nothing; at the same places with a thrust
     that has changed by a plausible share it alarms."""
     rows, hold = 30_000, 1500
@@ -155,14 +155,14 @@ def test_an_error_that_was_there_before_is_none_of_a_change():
     assert np.any(changed["alarm"][rows // 2 :])
 
 
-def test_a_set_point_that_stands_teaches_one_visit_and_no_more():
+def test_a_constant_set_point_counts_as_one_visit():
     shown = ran(noisy({name: np.repeat(column[:1], 60_000) for name, column in driven(2).items()}))
     first, last = (shown["std.sensor_gain.gain"][k] for k in (5000, -1))
     assert last == pytest.approx(first, rel=0.05)
     assert shown["changes"][-1] == 0
 
 
-def test_a_lag_is_forgotten_as_far_as_it_shows_and_what_is_watched_is_not():
+def test_only_lags_that_the_data_excite_are_forgotten():
     """Pitch moves for a minute and stands for four, while speed goes on: of the pitch's lag what is known stays, whatever the
     memory; of the speed's lag a shorter one keeps less, and never more than a plausible change; the gain knows of none."""
     inputs = driven(75_000)
@@ -183,7 +183,7 @@ def test_a_lag_is_forgotten_as_far_as_it_shows_and_what_is_watched_is_not():
 @pytest.mark.parametrize(
     ("name", "before", "after"), [("sensor_gain.gain", 1.0, 0.85), ("pitch_offset.offset", 0.0, 2.0)], ids=["gain", "pitch"]
 )
-def test_a_change_is_found_named_and_followed(name, before, after):
+def test_a_change_of_a_parameter_is_detected_and_tracked(name, before, after):
     rows, at = 45_000, 22_500
     same, other = driven(rows, hold=625), driven(rows, hold=625, **{name.replace(".", "__"): after})
     changed = {q: np.where(np.arange(rows) < at, same[q], other[q]) for q in same}
@@ -196,7 +196,7 @@ def test_a_change_is_found_named_and_followed(name, before, after):
     assert shown[f"adapted.{name}"][-1] == pytest.approx(after, abs=0.15 * abs(after - before))
 
 
-def test_what_no_parameter_explains_stops_it_and_nothing_of_it_is_learned():
+def test_an_unexplained_change_stops_the_learning_and_restores_the_parameters():
     rows, at = 30_000, 15_000
     inputs = noisy(driven(rows))
     shaken = 1.5 * np.sin(2.0 * np.pi * 9.0 * DT * np.arange(rows)) * (np.arange(rows) >= at)
@@ -217,7 +217,7 @@ def test_what_no_parameter_explains_stops_it_and_nothing_of_it_is_learned():
     assert (seen["alarm"][-1], seen["learning"][-1]) == (0.0, 1.0)
 
 
-def test_bounds_hold():
+def test_adapted_parameters_stay_within_their_bounds():
     shown = ran(driven(6000, sensor_gain__gain=0.7), {"sensor_gain.gain": 1.29})
     assert np.all(shown["adapted.sensor_gain.gain"][1:] <= 1.3)
     assert np.all(shown["adapted.sensor_gain.gain"][1:] >= 0.7)
@@ -241,7 +241,7 @@ def test_every_effects_plant_has_a_twin_that_starts_settled(effect):
     assert np.isfinite(list(one.states.values())).all()
 
 
-def test_who_is_watched_and_at_what_threshold():
+def test_watched_parameters_and_the_alarm_threshold():
     assert watched(PLANT, ADAPTED) == DAILY
     assert threshold(0.01, 7, DT) == pytest.approx(np.log(7 * 3600.0 * 100.0 / DT))
     with pytest.raises(KeyError):

@@ -105,7 +105,7 @@ def test_gradient_of_every_operation_is_the_central_difference():
         assert shown == pytest.approx(np.sum(weights * numeric), rel=1e-8)
 
 
-def test_a_tape_can_be_gone_back_over_again_and_is_linear_in_rows():
+def test_a_tape_can_be_pulled_back_repeatedly_and_grows_linearly_with_rows():
     adjoint, steps = Adjoint(ALL_ON), np.full(2 * ROWS, 0.004)
     inputs = random_steps(2 * ROWS + 1, 150, model=ALL_ON)
     tape = adjoint.record(PROBES, inputs, steps)
@@ -122,7 +122,7 @@ def operations(text, name):
 
 
 @pytest.mark.parametrize("model", [BASE, ALL_ON])
-def test_cost_does_not_know_how_many_parameters_there_are(model):
+def test_the_cost_of_the_gradient_does_not_depend_on_the_number_of_parameters(model):
     """There and back costs a few times the step itself (theory: at most five); tangents cost that for a few parameters."""
     names = [p.name for p in model.parameters]
     plain, back = c_source(trace(model)), c_adjoints(trace(model))
@@ -134,12 +134,12 @@ def test_cost_does_not_know_how_many_parameters_there_are(model):
     assert model is BASE or both < operations(c_source(trace(model, names)), "step") / 2
 
 
-def test_without_a_compiler_it_is_said(no_compiler):
+def test_without_a_compiler_the_adjoint_is_refused(no_compiler):
     with pytest.raises(CompilerMissing, match="adjoint"):
         Adjoint(BASE)
 
 
-def test_wrong_names_and_lengths():
+def test_wrong_names_and_lengths_are_refused():
     with pytest.raises(KeyError, match="c99"):
         Adjoint(BASE, ["c99"])
     with pytest.raises(SimulationFailed, match="steps: found 8, expected 9"):
@@ -155,7 +155,7 @@ def campaign():
     return campaign.open_loop, BASE.values(AVERAGED | dict(static.coefficients)), prior
 
 
-def test_tachometer_s_transpose(campaign):
+def test_the_transpose_of_the_tachometer_is_its_adjoint(campaign):
     record = campaign[0]
     tachometer, rng = Tachometer(record), np.random.default_rng(3)
     for _ in range(5):
@@ -165,7 +165,7 @@ def test_tachometer_s_transpose(campaign):
 
 
 @pytest.mark.parametrize("channels", [("thrust",), ("thrust", "omega")])
-def test_slope_of_the_cost_is_the_residual_s(channels, campaign):
+def test_the_slope_of_the_cost_is_that_of_the_residual(channels, campaign):
     """Half a second of thrust is missing, as a rig may lose it."""
     record, values, prior = campaign
     thrust = record["thrust"].copy()
@@ -182,7 +182,7 @@ def test_slope_of_the_cost_is_the_residual_s(channels, campaign):
         np.testing.assert_allclose(gradient, jacobian.T @ residual, rtol=1e-10)
 
 
-def test_it_ends_where_levenberg_marquardt_does(campaign):
+def test_the_adjoint_fit_has_the_minimum_of_levenberg_marquardt(campaign):
     record, values, prior = campaign
     experiments = independent_readings([record], values)
     problems = [kind(BASE, experiments, values, BASE_PARAMETERS, prior) for kind in (Problem, AdjointProblem)]
@@ -195,7 +195,7 @@ def test_it_ends_where_levenberg_marquardt_does(campaign):
     np.testing.assert_allclose(found.jacobian, wanted.jacobian, atol=1e-3 * np.abs(wanted.jacobian).max())
 
 
-def test_it_can_be_chosen():
+def test_refine_accepts_the_adjoint_method():
     """A plant with a pitch delay, which the adjoint must move too."""
     model, truth = plant(["pitch_delay"]), {PITCH: 0.0331, "tau_beta_1": 0.3, "tau_beta_2": 0.15, "c11": 0.1}
     inputs, steps = random_steps(5001, 250, model=model), np.full(5000, 0.004)

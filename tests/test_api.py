@@ -61,7 +61,7 @@ def test_the_import_is_lazy():
     assert found.stdout.strip() == "[]"
 
 
-def test_what_is_not_there_is_said():
+def test_an_unknown_public_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'identifi'"):
         _ = vpp.identifi
 
@@ -119,7 +119,7 @@ def test_a_loop_of_fmus_is_the_loop_of_their_parameters(identified, tmp_path):
     assert by_kernel.to_dict()["steps"][0]["after"] == 8.0
 
 
-def test_a_plan_knows_what_is_known(identified, tmp_path):
+def test_a_plan_uses_the_given_knowledge(identified, tmp_path):
     blind = vpp.plan(identified, seconds=20)
     told = vpp.plan(identified, seconds=20, knowledge=identified)
     assert blind.to_dict()["before"] is None
@@ -182,14 +182,14 @@ def test_a_frame_of_pandas_may_have_its_time_as_index():
     np.testing.assert_array_equal(Record.from_frame(RECORD.to_pandas().set_index("time")).time, RECORD.time)
 
 
-def test_an_xarray_tells_units():
+def test_an_xarray_has_units():
     pytest.importorskip("xarray")
     found = RECORD.to_xarray()
     assert (found["thrust"].attrs["units"], found["time"].attrs["units"]) == ("N", "s")
 
 
 @pytest.mark.parametrize("name", ["pandas", "polars", "xarray"])
-def test_what_is_not_installed_is_one_line(name, monkeypatch):
+def test_a_missing_frame_library_is_refused_in_one_line(name, monkeypatch):
     monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(ExtraMissing, match=f"^{name}: found no library, .* Try: pip install {name}") as said:
         getattr(RECORD, f"to_{name}")()

@@ -51,7 +51,7 @@ RECORDS = range(6)
 
 
 @pytest.mark.parametrize("memory", [0.0, MEMORY])
-def test_std_is_what_the_estimates_scatter_by(memory):
+def test_the_bootstrap_std_is_the_theoretical_scatter_of_the_estimates(memory):
     ratio = np.array([resampled(seed, memory).std / theory(fitted(seed, memory), memory) for seed in RECORDS])
     # The lowest band of a spectrum has twelve ordinates or a few more, an amplitude from them a standard deviation of 14 %, and
     # a hundred samples 7 %: 16 % for a record, 6.5 % for the mean of six, judged at three times that.
@@ -130,7 +130,7 @@ def test_both_channels_of_two_records_are_drawn_each_from_its_own():
     assert np.all(samples.std > 0)
 
 
-def test_the_models_effects_travel_by_name():
+def test_the_bootstrap_includes_the_effects_of_the_model():
     rng = np.random.default_rng(0)
     record = measured(commands(rng, SECTION), rng, CALM)
     names = [*BASE_PARAMETERS, "pitch_delay.delay"]

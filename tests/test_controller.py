@@ -125,7 +125,7 @@ def test_both_channels_leave_their_limits_at_once_when_the_error_turns(sign, sec
 
 
 @pytest.mark.parametrize("gains", [DUAL, SPEED_ONLY])
-def test_how_long_a_goal_was_out_of_reach_does_not_show_afterwards(gains):
+def test_the_duration_of_an_unreachable_set_point_does_not_affect_the_recovery(gains):
     """With the plant in the loop: 20 N, more than it has, for 6 s or for 30 s, then 6 N."""
 
     def released_after(seconds):
@@ -142,7 +142,7 @@ def test_how_long_a_goal_was_out_of_reach_does_not_show_afterwards(gains):
 
 @pytest.mark.parametrize("gains", [DUAL, SPEED_ONLY])
 @pytest.mark.parametrize("wanted", [14.8, 15.0, 15.5, 16.0, 20.0])
-def test_a_goal_out_of_reach_gets_all_that_the_limits_allow(wanted, gains):
+def test_an_unreachable_set_point_drives_both_commands_to_their_limits(wanted, gains):
     """14.67 N is the most that the plant has, at 6000 rpm and 10 deg."""
     plant, controller = Simulation(BASE, {"tau_beta_2": 0.05}), Simulation(CONTROLLER, gains)
     thrust = plant.start({"omega_ref": 4000.0, "beta_ref": 5.0})["thrust"]
@@ -218,13 +218,13 @@ def test_the_allocated_law_is_that_of_its_equations():
     np.testing.assert_allclose(shown, np.column_stack([6000.0 * w, 15.0 * (best_b + away) - 5.0]), rtol=1e-12, atol=1e-10)
 
 
-def test_outside_of_the_table_its_ends_hold():
+def test_beyond_the_table_its_end_values_hold():
     for wanted, pair in ((0.2, (2000.0, 9.0)), (14.0, (5600.0, 1.0))):
         inputs = {"thrust_set": [wanted] * 2, "thrust": [wanted] * 2}
         assert commands({**WIDE, **TABLE}, inputs, [0.004])[0] == pytest.approx(pair)
 
 
-def test_a_table_of_one_thrust_divides_by_nothing():
+def test_a_table_of_a_single_thrust_gives_finite_commands():
     inputs = {"thrust_set": [2.0, 2.0], "thrust": [2.0, 2.0]}
     flat = {**TABLE, "pairs_thrust_min": 3.0, "pairs_thrust_max": 3.0}
     assert commands({**WIDE, **flat}, inputs, [0.004])[0] == pytest.approx([2000.0, 9.0])
@@ -232,7 +232,7 @@ def test_a_table_of_one_thrust_divides_by_nothing():
 
 
 @pytest.mark.parametrize("modes", [(0.0, 2.0), (2.0, 0.0), (1.0, 2.0), (1.0, 0.0)])
-def test_commands_go_on_from_where_they_are_when_the_mode_changes(modes):
+def test_commands_are_continuous_when_the_mode_changes(modes):
     """At the switch the error has not changed; pitch moves on from a fixed pitch, too."""
     law = Simulation(CONTROLLER, {**WIDE, **SOFT, **TABLE, "mode": modes[0], "t_filter": 0.004})
     law.start({"thrust_set": 5.0, "thrust": 4.6})

@@ -31,7 +31,7 @@ def test_its_slope_is_its_derivative():
     np.testing.assert_allclose(converter.slope(at), rise, atol=1e-6)
 
 
-def test_counts_are_found_from_readings():
+def test_the_resolution_is_found_from_readings():
     """Rounded to counts after noise of a third of one; the noise ahead of it is what is left of the whole."""
     rng, count = np.random.default_rng(1), 0.2
     readings = count * np.round((rng.uniform(0.0, 9.0, 20000) + 0.33 * count * rng.standard_normal(20000)) / count)
@@ -52,7 +52,7 @@ def test_a_fine_converter_changes_nothing():
 
 @pytest.mark.parametrize(("effect", "column"), [("reading_delay", 0), ("speed_reading_delay", 1)])
 @pytest.mark.parametrize("delay", [0.01, 0.04])
-def test_a_reading_that_is_late_is_the_signal_of_before(effect, column, delay):
+def test_a_late_reading_is_the_delayed_signal(effect, column, delay):
     """Behind its two lags speed moves slowly: late by whole rows it is the same to a few thousandths of the step."""
     rows = 3000
     inputs = {"omega_ref": np.where(np.arange(rows) < 500, 3000.0, 5000.0), "beta_ref": np.full(rows, 5.0)}
@@ -66,7 +66,7 @@ def test_a_reading_that_is_late_is_the_signal_of_before(effect, column, delay):
     np.testing.assert_allclose(late[:, others], plain[:, others], rtol=1e-9)
 
 
-def test_a_rotor_waits_only_where_it_stood():
+def test_a_rotor_waits_only_if_it_starts_from_rest():
     """From rest it is the same response `wait` later; from a speed it is not late."""
     rows, wait = 3000, 0.05
     steps, clock = np.full(rows - 1, STEP), np.arange(rows)
@@ -78,7 +78,7 @@ def test_a_rotor_waits_only_where_it_stood():
         np.testing.assert_allclose(late[back:, 1], plain[: rows - back, 1], atol=0.5)
 
 
-def test_an_empty_reading_is_no_pulse_of_the_tachometer():
+def test_an_empty_reading_is_not_taken_for_a_pulse_of_the_tachometer():
     """Held values with three rows in ten empty: what is compared is a part of what was compared without them, no more."""
     rng, rows = np.random.default_rng(3), 4000
     time = 0.004 * np.arange(rows)
@@ -100,7 +100,7 @@ def test_an_empty_reading_is_no_pulse_of_the_tachometer():
 
 
 @pytest.mark.parametrize(("age", "whole"), [(0.3, 0), (1.0, 0), (1.0, 1), (2.75, 2)])
-def test_a_row_holds_what_was_read_rows_before(age, whole):
+def test_a_row_holds_a_reading_from_earlier_rows(age, whole):
     """Of uneven rows, beside the model looked at every 0.25 ms: straight over 1 ms is h^2 / 8 of the curvature off."""
     rows, rng = 1500, np.random.default_rng(5)
     fine = 4 * rng.integers(5, 60, rows - 1)
@@ -118,7 +118,7 @@ def test_a_row_holds_what_was_read_rows_before(age, whole):
     np.testing.assert_allclose(logged[:, 2], plain[at, 2], rtol=1e-9)
 
 
-def test_nothing_is_logged_late_where_nobody_says_how_long_rows_are():
+def test_without_a_row_duration_nothing_is_logged_late():
     """A co-simulation has no logger: its communication step is no row."""
     model, commands = plant(["row_clock"]), [(3000.0, 5.0)] * 3 + [(5000.0, 5.0)] * 50
     told, plain = Simulation(model, {"row_clock.age": 1.5}), Simulation(BASE)

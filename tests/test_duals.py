@@ -49,7 +49,7 @@ def test_every_effect_has_the_tracers_tangents(effect):
     np.testing.assert_allclose(slopes, expected[1][:, 0], rtol=1e-9, atol=1e-9)
 
 
-def test_what_is_zero_by_structure_costs_nothing():
+def test_structural_zeros_are_not_computed():
     x, y = Dual(2.0, (1.0, None)), Dual(3.0, (None, None))
     assert (x * y + 1.0).tangents == (3.0, None)
     assert (1.0 / x - y).tangents == (-0.25, None)
@@ -57,12 +57,12 @@ def test_what_is_zero_by_structure_costs_nothing():
 
 
 @pytest.mark.parametrize("call", [bool, float, lambda x: x**2, lambda x: x == 1.0])
-def test_what_has_no_derivative_is_refused(call):
+def test_operations_without_a_derivative_are_refused(call):
     with pytest.raises(TypeError, match="can't be traced or differentiated"):
         call(Dual(1.0, (1.0,)))
 
 
-def test_the_whole_library_goes_through():
+def test_all_effects_together_have_finite_tangents():
     model = ALL_ON
     slopes = run(model, model.values(PROBES), ["c20"], commands(model))[1]
     assert np.isfinite(slopes).all()

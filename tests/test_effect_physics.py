@@ -178,19 +178,19 @@ def compared_with_euler(name, values, inner, outer, atol):
 
 @pytest.mark.parametrize("form", [1.0, 2.0])
 @pytest.mark.parametrize("name", LAWS)
-def test_either_lag_is_bent_as_its_law_says(name, form):
+def test_the_law_of_either_lag_is_the_naive_integration(name, form):
     (values, law), channel = LAWS[name], "omega" if name.startswith("speed") else "beta"
     laws = [lambda e, x, tau=tau: e / tau for tau in LAGS[channel]]
     laws[int(form) - 1] = law(LAGS[channel][int(form) - 1])
     compared_with_euler(name, values | {"form": form}, *laws, atol=5.0 if channel == "omega" else 6e-3)
 
 
-def test_speed_limits_are_the_law():
+def test_pitch_speed_limits_are_the_naive_integration():
     law = {"slowest": 4.0, "full": 20.0, "threshold": 3.0, "accuracy": 0.3}
     compared_with_euler("pitch_speed_limits", law, lambda e, x: limits(e, 0.374, **law), lambda e, x: e / 0.207, 6e-3)
 
 
-def test_stall_latch_is_the_law():
+def test_stall_latch_is_the_naive_integration():
     law = {"speed": 6.0, "time": 0.1013, "accuracy": 0.1}
     inner = latch(**law, tau=0.374, h=H)
     compared_with_euler("pitch_stall_latch", law, inner, lambda e, x: e / 0.207, 6e-3)
@@ -201,7 +201,7 @@ def test_stall_latch_is_the_law():
 
 @pytest.mark.parametrize("form", [1.0, 2.0])
 @pytest.mark.parametrize(("name", "size"), [("pitch_error_deadzone", 0.6), ("pitch_stop_band", 0.45)])
-def test_the_actuator_rests_its_half_width_short(name, size, form):
+def test_the_actuator_stops_short_of_its_goal_by_the_half_width(name, size, form):
     beta = run(name, {"half_width": size, "form": form}, held((0, 0.1), (8, 15), (-3, 15), (-3.2, 5), (-2.9, 5)))[2]
     ends = beta[[round(t / STEP) - 1 for t in (15.1, 30.1, 35.1, 40.1)]]
     np.testing.assert_allclose(ends, [8 - size, -3 + size, -3.2 + size, -3.2 + size], atol=1e-6)
@@ -252,7 +252,7 @@ def test_rate_limit_is_its_slope_and_ends_at_its_instant():
     np.testing.assert_allclose(beta[13:], exact[13:], rtol=0, atol=3e-5)
 
 
-def test_led_command_is_a_ramp_before_the_lags():
+def test_a_rate_limit_on_the_command_is_a_ramp_before_the_lags():
     """Two lags follow a ramp with its slope, behind by the sum of their time constants; then they settle on the goal."""
     beta = run("pitch_rate_limit", {"rate": 2.0, "form": 3.0}, held((0, 0.04), (9, 12)))[2]
     t = np.arange(len(beta)) * STEP - 0.04
@@ -392,7 +392,7 @@ def settled(name, values, omega, beta, **inputs):
 
 @pytest.mark.parametrize("beta", [-5.0, 2.0, 10.0])
 @pytest.mark.parametrize("omega", [2500.0, 5800.0])
-def test_sag_is_a_falling_limit_or_a_droop(omega, beta):
+def test_supply_sag_is_a_limit_or_a_droop_of_the_speed(omega, beta):
     limited = settled("supply_sag", {"limit": 6000.0, "sag": 60.0}, omega, beta)[1]
     assert limited == pytest.approx(min(omega, 6000.0 - 60.0 * (beta + 5.0)), rel=1e-12)
     drooped = settled("supply_sag", {"sag": 60.0, "form": 2.0}, omega, beta)[1]

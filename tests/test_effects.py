@@ -40,7 +40,7 @@ def test_every_unit_is_one_that_an_fmu_can_declare(effect):
 
 
 @pytest.mark.parametrize("effect", [e for e in OPTIONAL if e.contains], ids=lambda e: e.name)
-def test_what_it_contains_is_a_special_case_of_it(effect):
+def test_a_contained_effect_is_a_special_case(effect):
     for name, shared in effect.contains.items():
         (special,) = (e for e in OPTIONAL if e.name == name)
         values = named(special, special.probe)
@@ -125,7 +125,7 @@ def test_coupling_is_the_transfer_function_under_scipy(gain):
 
 
 @pytest.mark.parametrize(("frequency", "damping"), [(3.0, 0.05), (10.0, 0.3), (1.0, 0.005)])
-def test_stand_is_the_oscillator_under_scipy(frequency, damping):
+def test_stand_resonance_is_the_oscillator_of_scipy(frequency, damping):
     inputs, steps = random_steps(1000, 200), np.full(999, 0.004)
     values = {"stand_resonance.frequency": frequency, "stand_resonance.damping": damping}
     shown = reference(plant(["stand_resonance"]), values, inputs, steps)[:, 0]
@@ -136,7 +136,7 @@ def test_stand_is_the_oscillator_under_scipy(frequency, damping):
 
 
 @pytest.mark.parametrize(("frequency", "damping"), [(3.0, 0.05), (60.0, 0.3), (1.0, 0.005)])
-def test_stand_rings_down_with_its_frequency_and_damping(frequency, damping):
+def test_stand_resonance_decays_with_its_frequency_and_damping(frequency, damping):
     """A free oscillation obeys y[k+1] = 2 r cos(wd h) y[k] - r^2 y[k-1] with r = exp(-damping w0 h)."""
     fast = dict.fromkeys(("tau_omega_1", "tau_omega_2", "tau_beta_1", "tau_beta_2"), 0.001)
     values = fast | {"stand_resonance.frequency": frequency, "stand_resonance.damping": damping}

@@ -14,9 +14,9 @@ OPTIONAL = [e for e in LIBRARY if e.off is not None]
 OWN = Path(__file__).with_name("own_effect.py")
 
 
-def test_every_effect_is_listed(capsys):
-    assert main(["effects", "--effects-from", str(OWN)]) == 0
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [*(e.name for e in OPTIONAL), "cell_lag"]
+def test_every_effect_is_listed(printed):
+    listed = [line.split()[0] for line in printed("effects", "--effects-from", OWN).splitlines()]
+    assert listed == [*(e.name for e in OPTIONAL), "cell_lag"]
 
 
 def test_every_effect_has_its_equation_its_bounds_and_its_response():
@@ -47,7 +47,7 @@ def test_every_effect_of_the_library_says_what_it_is():
         assert theory(effect).strip(), effect.name
 
 
-def test_the_page_is_written(tmp_path, capsys, monkeypatch):
+def test_the_page_is_written(tmp_path, monkeypatch):
     monkeypatch.setattr(
         "vpp_fmu.app.cli.effects.library_with", lambda paths: tuple(e for e in LIBRARY if e.off is None or e is OPTIONAL[3])
     )

@@ -101,7 +101,7 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, monkeypatch, failure, wh
         assert "no space left on device" in str(error.value)
 
 
-def test_a_folder_in_the_file_s_place(tmp_path):
+def test_a_folder_in_the_place_of_an_output_file_is_refused(tmp_path):
     (tmp_path / "run.csv").mkdir()
     with pytest.raises(BadInput, match=r"run\.csv: output file: found not writable"):
         OutputFolder(tmp_path).write("run.csv", "x")
@@ -109,7 +109,7 @@ def test_a_folder_in_the_file_s_place(tmp_path):
 
 
 @pytest.mark.parametrize(("below", "found"), [("", "a file"), ("out", "not writable"), ("out/deeper", "not writable")])
-def test_output_folder_on_or_below_a_file(tmp_path, below, found):
+def test_an_output_folder_on_or_below_a_file_is_refused(tmp_path, below, found):
     (tmp_path / "taken").write_text("")
     path = tmp_path / "taken" / below
     said = refusal(OutputFolder, path)
@@ -117,7 +117,7 @@ def test_output_folder_on_or_below_a_file(tmp_path, below, found):
     assert said.endswith("expected a folder that can be written")
 
 
-def test_a_folder_that_gets_locked_later(locked):
+def test_a_folder_that_is_locked_later_is_refused(locked):
     locked.chmod(0o777)
     folder = OutputFolder(locked)
     locked.chmod(0o555)
@@ -165,7 +165,7 @@ def test_table_of_numbers(tmp_path):
     assert table.source == str(tmp_path / "a.csv")
 
 
-def test_table_of_anything_keeps_what_it_finds(tmp_path):
+def test_a_table_with_text_keeps_the_text(tmp_path):
     (tmp_path / "a.csv").write_text('x,"the, note",gap\n1,"a, b",\n\n2,"say ""so""",7\n')
     table = read_table(tmp_path / "a.csv")
     np.testing.assert_array_equal(table.columns["x"], [1.0, 2.0])

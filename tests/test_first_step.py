@@ -61,6 +61,6 @@ def test_an_fmu_that_hangs_is_refused(changed, monkeypatch):
         FmuController(changed("while True: pass"))
 
 
-def test_what_the_fmu_prints_or_where_this_runs_is_no_failure(changed, tmp_path, monkeypatch):
+def test_output_of_an_fmu_and_the_current_folder_are_no_failure(changed, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     FmuController(changed("print('it was loaded'); os.write(1, b'x' * 100_000)")).close()

@@ -220,7 +220,7 @@ def test_the_fmpy_command_runs_a_written_record_as_the_kernel_to_the_bit(fmu_fil
     np.testing.assert_array_equal(np.column_stack([result[name] for name in OUTPUTS]), exact)
 
 
-def test_without_any_input_the_plant_stands_still(tmp_path):
+def test_without_inputs_the_plant_stays_at_rest(tmp_path):
     for i, model in enumerate((BASE, ALL_ON)):
         path = tmp_path / f"{i}.fmu"
         path.write_bytes(python_fmu(model))

@@ -54,7 +54,7 @@ def test_the_export_points_hosts_without_python_to_the_native_flavour(flavour, p
     assert ("--flavour native" in said) == points
 
 
-def test_a_checker_is_found_by_its_variable_or_named_as_not_run(tmp_path, monkeypatch):
+def test_a_checker_is_found_by_its_environment_variable_or_reported_as_not_run(tmp_path, monkeypatch):
     """Its exit code and last line, or those of its verdict, are shown for the versions of FMI that it knows."""
     monkeypatch.setenv("PATH", "/usr/bin:/bin")
     monkeypatch.setattr("sys.executable", "/usr/bin/python3")

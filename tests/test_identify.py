@@ -67,7 +67,7 @@ def test_records_of_a_campaign_are_fitted_together_and_the_other_only_predicted(
     assert found.noise.source == REPEATS
 
 
-def test_the_band_holds_what_it_says_on_unseen_data(found):
+def test_the_prediction_band_has_its_coverage_on_the_validation_record(found):
     # Six thousand white readings: their share is known to 0.3 %.
     assert found.coverage["validation"] == pytest.approx(0.95, abs=0.01)
 
@@ -127,7 +127,7 @@ def test_a_further_record_that_cannot_be_read_is_refused_in_one_line(folder, tmp
     assert not (tmp_path / "parameters.json").exists()
 
 
-def test_what_was_left_out_names_its_record(folder):
+def test_findings_name_the_record_of_the_rows_left_out(folder):
     campaign = read_campaign(folder)
     clipped = campaign.repeat.with_columns(thrust=np.minimum(campaign.repeat["thrust"], 9.0))
     found = identify(replace(campaign, repeat=clipped), starts=1)
@@ -136,7 +136,7 @@ def test_what_was_left_out_names_its_record(folder):
 
 
 @pytest.mark.parametrize(("rate", "speed"), [(100.0, 15000.0), (250.0, 4000.0), (1000.0, 3000.0)])
-def test_a_tachometer_is_as_late_as_its_mark(rate, speed):
+def test_the_model_of_the_tachometer_has_the_delay_of_its_mark(rate, speed):
     """A rotor that speeds up evenly, its turns counted exactly: the mean over the last whole turn before each row, on average
     neither ahead of nor behind what is compared with it, whether a row holds many turns or a turn many rows."""
     time, gain = np.arange(0.0, 4.0, 1.0 / rate), 0.2 * speed
@@ -152,7 +152,7 @@ def test_a_tachometer_is_as_late_as_its_mark(rate, speed):
     assert abs(np.mean(ahead[5:])) < 0.1 * gain * (60.0 / speed)
 
 
-def test_a_lag_on_its_bound_tells_no_time():
+def test_a_lag_on_its_bound_is_not_used_as_a_time_scale():
     """What a saturated rotor bends onto 30 s is no time scale for a plan, for blocks of noise, for bounds."""
     start = BASE.values()
     longest = next(p.maximum for p in BASE.parameters if p.name == "tau_omega_1")
@@ -163,7 +163,7 @@ def test_a_lag_on_its_bound_tells_no_time():
 
 
 @pytest.mark.parametrize(("told", "other"), [((), 7.1), (("beta",), 0.2)])
-def test_nor_does_the_other_lag_of_its_channel_where_steps_have_told_it(told, other):
+def test_the_other_lag_of_the_channel_is_replaced_if_steps_have_identified_it(told, other):
     """An actuator that latches half way looks like one lag of 7 s and one of none."""
     start = {**BASE.values(), "tau_beta_1": 0.2, "tau_beta_2": 0.1}
     shortest = next(p.minimum for p in BASE.parameters if p.name == "tau_beta_2")

@@ -10,7 +10,7 @@ NEEDS = {"Parquet": "pyarrow", "HDF5": "h5py", "MAT v7.3": "h5py"}
 
 
 @pytest.mark.parametrize("format", formats(), ids=lambda format: format.name)
-def test_what_comes_out_is_what_went_in(format, tmp_path, capsys):
+def test_the_imported_record_equals_the_log(format, tmp_path, capsys):
     if format in containers() or "half a" in format.name:
         for kind, library in NEEDS.items():
             if kind in format.name:

@@ -93,7 +93,7 @@ def test_plant_is_the_papers_equations_under_scipy():
 
 
 @pytest.mark.parametrize("channel", ["omega", "beta"])
-def test_an_inner_lag_off_its_level_tells_the_two_lags(channel):
+def test_the_order_of_two_lags_shows_if_the_inner_one_is_not_settled(channel):
     """From rest their order does not show. With x and u the deviations of the inner and the outer lag from the command:
 
     u(t) = u_0 exp(-t / tau_1) + x_0 tau_2 (exp(-t / tau_1) - exp(-t / tau_2)) / (tau_1 - tau_2)

@@ -66,7 +66,7 @@ def test_the_score_test_keeps_its_level_where_the_noise_is_estimated(rho, parame
     assert rejected / DRAWS < 0.01 + 3.0 * np.sqrt(0.01 * 0.99 / DRAWS)
 
 
-def test_what_records_do_not_share_is_as_large_as_the_noise_of_their_mean():
+def test_differences_of_repeated_records_have_the_noise_of_their_mean():
     """Three records of a sine and white noise of 0.2 N, whose mean is whitened to 1: two samples, apart from each other and
     from the residual, of mean square 1."""
     time = np.arange(4000) * 0.01
@@ -80,7 +80,7 @@ def test_what_records_do_not_share_is_as_large_as_the_noise_of_their_mean():
 
 
 @pytest.mark.parametrize(("wave", "share"), [(2, 0.25), (300, 1.0)])
-def test_what_falls_where_the_noise_is_four_times_what_it_was_taken_for_counts_a_quarter(wave, share):
+def test_gains_are_down_weighted_in_bands_with_more_noise_than_assumed(wave, share):
     """White noise, of four times the power below the twelfth ordinate: a wave there, and one elsewhere, taken away."""
     rng, n, found = np.random.default_rng(11), 1200, []
     turns = 2.0 * np.pi * np.arange(n) / n
@@ -94,7 +94,7 @@ def test_what_falls_where_the_noise_is_four_times_what_it_was_taken_for_counts_a
 
 
 @pytest.mark.parametrize("statistic", [8.0, 20.0, 45.0])
-def test_where_slow_bands_tell_little_of_the_noise_a_large_score_is_no_rarity(statistic):
+def test_the_p_value_accounts_for_bands_with_few_estimates_of_the_noise(statistic):
     """Against the sum over bands by brute force: half a million draws of chi^2 over the noise's power as far as it is known."""
     bands, rng = ((5.0, 4.0), (2.0, 20.0), (1.0, 200.0)), np.random.default_rng(3)
     drawn = sum(rng.chisquare(own, 500_000) * known / rng.chisquare(known, 500_000) for own, known in bands)
@@ -102,7 +102,7 @@ def test_where_slow_bands_tell_little_of_the_noise_a_large_score_is_no_rarity(st
     assert ScoreTest(0.5 * (statistic - 8), 8, bands).p == pytest.approx(share, rel=0.05)
 
 
-def test_the_score_test_sees_what_follows_a_shape():
+def test_the_score_test_detects_a_residual_along_a_shape():
     """A shape with ten times the noise's amplitude in its direction is never missed."""
     rng, rows, count = np.random.default_rng(8), 1200, 12
     shapes = np.linalg.qr(np.cumsum(rng.standard_normal((rows, count)), axis=0))[0].T
@@ -180,9 +180,7 @@ POWER = 0.5 * 0.5 * 3.0**2
     ("std", "verified", "effects", "asked"),
     [(1.0, False, ("one",), True), (2.0, False, ("one",), False), (1.0, True, ("one",), False), (1.0, False, (), False)],
 )
-def test_a_speed_that_is_wrong_while_commands_move_is_no_noise_where_rest_has_it_not(
-    monkeypatch, std, verified, effects, asked
-):
+def test_a_speed_residual_that_is_absent_during_holds_is_not_noise(monkeypatch, std, verified, effects, asked):
     """Where the sensor leaves all that uncertain, a repeat tells the noise, or a model claims nothing, this is not asked."""
     fit = left_of_holds(monkeypatch, std, verified)
     fit.effects = effects
@@ -192,7 +190,7 @@ def test_a_speed_that_is_wrong_while_commands_move_is_no_noise_where_rest_has_it
 
 
 @pytest.mark.parametrize(("count", "verified", "beyond"), [(0.0, False, POWER), (8.0, False, 0.0), (0.0, True, 0.0)])
-def test_so_is_a_thrust(monkeypatch, count, verified, beyond):
+def test_a_thrust_residual_that_is_absent_during_holds_is_not_noise(monkeypatch, count, verified, beyond):
     """Beyond what rounding to counts leaves at best: 8 N / 12^0.5 is more than all of it."""
     share, size = lack_of_fit.transient_power_share(left_of_holds(monkeypatch, verified=verified, count=count), "thrust")
     assert share == pytest.approx(beyond / (1.0 + beyond), abs=0.05)
@@ -203,7 +201,7 @@ def test_so_is_a_thrust(monkeypatch, count, verified, beyond):
     ("claims", "share", "size", "lacks"),
     [(True, 0.6, 0.3, True), (False, 0.6, 0.3, False), (True, 0.4, 0.3, False), (True, 0.6, 0.05, False)],
 )
-def test_what_rest_has_not_is_a_lack_of_fit_of_a_model_that_claims_to_know(monkeypatch, claims, share, size, lacks):
+def test_a_transient_residual_is_a_lack_of_fit_beside_an_accepted_effect(monkeypatch, claims, share, size, lacks):
     """More than half of it, and more than 0.1 N."""
     moving = lambda fit, channel: (share, size) if channel == "thrust" else (0.0, 0.0)  # noqa: E731
     set_checks(monkeypatch, score_test=ScoreTest(0.0, 0, ()), transient_power_share=moving)
@@ -212,14 +210,14 @@ def test_what_rest_has_not_is_a_lack_of_fit_of_a_model_that_claims_to_know(monke
 
 
 @pytest.mark.parametrize(("was", "word"), [(0.5, "partly"), (0.4, "unexplained")])
-def test_a_part_must_remove_half_of_what_rest_has_not(was, word):
+def test_a_partial_explanation_must_remove_half_of_the_transient_power(was, word):
     """0.3 N are left: of 0.5 N 64 % of the power is gone, of 0.4 N 44 %."""
     score, fits = ScoreTest(0.0, 0, ()), [SimpleNamespace(effects=e, deviance=d) for e, d in (((), 100.0), (("one",), 0.0))]
     lacks = [lack_of_fit.LackOfFit((), score, 0.5, 0.0, 0.1, bool(m - was), moving=0.6, transient_size=m) for m in (was, 0.3)]
     assert verdict(*fits, *lacks, {"one": []}) == word
 
 
-def test_rest_is_the_last_third_of_each_hold_that_is_long_enough():
+def test_steady_parts_are_the_last_thirds_of_long_holds():
     """Commands move at 3 and at 4 s of 10."""
     time = np.arange(0.0, 10.05, 0.1)
     moves = {"omega_ref": np.where(time < 2.95, 0.0, 1.0), "beta_ref": np.where(time < 3.95, 0.0, 1.0)}
@@ -227,7 +225,7 @@ def test_rest_is_the_last_third_of_each_hold_that_is_long_enough():
     assert found == [pytest.approx((2.0, 3.0)), pytest.approx((8.0, 10.0))]
 
 
-def test_what_a_loop_swings_with_is_among_the_shapes():
+def test_the_shapes_include_an_oscillation_of_the_speed_loop():
     """A speed that goes to its command through a swing at 1.2 Hz, damped by 0.2, and not through lags of 0.1 and 0.2 s: the
     shapes take up all of the difference but a few per cent."""
     time = np.arange(0.0, 40.0, 0.01)
@@ -246,5 +244,5 @@ def test_what_a_loop_swings_with_is_among_the_shapes():
 
 
 @pytest.mark.parametrize(("found", "turns", "word"), [(0, 0, "none"), (1, 0, "unexplained"), (0, 1, "unexplained")])
-def test_what_is_refuted_leaves_the_verdict_of_a_base_without_it(found, turns, word):
+def test_the_verdict_after_a_refutation_is_that_of_the_base_model(found, turns, word):
     assert unnamed(SimpleNamespace(significant=bool(found), turns=bool(turns))) == word

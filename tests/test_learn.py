@@ -56,7 +56,7 @@ def test_it_follows_the_set_point_on_a_plant_that_it_has_not_seen(learned):
         assert abs(thrust - wanted) < 0.5
 
 
-def test_the_curve_comes_down_and_the_comparison_is_of_held_out_plants(learned):
+def test_the_learning_curve_decreases_and_held_out_plants_are_compared(learned):
     curve = np.loadtxt(learned / "learning_curve.csv", delimiter=",", skiprows=1)
     assert (np.diff(curve[:, 0]) > 0).all()
     assert np.median(curve[-5:, 1]) < 0.5 * curve[0, 1]

@@ -79,7 +79,7 @@ def test_hats_add_up_to_one_and_make_the_curve():
     np.testing.assert_allclose(found @ values, np.interp(v, at, values))
 
 
-def test_memories_in_closed_form():
+def test_play_hold_and_relay_are_the_closed_forms():
     v = np.array([0.0, 1.0, 3.0, 2.5, 1.0, 0.0, 4.0])
     np.testing.assert_allclose(plays(v, np.array([1.0]))[:, 0] + v, [0.0, 0.0, 2.0, 2.0, 2.0, 1.0, 3.0])
     np.testing.assert_allclose(holds(v, np.array([1.2]))[:, 0] + v, [0.0, 0.0, 3.0, 3.0, 1.0, 1.0, 4.0])
@@ -130,15 +130,15 @@ def test_the_score_test_of_noise_has_its_distribution(nothing):
     assert kstest(falls, chi2(4).cdf).pvalue > 0.01
 
 
-def test_thirds_leave_whole_thirds_out():
+def test_contiguous_folds_are_thirds():
     np.testing.assert_array_equal(contiguous_folds(np.array([0.0, 9.9, 10.0, 19.9, 20.0, 30.0]), 30.0), [0, 0, 1, 1, 2, 2])
 
 
-def test_chance_in_a_closed_form():
+def test_the_threshold_of_chance_is_the_closed_form():
     assert by_chance(100) == pytest.approx(np.log(100 / ALPHA))
 
 
-def test_where_nothing_lacks_nothing_is_looked_for(nothing):
+def test_no_term_is_learned_where_nothing_is_missing(nothing):
     assert nothing.verdict == "none"
     assert nothing.attempt.comparisons == 0
     assert not [
@@ -146,7 +146,7 @@ def test_where_nothing_lacks_nothing_is_looked_for(nothing):
     ]
 
 
-def test_a_law_is_learned_and_ships(found):
+def test_a_missing_term_is_learned_and_added_to_the_model(found):
     assert found.verdict == "learned"
     term = found.learned.term
     assert (term.lead.port, term.lead.driver) == ("thrust", "pitch_rate")
@@ -173,7 +173,7 @@ def test_a_rival_elsewhere_is_of_another_place_or_driver(found, port, driver, el
     assert replace(found.learned, rivals=(rival,)).elsewhere == (rival,) * elsewhere
 
 
-def test_a_term_that_does_not_ship_is_on_the_page_with_the_reason(found):
+def test_a_refuted_term_is_on_the_page_with_the_reason(found):
     """Refuted as it is where something is lacking beside it: where it enters, and why it stays out, in table and JSON."""
     refuted = replace(found, verdict="unexplained", final=found.base, attempt=found.attempt.but_refuted("something is lacking"))
     page = diagnosis_page(refuted).html()

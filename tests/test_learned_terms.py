@@ -175,14 +175,14 @@ def test_a_curve_is_straight_between_its_knots_and_flat_beyond():
         assert shown[-1, 0] - base[0] == pytest.approx(expected, abs=1e-9)
 
 
-def test_what_is_fed_back_starts_settled():
+def test_a_term_in_a_feedback_loop_starts_settled():
     """A term driven by what arises behind it, through a lag of seconds: no transient at the start."""
     shown, base = settled("speed_command_share", 5500.0)
     assert np.abs(shown[:, 0] - shown[-1, 0]).max() < 1e-4
     assert abs(shown[-1, 0] - base[0]) > 0.01
 
 
-def test_laws_at_rest():
+def test_hinge_threshold_and_saturation_at_rest():
     thrust = settled("hinge")[1][0]
     assert settled("hinge")[0][-1, 0] == pytest.approx(thrust - 0.2 * max(thrust - 5.0, 0.0), abs=1e-9)
     assert settled("threshold", 6000.0, 8.0)[0][-1, 0] == pytest.approx(0.9 * settled("threshold", 6000.0, 8.0)[1][0], rel=1e-9)

@@ -125,6 +125,6 @@ def test_an_effects_parameter_has_a_name_that_matlab_takes(tmp_path):
     assert held["effects"] == "pitch_delay"
 
 
-def test_identify_and_diagnose_give_it():
+def test_results_of_identify_and_diagnose_can_be_linearised():
     assert issubclass(IdentifyResult, Linearisable)
     assert issubclass(DiagnoseResult, Linearisable)

@@ -72,7 +72,7 @@ def campaign(record, declared=None):
 
 
 @pytest.mark.parametrize("rows", [0.3, 1.7, 2.0])
-def test_commands_that_act_later_are_commands_behind_a_dead_time(rows):
+def test_late_commands_are_commands_with_a_dead_time(rows):
     """The schedule's exact delay of both commands gives the same outputs."""
     record, delayed = commands(0), plant(("speed_delay", "pitch_delay"))
     delays = dict.fromkeys(("speed_delay.delay", "pitch_delay.delay"), rows / RATE)
@@ -105,7 +105,7 @@ def test_a_mark_reads_the_mean_of_the_last_part_of_a_revolution(marks):
 
 
 @pytest.mark.parametrize("rate", [50.0, 100.0, 200.0, 500.0])
-def test_a_mean_over_the_row_reads_a_ramp_late_by_the_mean_age_of_a_held_value(rate):
+def test_row_means_of_a_held_value_are_late_by_its_mean_age(rate):
     """A mark's value is the mean of one revolution, and held for the next: on a ramp it is late by two halves."""
     ramp, fine = 100.0, 40  # rpm/s; instants of a row
     at = (np.arange(int(8.0 * rate) * fine) + 0.5) / (rate * fine)
@@ -125,7 +125,7 @@ def test_a_mean_over_the_row_reads_a_ramp_late_by_the_mean_age_of_a_held_value(r
 
 
 @pytest.mark.parametrize("averaged", [False, True])
-def test_means_over_the_row_are_told_from_samples(averaged):
+def test_row_means_are_distinguished_from_samples(averaged):
     """Three marks, 200 Hz: a value is held for one and a half to four rows."""
     sent, fine = commands(27, rate=200.0), 20
     held = {n: np.repeat(sent[n], fine) for n in ("omega_ref", "beta_ref")}
@@ -146,7 +146,7 @@ def test_a_mean_of_a_parabola_exceeds_its_middle_by_a_24th_of_the_curvature_time
     np.testing.assert_allclose((row_means(time, width) @ time**2)[inner], time[inner] ** 2 + width**2 / 12.0, rtol=1e-9)
 
 
-def test_means_over_slow_rows_are_told_from_telemetry():
+def test_row_means_are_distinguished_from_telemetry():
     """An encoder at 25 Hz, all readings means over their row: its middle is half a row after the command."""
     sent, fine = commands(31, rate=25.0), 80
     held = {n: np.repeat(sent[n], fine) for n in ("omega_ref", "beta_ref")}
@@ -159,7 +159,7 @@ def test_means_over_slow_rows_are_told_from_telemetry():
     assert found.rows == pytest.approx(-0.5, abs=0.02)
 
 
-def test_loggers_that_are_not_distinguished_are_all_given():
+def test_all_loggers_that_the_data_do_not_distinguish_are_returned():
     """An offset of a fifth of a row in much noise: none comes first, the estimate later."""
     found = likely_loggers(passed(campaign(logged(5, 0.2, filter_=0.03, noise=1.0, rate=100.0))))
     first, *others = [one.logger for one in found]
@@ -209,19 +209,19 @@ def test_the_filter_is_found_beside_a_record_that_measures_no_speed():
 
 
 @pytest.mark.parametrize("rows", [1.0, 5.0])
-def test_a_delay_that_is_a_loggers_or_the_motors_is_the_motors_from_the_third_row_on(rows):
+def test_an_ambiguous_delay_of_more_than_two_rows_is_the_motors(rows):
     """Where the pitch is held, no reading distinguishes them."""
     record = logged(40, rows, pitch=5.0)
     logger = as_logged(passed(campaign(record))).logger
     assert logger.rows == pytest.approx(rows if rows <= 2.0 else 0.0, abs=0.05)
 
 
-def test_a_late_log_is_the_loggers_where_both_commands_show_it():
+def test_a_delay_of_both_commands_is_the_loggers():
     assert as_logged(passed(campaign(logged(41, 5.0)))).logger.rows == pytest.approx(5.0, abs=0.05)
 
 
 @pytest.mark.parametrize(("lost", "better"), [(0.0, True), (2.0 * EVIDENCE, False)])
-def test_a_better_fit_of_the_speed_is_no_reason_to_fit_the_thrust_worse(lost, better):
+def test_a_better_fit_of_the_speed_does_not_justify_a_worse_fit_of_the_thrust(lost, better):
     """`lost`: log-likelihood of the thrust. Half the error of 2000 readings is a gain of 2000 ln 2."""
     groups, _ = roles(campaign(logged(42, 0.0)), {})
     of = _Estimate(groups, campaign(logged(42, 0.0)).rig.scales, {}, (), LIBRARY, AVERAGED)
@@ -277,7 +277,7 @@ def test_one_delay_replaces_an_offset_unless_no_rig_has_it(monkeypatch, alone, v
     assert (_Estimate._one_delay(estimate, fit) is not None) == none
 
 
-def test_a_late_log_is_mended_by_whole_rows():
+def test_a_late_log_is_shifted_by_whole_rows():
     record = logged(30, -1.0)
     again, said = mended(record)
     assert np.array_equal(again["omega_ref"][:-1], record["omega_ref"][1:])
@@ -326,13 +326,13 @@ def test_a_declared_sensor_whose_values_are_hardly_renewed_is_taken(kind):
     assert as_logged(passed(campaign(still, {"sensor": {"kind": kind}}), accept=acceptable())).logger.sensor.kind == kind
 
 
-def test_the_example_has_the_contracts_logger():
+def test_the_example_has_the_default_logger():
     logger = as_logged(passed(read_campaign(example_folder()))).logger
     assert (logger.rows, logger.sensor.delay, logger.sensor.filter) == (0.0, 0.0, 0.0)
     assert logger.sensor.kind == "mark"
 
 
-def test_a_rig_that_responds_before_any_logger_could_has_the_contracts():
+def test_an_impossibly_early_response_leaves_the_default_logger():
     """Commands act five rows before the readings of their row: no logger is that early, so the lags are wrong."""
     assert as_logged(passed(campaign(logged(4, -5.0)))).logger.rows == 0.0
 

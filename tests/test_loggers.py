@@ -114,7 +114,7 @@ def test_a_speed_is_behind_its_thrust_by_filter_and_hold(sensor, rate, delay):
     assert rig.read(np.random.default_rng(5), (w, np.full(len(w), 0.5))).delay == pytest.approx(delay, abs=3e-4)
 
 
-def test_the_loggers_nuisances_take_what_is_the_loggers_and_nothing_else():
+def test_nuisance_parameters_of_the_logger_explain_its_delays_alone():
     def nats(settings, **nuisances):
         rig = LoggedRig(PAPER | settings, rate=100.0)
         sent = rig.size.commands(*command_sequences.open_loop(np.random.default_rng(6), rig.clock, 20.0))
@@ -130,7 +130,7 @@ def test_the_loggers_nuisances_take_what_is_the_loggers_and_nothing_else():
 
 
 @pytest.mark.parametrize("number", range(4))
-def test_the_record_that_judges_is_the_true_models_read_by_the_true_logger(number):
+def test_the_hold_out_record_is_the_true_model_read_by_the_true_logger(number):
     case = Case("nothing", 1, number)
     rig, (record, delay), fine = case.rig, case.unseen(), 0.001
     many = round(1.0 / rig.rate / fine)
@@ -210,7 +210,7 @@ def test_outcomes_of_a_pair(change, counts):
     assert "pairs: both: no cases" in loggers.table("pairs", [judged(case, **change, evidence=LIMIT - 1.0)])
 
 
-def test_a_study_that_was_cut_short_goes_on(tmp_path, monkeypatch, capsys):
+def test_an_interrupted_study_continues(tmp_path, monkeypatch, capsys):
     asked = []
 
     def faked(cases, *options, work):

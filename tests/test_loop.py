@@ -89,7 +89,7 @@ def test_the_record_is_a_record_of_the_loop(closed_loops, name):
         assert record["thrust"][round(end / 0.004)] == pytest.approx(wanted, abs=1e-3)
 
 
-def test_a_runs_commands_give_its_measurements_again(closed_loops):
+def test_the_commands_of_a_run_in_open_loop_reproduce_its_measurements(closed_loops):
     """A row's measurement stands before its commands act: the record replayed in open loop is itself."""
     record, plant = closed_loops["dual"], KernelPlant(parameters=FAST_PITCH)
     shown = [plant.start(0.0, 0.0)]
@@ -200,7 +200,7 @@ def test_the_compiled_master_gives_the_same_bits(native_files, monkeypatch):
     np.testing.assert_array_equal(compiled["thrust"], run(plant, controller, UP_AND_DOWN)["thrust"])
 
 
-def test_a_failure_is_told_alike(native_files, monkeypatch):
+def test_both_masters_report_a_failure_in_the_same_words(native_files, monkeypatch):
     """An impossible wish in the midst of a run: which FMU, when, and why."""
     references = profile((0.0, 1.5), (5.0, np.nan), (9.0, 1.5))
     (compiled, _), (interpreted, _) = run_both_ways(native_files, monkeypatch, references)
@@ -209,7 +209,7 @@ def test_a_failure_is_told_alike(native_files, monkeypatch):
     assert "thrust_set: found nan" in compiled
 
 
-def test_without_a_compiler_the_loop_goes_call_by_call(native_files, monkeypatch):
+def test_without_a_compiler_the_loop_runs_call_by_call(native_files, monkeypatch):
     def missing(*_):
         raise CompilerMissing("none here")
 

@@ -96,7 +96,7 @@ def test_a_shift_of_pitch_asks_for_other_terms():
     assert shifted.of().loo > 10.0 * shifted.of((*PAPER, (1, 0))).loo
 
 
-def test_terms_that_cannot_be_told_apart_are_left_out():
+def test_terms_that_the_grid_does_not_distinguish_are_left_out():
     found = select_terms(campaign(0.02, speeds=3), SCALES)
     assert found.points == 24
     assert found.of(((1, 0), (2, 0), (3, 0))) is not None

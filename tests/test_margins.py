@@ -40,7 +40,7 @@ def test_a_sampled_integrator_has_the_textbooks_margins(k):
     assert found.reduction == 0.0
 
 
-def test_a_third_order_loop_bears_its_gain_margin():
+def test_a_third_order_loop_has_its_gain_margin():
     """a / (s (s + 1) (s + 2)) passes -180 deg at sqrt 2 rad/s, where it is a / 6."""
     s = 1j * OMEGA
     for a, stable in ((1.5, True), (5.9, True), (6.1, False)):
@@ -143,13 +143,13 @@ def settled(controller, gains, point):
         controller.states |= {"beta_integral": (beta + 5.0) / 15.0 / gains["ki_beta"]}
 
 
-def test_the_loop_bears_its_delay_margin_and_no_more(at_rest):
+def test_the_loop_is_stable_up_to_its_delay_margin(at_rest):
     gains, point, found = at_rest
     assert ringing(gains, point, delay=0.93 * found.delay) < 0.95
     assert ringing(gains, point, delay=1.07 * found.delay) > 1.05
 
 
-def test_the_loop_bears_its_gain_margin_and_no_more(at_rest):
+def test_the_loop_is_stable_up_to_its_gain_margin(at_rest):
     gains, point, found = at_rest
     assert ringing(gains, point, factor=0.93 * found.gain) < 0.95
     assert ringing(gains, point, factor=1.07 * found.gain) > 1.05

@@ -47,7 +47,7 @@ def test_uneven_steps_are_the_functions_to_the_bit(model, request, recwarn):
 
 @pytest.mark.sampled("effect")
 @pytest.mark.parametrize("effect", OPTIONAL)
-def test_runs_side_by_side_are_each_by_itself_to_the_bit(effect):
+def test_parallel_runs_equal_single_runs_to_the_bit(effect):
     """More than one bundle, where their longest steps are not the same, or one delays its inputs; late commands, too."""
     model = plant([effect.name])
     inputs, made = random_steps(301, 60, model=model), Simulator(model)
@@ -61,7 +61,7 @@ def test_runs_side_by_side_are_each_by_itself_to_the_bit(effect):
             np.testing.assert_array_equal(found[:, :, k], made.simulate(point, inputs, steps, late))
 
 
-def test_vectors_of_any_width_have_the_same_bits(monkeypatch):
+def test_every_vector_width_gives_the_same_bits(monkeypatch):
     """Each that this processor has, and none."""
     cpu = Path("/proc/cpuinfo")
     known = cpu.read_text(encoding="utf-8").split() if cpu.exists() else []
@@ -77,7 +77,7 @@ def test_vectors_of_any_width_have_the_same_bits(monkeypatch):
 
 
 @pytest.mark.parametrize("compiler", [True, False])
-def test_pieces_are_the_whole(compiler, request, recwarn):
+def test_simulation_in_pieces_equals_the_whole_run(compiler, request, recwarn):
     """Of any length, to the bit: outputs and derivatives."""
     if not compiler:
         request.getfixturevalue("no_compiler")
@@ -164,7 +164,7 @@ def test_sensitivities_in_equal_time_constants_are_central_differences(taus):
     assert max(shares.values()) < 3e-3, shares
 
 
-def test_without_a_compiler_the_numbers_are_the_same_and_it_is_said_once(request):
+def test_without_a_compiler_the_numbers_are_the_same_and_one_warning_is_given(request):
     models = (ALL_ON, PROBES, ("tau_beta_1", PITCH)), (BASE, {}, ("c20",)), (CONTROLLER, {}, ("ki_omega",))
     noise = {"thrust_set": np.full(500, 9.0), "thrust": np.random.default_rng(0).normal(9.0, 1.0, 500)}
     inputs, steps = random_steps(500, 40, model=ALL_ON) | noise, np.full(499, 0.0043)
@@ -190,7 +190,7 @@ def own_cache(monkeypatch, tmp_path):
     compiler.cache_folder.cache_clear()
 
 
-def test_what_was_compiled_is_kept(own_cache, monkeypatch):
+def test_compiled_models_are_cached(own_cache, monkeypatch):
     inputs, steps = random_steps(50, 5), np.full(49, 0.004)
     first = Simulator(BASE).simulate({}, inputs, steps)
     kept = list(own_cache.iterdir())
@@ -201,7 +201,7 @@ def test_what_was_compiled_is_kept(own_cache, monkeypatch):
     np.testing.assert_array_equal(Simulator(BASE).simulate({}, inputs, steps), first)
 
 
-def test_a_library_effect_is_traced_once_and_ones_own_of_its_name_anew(own_cache, monkeypatch):
+def test_a_user_defined_effect_with_the_name_of_a_traced_one_is_traced_anew(own_cache, monkeypatch):
     inputs, steps, name = random_steps(50, 5), np.full(49, 0.004), "sensor_gain"
     values = {f"{name}.gain": 1.2}
     theirs = Simulator(plant([name])).simulate(values, inputs, steps)

@@ -122,7 +122,7 @@ def test_no_instance_without_what_the_standard_asks_for(fmus):
     assert raw.instantiate(guid=b"{0}", callbacks=False) is None
 
 
-def test_no_callbacks_no_instance_and_null_pointers_are_survived(fmus):
+def test_missing_callbacks_and_null_pointers_are_refused(fmus):
     raw, silent = Raw(fmus["plain"]), Raw(fmus["plain"], logger=False)
     assert silent.instantiate(callbacks=True) is None
     assert silent.instantiate(callbacks=False) is None
@@ -280,7 +280,7 @@ def test_the_controllers_derivatives_are_differences(fmus):
         np.testing.assert_allclose(found, (above - below) / (2.0 * h), rtol=1e-5, atol=1e-6)
 
 
-def test_derivatives_that_are_not_there_are_refused_in_words(fmus):
+def test_unavailable_derivatives_are_refused_with_the_reason(fmus):
     cases = {
         ("thrust", "tau_omega_1"): "found the known tau_omega_1 after initialisation",
         ("thrust", "omega"): "found the known omega",
@@ -303,7 +303,7 @@ def resident():
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="no /proc")
-def test_a_thousand_lives_leave_no_memory_behind(fmus):
+def test_a_thousand_instances_leak_no_memory(fmus):
     raw, references = Raw(fmus["all_on"]), {n: v.valueReference for n, v in fmus["all_on"].variables.items()}
     asked = *one(references["thrust"]), *one(references["tau_omega_1"]), (ctypes.c_double * 1)(1.0), (ctypes.c_double * 1)()
 

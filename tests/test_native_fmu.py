@@ -23,7 +23,6 @@ from builders import ALL_ON, MODELS, PROBES, Slave, native, random_steps, refere
 from fmpy.build import build_platform_binary
 from fmpy.model_description import read_build_description
 
-from vpp_fmu.app.cli import main
 from vpp_fmu.errors import CompilerMissing, SimulationFailed
 from vpp_fmu.export import native_fmu, toolchain
 from vpp_fmu.export.c_text import c_text
@@ -234,10 +233,11 @@ def test_64_bit_arm_gives_the_same_bits():
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the GNU C library is Linux's")
-def test_the_command_says_what_the_fmus_were_linked_to(tmp_path, capsys):
+def test_the_command_says_what_the_fmus_were_linked_to(tmp_path, printed):
     """What `objdump` finds is the yardstick, where it is installed."""
-    assert main(["export", "--flavour", "native", "-o", str(tmp_path)]) == 0
-    said = next(line for line in capsys.readouterr().out.splitlines() if "GNU C library" in line)
+    said = next(
+        line for line in printed("export", "--flavour", "native", "-o", tmp_path).splitlines() if "GNU C library" in line
+    )
     with zipfile.ZipFile(tmp_path / "VppPlant.native.fmu") as packed:
         library = next(name for name in packed.namelist() if name.endswith(".so"))
         packed.extract(library, tmp_path)
@@ -255,7 +255,7 @@ def test_an_fmu_made_on_64_bit_arm_is_found_under_both_names(monkeypatch):
     assert set(toolchain.binaries("M", "", "host")) == {"binaries/aarch64-linux/M.so", "binaries/linux64/M.so"}
 
 
-def test_the_loader_finds_it_there_under_fmis_name(fmus, monkeypatch):
+def test_the_loader_finds_the_library_under_the_name_of_fmi(fmus, monkeypatch):
     fmu, own = fmus["plain"], Path(fmus["plain"].folder, "binaries", "aarch64-linux", "VppPlant.so")
     fmpys = fmu.library
     assert fmpys.is_file()

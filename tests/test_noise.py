@@ -14,7 +14,7 @@ from identification.fit.noise import Blocks, Colour, colour_of
 RNG = np.random.default_rng(20)
 
 
-def test_a_filter_knows_the_noise_that_it_was_made_of():
+def test_a_filter_recovers_its_autoregression():
     """An autoregression of two lags: its coefficients, and what is left is white and as large as what drove it."""
     driving = 0.3 * RNG.standard_normal(40000)
     noise = np.zeros(40000)
@@ -45,7 +45,7 @@ def test_white_noise_has_no_colour():
 
 
 @pytest.mark.parametrize(("corner", "power"), [(0.02, 1), (0.1, 1), (0.02, 2)])
-def test_noise_that_rises_towards_rest_is_white_there_too_behind_its_filter(corner, power):
+def test_noise_that_increases_at_low_frequencies_is_whitened(corner, power):
     """Flicker noise and a random walk: the power of another draw in the ten slowest ordinates, 1 of white noise, in the mean of
     40. In the slowest of all it was 1 + (corner / frequency)^power, 81 to 6400, of which a tenth is left at most of flicker
     noise, and a hundredth of a random walk."""
@@ -57,7 +57,7 @@ def test_noise_that_rises_towards_rest_is_white_there_too_behind_its_filter(corn
     assert np.mean(ordinates, axis=0)[0] < 0.1**power * (1.0 + (corner * 2.0 * 2000.0) ** power)
 
 
-def test_what_is_evened_out_leaves_gaps_where_they_are():
+def test_whitening_of_low_frequencies_keeps_gaps_in_place():
     colour, values = Colour((), (), 1.0, 0.05, 1), RNG.standard_normal((300, 2))
     holed = values.copy()
     holed[100:103, 1] = np.nan
@@ -87,7 +87,7 @@ def test_block_means_leave_empty_cells_out():
 
 
 @pytest.mark.parametrize("phi", [0.5, 0.99999])
-def test_what_is_put_back_is_as_uncertain_as_brute_force_says(phi):
+def test_products_of_restored_columns_are_those_of_brute_force(phi):
     """Products of what is restored, with itself rows later, over rows that have a whole past: also of a level that a filter
     near a random walk leaves all but open, whose products at the ends would pass for innovations."""
     columns = np.column_stack([np.full(300, 50.0 / (1.0 - phi)), np.cumsum(np.random.default_rng(2).standard_normal(300))])
@@ -100,7 +100,7 @@ def test_what_is_put_back_is_as_uncertain_as_brute_force_says(phi):
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.6])
-def test_a_filter_gives_back_what_a_fit_has_taken(rho):
+def test_a_filter_corrects_for_the_power_that_a_fit_removed(rho):
     """600 rows of an autoregression less their share in 30 slow directions: power at rest, 1 / (1 - rho)^2, and innovation, 1,
     come back in the mean of 60 draws; what is left by itself has lost most of that power."""
     rng, rows = np.random.default_rng(9), 600

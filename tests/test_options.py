@@ -55,7 +55,7 @@ def test_a_number_out_of_range_is_refused_in_one_line(verb, refused):
         assert word in said
 
 
-def test_a_range_in_words_and_numbers():
+def test_the_words_of_a_range():
     assert real(0.0, 5.0, "s", above=True)("5") == 5.0
     assert whole(2, 100, also=(0,))("0") == 0
     assert isinstance(whole(0, 10)("7"), int)
@@ -70,7 +70,7 @@ def test_a_range_in_words_and_numbers():
         assert str(refused.value) == f"found {text}, expected {allowed}"
 
 
-def test_what_was_typed_stays_on_one_short_line():
+def test_a_long_argument_is_quoted_in_one_short_line():
     with pytest.raises(argparse.ArgumentTypeError) as refused:
         whole(0, 1)("x\ny" * 100)
     assert "\n" not in str(refused.value)

@@ -37,9 +37,8 @@ BROKEN = {
 """A file that each invariant catches; a wrong tangent can't be written by a user."""
 
 
-def test_the_effect_of_the_readme_is_tried(capsys):
-    assert main(["check-effect", str(FILE)]) == 0
-    assert capsys.readouterr().out.count("  yes  ") == len(INVARIANTS)
+def test_the_effect_of_the_readme_keeps_every_invariant(printed):
+    assert printed("check-effect", FILE).count("  yes  ") == len(INVARIANTS)
 
 
 def test_every_invariant_has_a_file_that_it_catches():
@@ -47,7 +46,7 @@ def test_every_invariant_has_a_file_that_it_catches():
 
 
 @pytest.mark.parametrize("name", [name for name, source in BROKEN.items() if source])
-def test_what_breaks_an_invariant_is_caught(name, tmp_path, capsys):
+def test_an_effect_that_breaks_an_invariant_is_refused(name, tmp_path, capsys):
     path = tmp_path / "broken.py"
     path.write_text(BROKEN[name])
     assert BROKEN[name] != SOURCE
@@ -84,7 +83,7 @@ def test_what_breaks_an_invariant_is_caught(name, tmp_path, capsys):
         ('reading="thrust"', 'says="slow by {"', "EFFECT, says: found 'slow by {' ("),
     ],
 )
-def test_parts_of_an_effect_are_of_their_kind(word, other, says, tmp_path):
+def test_invalid_parts_of_an_effect_are_refused(word, other, says, tmp_path):
     path = tmp_path / "wrong.py"
     path.write_text(SOURCE.replace(word, other))
     assert refusal(library_with, [path]).startswith(f"{path}: {says}")
@@ -99,7 +98,7 @@ def test_python_that_cannot_be_traced_is_refused_by_every_verb_with_its_line(ver
     assert said in refused(*(word.format(path) for word in verb.split()))
 
 
-def test_an_effect_says_its_sentence_or_else_its_description(tmp_path):
+def test_an_effect_is_described_by_its_sentence_or_its_description(tmp_path):
     path = tmp_path / "with_a_sentence.py"
     path.write_text(SOURCE.replace('reading="thrust"', 'says="the reading lags by {tau}"'))
     for file, said in ((FILE, "the load cell's amplifier is slow"), (path, "the reading lags by 0.0500 s")):
@@ -157,7 +156,7 @@ def test_the_loop_that_gains_are_tuned_on_has_the_effect(parameters):
         vpp.tune(held)
 
 
-def test_a_diagnosis_tries_it():
+def test_a_diagnosis_tries_a_user_defined_effect():
     found = vpp.diagnose(vpp.example_campaign(), effects=["cell_lag", "pitch_command_deadband"], effects_from=[FILE])
     assert {"cell_lag", "pitch_command_deadband"} <= {
         str(c.get("name", c.get("effects"))) for c in found.to_dict()["candidates"]
@@ -182,7 +181,7 @@ def installed(tmp_path, monkeypatch):
     return install
 
 
-def test_nobody_installed_is_the_library_itself():
+def test_without_installed_packages_the_library_is_unchanged():
     assert library_with(()) is LIBRARY
 
 
@@ -192,7 +191,7 @@ def test_an_installed_package_brings_effects(installed, value):
     assert [e.name for e in library_with(())] == [*(e.name for e in LIBRARY), "cell_lag"]
 
 
-def test_a_broken_package_is_one_line(installed):
+def test_a_broken_package_is_refused_in_one_line(installed):
     installed([("vpp.effects", "cell", "a_broken_effect")], {"a_broken_effect": "1 / 0"})
     with pytest.raises(BadInput, match=r"entry point cell of vpp.effects: a_broken_effect: found ZeroDivisionError"):
         library_with(())
@@ -201,10 +200,9 @@ def test_a_broken_package_is_one_line(installed):
 VERB = 'EXAMPLE = "vpp greet"\n\n\ndef configure(parser):\n    pass\n\n\ndef run(options):\n    print("hello")\n'
 
 
-def test_an_installed_package_brings_verbs(installed, capsys):
+def test_an_installed_package_brings_verbs(installed, printed, capsys):
     installed([("vpp.verbs", "greet", "a_plugin_verb")], {"a_plugin_verb": VERB})
-    assert main(["greet"]) == 0
-    assert capsys.readouterr().out == "hello\n"
+    assert printed("greet") == "hello\n"
     with pytest.raises(SystemExit):
         main(["--help"])
     assert re.search(r"greet +of a-plugin", capsys.readouterr().out)

@@ -256,12 +256,11 @@ STEPS = {
 
 
 @pytest.mark.parametrize("kind", STEPS)
-def test_a_model_that_depends_on_the_communication_step_is_warned_of(folder, capsys, kind):
+def test_a_model_that_depends_on_the_communication_step_gets_a_note(folder, printed, kind):
     step, more, warned = STEPS[kind]
     module = f"steps_{list(STEPS).index(kind)}"
     (folder / f"{module}.py").write_text(COOLING.format(step=step, more=more))
-    assert main(["export", "--model", f"{module}:MODEL", "-o", "out"]) == 0
-    said = capsys.readouterr().out
+    said = printed("export", "--model", f"{module}:MODEL", "-o", "out")
     assert (f"note: {module}:MODEL depends on the communication step: temperature is " in said) == warned
     if warned:  # 80 to 20 degC by Euler: 60 (1 - h / tau) a step
         whole, half = (20.0 + 60.0 * share for share in (1.0 - 0.004 / 30.0, (1.0 - 0.002 / 30.0) ** 2))

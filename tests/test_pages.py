@@ -192,7 +192,7 @@ def test_faults_that_are_planted_are_found(pages, browser):
         assert wanted in faults
 
 
-def test_lines_stand_where_their_values_are(pages, browser):
+def test_lines_are_drawn_at_their_values(pages, browser):
     """Between two ticks of an axis a value's place is theirs in proportion: checked on the drawn path, by its own labels."""
     browser.show(pages["figures"], *READERS["desk"], dark=False)
     ticks, path = browser.run("""(() => {

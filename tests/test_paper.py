@@ -51,7 +51,7 @@ def quick(tmp_path_factory, request):
     return Quick(out, "\n".join(lines))
 
 
-def test_the_papers_numbers_hang_together():
+def test_the_papers_numbers_are_consistent():
     initial = {name: AVERAGED[name] for name in STATIC_MAP}
     assert normalised_map(**STATIC_MAP) == pytest.approx(initial)
     assert NUMBERS["cost_fall"].value == pytest.approx(100.0 * (1.0 - COST_END / COST_START), abs=0.05)
@@ -83,7 +83,7 @@ def test_every_figure_of_the_paper_is_on_the_page(quick):
             assert f'id="figure-{here}"' in quick.page
 
 
-def test_the_page_stands_alone_and_says_that_it_is_quick(quick):
+def test_the_page_needs_no_network_and_says_that_the_study_is_quick(quick):
     assert "default-src 'none'" in quick.page
     assert not re.search(r"<(script|link|img|iframe)[^>]*\s(src|href)=", quick.page)
     assert "A quick study" in quick.page
@@ -130,7 +130,7 @@ def test_the_static_rows_are_a_plain_fit_in_the_papers_units(quick):
     assert on_paper == pytest.approx([STATIC_MAP["c20"], STATIC_MAP["c21"]], rel=0.1)
 
 
-def test_pitch_steps_take_as_long_as_the_area_above_them_says(quick):
+def test_the_sum_of_the_pitch_lags_is_the_area_above_the_step_response(quick):
     """Two lags add up to the area that a step response leaves above it."""
     sums = {}
     for record in quick.campaign.steps:
@@ -148,7 +148,7 @@ def test_pitch_steps_take_as_long_as_the_area_above_them_says(quick):
     assert np.mean(sums[20.0]) > 1.5 * np.mean(sums[8.0])
 
 
-def test_fine_tuning_comes_back_to_the_papers_own_model(quick):
+def test_fine_tuning_recovers_the_papers_model(quick):
     assert quick.rows["cost_end"]["model"] == pytest.approx(COST_END, rel=0.1)
     assert quick.rows["cost_start"]["rig"] > quick.rows["cost_end"]["rig"]
     for which in ("rig", "model"):
@@ -200,7 +200,7 @@ def test_a_row_of_the_setup_says_as_the_paper_only_where_the_rig_has_the_papers_
     assert as_paper("kv", 550.0, "the same part") == "as the paper; the same part"
 
 
-def test_a_cost_that_agrees_by_construction_says_so_first(quick):
+def test_a_cost_that_agrees_by_construction_is_marked(quick):
     assert quick.rows["cost_end"]["why"].startswith("agrees by construction on the paper's model")
 
 
@@ -232,7 +232,7 @@ def test_the_verdict_is_what_the_step_tests_say(quick):
     assert dual["down"]["squared_error"] < alone["down"]["squared_error"], "the paper's claim"
 
 
-def test_two_errors_that_noise_does_not_tell_apart_are_as_good():
+def test_errors_within_their_uncertainty_count_as_equal():
     sure, unsure = Merit(0.5, 0.0, 0.0635, 0.0002), Merit(0.5, 0.0, 0.0612, 0.002)
     assert sure.against(Merit(0.5, 0.0, 0.0612, 0.0002)) == "worse"
     assert Merit(0.5, 0.0, 0.0612).against(sure) == "better"
@@ -247,7 +247,7 @@ def test_gains_and_fmus_are_those_of_the_rows(quick):
     assert len(list(quick.out.glob("Vpp*.fmu"))) == 2
 
 
-def test_every_stage_is_told_as_it_begins(quick):
+def test_every_stage_is_printed_as_it_begins(quick):
     """Minutes of silence in a pipe pass for a hang."""
     told = re.findall(r"^vpp paper: (.*) \(\d+ s\)$", quick.said, re.MULTILINE)
     assert told[-2:] == ["export", "report"]

@@ -56,7 +56,7 @@ def test_read_parameters(tmp_path):
     assert parameters.values == {**plant(["pitch_delay"]).values(), "tau_omega_1": 0.2, "pitch_delay.delay": 0.05}
 
 
-def test_what_is_not_named_keeps_its_default(tmp_path):
+def test_parameters_not_in_the_file_keep_their_defaults(tmp_path):
     parameters = read_parameters(written(tmp_path, '{"format": "vpp-parameters/1"}'), plant)
     assert parameters.model.optional == ()
     assert {name: parameters.values[name] for name in FINE_TUNED} == FINE_TUNED
@@ -262,13 +262,13 @@ def test_base_units(unit, expected):
         ("N", "kgf", 1.0 / 9.80665),
     ],
 )
-def test_what_is_shown_is_the_factor_times_the_value(unit, shown, factor):
+def test_display_units_have_their_factors(unit, shown, factor):
     """FMI 2.0, section 2.2.2: display value = factor * value in the unit."""
     assert float(display_units(unit)[shown]["factor"]) == pytest.approx(factor, rel=1e-14)
 
 
 @pytest.mark.parametrize("value", [0.37, -1, 2])
-def test_a_switch_is_on_or_off(tmp_path, value):
+def test_a_switch_must_be_0_or_1(tmp_path, value):
     path = tmp_path / "gains.json"
     content = {"format": "vpp-parameters/1", "parameters": {"speed_only": {"value": value, "unit": "1"}}}
     path.write_text(json.dumps(content))

@@ -69,7 +69,7 @@ def test_every_family_stays_within_the_limits_and_some_reach_them():
 
 
 @pytest.mark.parametrize("fixed", [{"pitch": (4.0, 4.0)}, {"speed": (3000.0, 3000.0)}])
-def test_what_stands_is_not_moved_and_the_other_always_is(fixed):
+def test_a_fixed_channel_is_not_moved_and_the_other_always_is(fixed):
     rng, rig = np.random.default_rng(0), Rig(**fixed)
     channel = 1 if "pitch" in fixed else 0
     drawn = np.array([candidate(rng, 500, 0.02, rig) for _ in range(100)])
@@ -123,7 +123,7 @@ def test_a_rig_ten_times_as_slow_gets_the_same_plan_ten_times_as_slowly():
     np.testing.assert_allclose(slow.after.relative, fast.after.relative, rtol=1e-6)
 
 
-def test_noise_and_length_nobody_tells_are_the_rig_s():
+def test_default_noise_and_length_are_those_of_the_rig():
     found = plan(BASE, SORTED, replace(Rig(), scales=Scales(thrust_scale=150.0)).timed(1.0), evaluations=1)
     assert (found.noise_std, found.commands.time[-1], found.step) == (3.0, 120.0, 0.008)
 
@@ -137,7 +137,7 @@ def test_information_on_a_coefficient_is_the_closed_form():
         assert told[0, 0] == pytest.approx(wanted, rel=1e-12)
 
 
-def test_forecast_is_what_refits_scatter_by(planned):
+def test_the_forecast_is_the_scatter_of_refits(planned):
     """60 records of the planned commands with noise, each fitted: per parameter, and all of them together."""
     truth, rng, count = BASE.values(SORTED), np.random.default_rng(1), 60
     record = planned.commands
@@ -158,7 +158,7 @@ def test_forecast_is_what_refits_scatter_by(planned):
     assert inside.mean() == pytest.approx(0.95, abs=0.04)
 
 
-def test_what_is_known_adds_up_and_steers():
+def test_prior_knowledge_adds_to_the_information_and_steers_the_search():
     """Gaussian knowledge: inverse covariances add. With the map known, the search turns to the time constants."""
     names = BASE_PARAMETERS[4:]
     mean = np.array([SORTED[n] for n in names])
@@ -177,7 +177,7 @@ def test_what_is_known_adds_up_and_steers():
     assert np.sum(found.after.relative[:4] ** 2) < np.sum(told.relative[:4] ** 2)
 
 
-def test_a_model_with_effects_is_planned_for_and_what_cannot_be_told_is_said():
+def test_a_plan_for_effects_names_parameters_that_are_not_identifiable():
     """A threshold has no slope anywhere; under much noise some coefficients drown before others."""
     model, delay = plant(["pitch_delay", "pitch_command_deadband"]), "pitch_delay.delay"
     values = {delay: 0.0413, "pitch_command_deadband.half_width": 1.5}
@@ -211,7 +211,7 @@ WIND = Effect(
 )
 
 
-def test_a_form_is_not_planned_for_and_other_inputs_stand_at_their_nominal_value():
+def test_forms_are_not_planned_for_and_other_inputs_are_nominal():
     model = plant(["wind"], (*LIBRARY, WIND))
     assert free_parameters(model) == (*BASE_PARAMETERS, "wind.share")
     found = plan(model, {"wind.share": 0.05}, Rig(), 5.0, 0.3, names=("wind.share", "tau_beta_1"), evaluations=1)
@@ -221,13 +221,13 @@ def test_a_form_is_not_planned_for_and_other_inputs_stand_at_their_nominal_value
     np.testing.assert_allclose(rest, none * (1.0 - 0.05 * 2.0), rtol=1e-14)
 
 
-def test_a_tachometer_tells_of_the_speed_channel():
+def test_a_tachometer_adds_information_on_the_speed_channel():
     deaf, hearing = (plan(BASE, SORTED, Rig(), 10.0, 0.3, evaluations=1, omega_std=std) for std in (None, 20.0))
     improved = hearing.after.relative / deaf.after.relative
     assert (improved[:2] < 0.7).all()
 
 
-def test_noise_that_drowns_everything_is_said():
+def test_noise_above_all_information_is_refused():
     with pytest.raises(NotIdentifiable, match="no parameter is identifiable"):
         plan(BASE, SORTED, Rig(), 10.0, 1e6, evaluations=1)
 
@@ -243,7 +243,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("call", "says"), BAD)
-def test_what_makes_no_sense_is_bad_input_in_one_line(call, says):
+def test_impossible_arguments_are_refused_in_one_line(call, says):
     assert says in refusal(call)
 
 
@@ -299,7 +299,7 @@ def ranges(record):
     return record["omega_ref"].min(), record["omega_ref"].max(), record["beta_ref"].min(), record["beta_ref"].max()
 
 
-def test_a_plan_stays_in_the_measured_ranges_unless_a_rig_json_widens_them(parameters, tmp_path, capsys, refused):
+def test_a_plan_stays_in_the_measured_ranges_unless_a_rig_json_widens_them(parameters, tmp_path, printed, capsys, refused):
     words = ["plan", "--parameters", str(parameters), "--seconds", "8", "-o", str(tmp_path)]
     assert cli.main(words) == 0
     low, high, *pitch = ranges(read_record(tmp_path / "plan.csv"))
@@ -311,8 +311,7 @@ def test_a_plan_stays_in_the_measured_ranges_unless_a_rig_json_widens_them(param
     rig = {"format": "vpp-rig/1", "speed": {"min": 2100, "max": 6500}, "thrust": {"min": 0, "max": 4}, "slew": {"speed": 9000}}
     (tmp_path / "rig.json").write_text(json.dumps(rig))
     words += ["--rig", str(tmp_path / "rig.json")]
-    assert cli.main([*words, "--omega", "5900", "6500"]) == 0
-    told = capsys.readouterr().out
+    told = printed(*words, "--omega", "5900", "6500")
     assert "speed 5900 to 6500 rpm (the command line, within 2100 to 6500 of rig.json)" in told
     assert "the rig is declared for 0 to 4 N" in told
     low, high, *pitch = ranges(read_record(tmp_path / "plan.csv"))
@@ -321,7 +320,7 @@ def test_a_plan_stays_in_the_measured_ranges_unless_a_rig_json_widens_them(param
     assert "--omega-slew: found 9001 rpm/s, expected more than 0 and at most 9000" in said
 
 
-def test_a_plan_needs_a_measured_or_declared_range(tmp_path, capsys, refused):
+def test_a_plan_needs_a_measured_or_declared_range(tmp_path, printed, refused):
     path = tmp_path / "unknown.json"
     path.write_text(to_json(ParameterSet(BASE).replaced(SORTED)))
     words = ["plan", "--parameters", str(path), "--seconds", "5", "-o", str(tmp_path)]
@@ -329,12 +328,11 @@ def test_a_plan_needs_a_measured_or_declared_range(tmp_path, capsys, refused):
     assert missing in refused(*words)
     assert not (tmp_path / "plan.csv").exists()
     assert "range of pitch: found none" in refused(*words, "--omega", "3000", "4000")
-    assert cli.main([*words, "--omega", "3000", "4000", "--pitch", "2", "2"]) == 0
-    assert "pitch 2 deg, fixed (the command line)" in capsys.readouterr().out
+    assert "pitch 2 deg, fixed (the command line)" in printed(*words, "--omega", "3000", "4000", "--pitch", "2", "2")
     assert ranges(read_record(tmp_path / "plan.csv"))[2:] == (2.0, 2.0)
 
 
-def test_a_slow_logger_does_not_keep_its_user_from_a_plan(parameters, tmp_path):
+def test_a_plan_for_a_slow_logger_is_sampled_faster(parameters, tmp_path):
     """A rig's commands are at most a tenth of its time scale apart: 0.05 s for the paper's, whose log has a row each 0.2 s."""
     slow = ParameterSet(BASE, source=SOURCE | {"sample_period": 0.2}).replaced(SORTED)
     parameters.write_text(to_json(slow))
@@ -342,7 +340,7 @@ def test_a_slow_logger_does_not_keep_its_user_from_a_plan(parameters, tmp_path):
     assert read_record(tmp_path / "out" / "plan.csv").period == pytest.approx(0.1 * slow.rig.scales.time_scale, rel=1e-9)
 
 
-def test_a_campaign_tells_range_sampling_and_noise(parameters, tmp_path, capsys):
+def test_range_sampling_and_noise_come_from_the_campaign(parameters, tmp_path, printed):
     rng, time = np.random.default_rng(0), 0.01 * np.arange(3000)
     commands = {"time": time, "omega_ref": 2000.0 + 500.0 * (time // 3 % 3), "beta_ref": 6.0 * (time // 1 % 2)}
     folder = tmp_path / "campaign"
@@ -350,8 +348,7 @@ def test_a_campaign_tells_range_sampling_and_noise(parameters, tmp_path, capsys)
         noisy = Record({**commands, "thrust": 5.0 + rng.normal(0.0, 0.07, len(time))}, "")
         write_record(OutputFolder(folder), f"{name}.csv", noisy)
     words = ["plan", "--parameters", str(parameters), "--campaign", str(folder), "--seconds", "8", "-o", str(tmp_path / "out")]
-    assert cli.main(words) == 0
-    told = capsys.readouterr().out
+    told = printed(*words)
     assert "speed 2000 to 3000 rpm (the campaign), pitch 0 to 6 deg (the campaign)" in told
     assert float(told.partition("noise of a thrust reading ")[2].split()[0]) == pytest.approx(0.07, rel=0.05)
     assert read_record(tmp_path / "out" / "plan.csv").period == 0.01
@@ -400,7 +397,7 @@ def test_a_range_without_a_measurable_change_of_thrust_needs_the_option_yes(tmp_
             cli.main([*words, *more])
 
 
-def test_what_is_known_is_found_beside_the_parameters(tmp_path, capsys, monkeypatch):
+def test_an_identification_beside_the_parameters_is_used_as_knowledge(tmp_path, capsys, monkeypatch):
     """An identification.json that nobody named counts if it is of the same model, and is passed over if it is not."""
     seen = []
 

@@ -144,7 +144,7 @@ def test_the_allocated_law_is_no_fallback():
         law.parameters(CONTROLLER.values({"mode": 2.0}))
 
 
-def test_a_reading_that_is_no_number_is_outside():
+def test_a_reading_of_nan_activates_the_fallback():
     model = Simulation(CASES["tanh"].parameters().model)
     model.start({"thrust_set": 1.0, "thrust": 1.0})
     assert model.advance({"thrust_set": 1.0, "thrust": float("nan")}, 0.004)["fallback"] == 1.0

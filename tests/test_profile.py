@@ -60,7 +60,7 @@ def readings():
 
 
 @pytest.mark.parametrize("inflation", [1.0, 2.0])
-def test_interval_of_a_curved_parameter_is_that_of_what_is_linear(readings, inflation):
+def test_the_interval_of_a_logarithm_is_the_logarithm_of_the_interval(readings, inflation):
     """Of exp(p) the interval is that of a mean, so that of p goes from log to log, whatever the colour's inflation."""
     found = Level(readings, np.exp, np.exp).interval(inflation)
     half = inflation * NORMAL_95 / np.sqrt(20.0)
@@ -76,7 +76,7 @@ def test_a_parabola_keeps_its_interval(readings):
     assert found.intervals[0] == pytest.approx([0.5 - half, 0.5 + half], rel=1e-6)
 
 
-def test_interval_at_a_bound_is_what_the_cost_leaves_open(readings):
+def test_the_interval_at_a_bound_is_the_likelihood_interval(readings):
     """A mean of -0.3 that may not be negative: the cost n (t + 0.3)^2 / 2 rises by 1.92 from t = 0 on."""
     level = Level(readings - 1.3, lambda p: p, lambda p: 1.0, minimum=0.0)
     found = level.interval(std=0.0)
@@ -124,7 +124,7 @@ class Plane(Level):
         return self.rows(values)[0]
 
 
-def test_beside_one_on_its_bound_an_interval_is_that_of_the_others_alone(readings):
+def test_a_parameter_on_its_bound_is_excluded_from_the_intervals_of_others(readings):
     """q would be -5 and stands on 0: p is then a plain mean of twenty readings, whatever q's column is."""
     plane = Plane(readings, readings - 6.0)
     found = solve(lambda x: plane.rows(dict(zip("pq", x, strict=True))), np.ones(2), *[[-10.0, 0.0], [10.0, 10.0]])

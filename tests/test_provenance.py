@@ -54,7 +54,7 @@ def test_the_date_is_the_runs_or_the_one_asked_for(monkeypatch):
 
 
 @pytest.mark.parametrize("epoch", ["yesterday", "", "1e9", "9" * 30])
-def test_a_date_that_is_none_is_bad_input(monkeypatch, epoch):
+def test_an_invalid_date_is_refused(monkeypatch, epoch):
     monkeypatch.setenv(EPOCH, epoch)
     with pytest.raises(BadInput, match=f"{EPOCH}: found .*, expected whole seconds since 1970"):
         dated(SET)

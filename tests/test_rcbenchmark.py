@@ -158,7 +158,7 @@ def test_optical_speed_comes_before_electrical_unless_it_never_moves(log):
 @pytest.mark.parametrize(
     ("header", "low", "kind"), [("ESC signal", 0, "DShot"), ("ESC signal (µs)", 1000, "PWM"), ("ESC signal", 1000, "PWM")]
 )
-def test_the_kind_of_signal_is_told_by_its_unit_or_its_values(log, header, low, kind):
+def test_the_kind_of_signal_is_recognised_by_its_unit_or_its_values(log, header, low, kind):
     read = log(HEADERS | {"signal": header}, signal=low + truth()["signal"] / 2.0)
     assert read.span == RANGES[kind]
 
@@ -183,7 +183,7 @@ def test_equal_neighbours_of_a_coarse_reading_are_no_repeats(log):
     assert not read.repeated.any()
 
 
-def test_rows_behind_a_stall_are_left_empty(log):
+def test_rows_after_a_stall_of_the_logger_are_emptied(log):
     t, rows = truth(), (400, 1000)
     read = log(time=gapped(t, rows))
     np.testing.assert_array_equal(np.flatnonzero(read.late), rows)
@@ -196,7 +196,7 @@ def test_rows_behind_a_stall_are_left_empty(log):
     assert np.isfinite(record["voltage"]).all()
 
 
-def test_rows_behind_a_stall_can_be_kept(log):
+def test_rows_after_a_stall_of_the_logger_can_be_kept(log):
     t = truth()
     record = log(time=gapped(t, (400,))).record(np.zeros(len(t["time"])), keep_stalls=True)
     np.testing.assert_allclose(record["omega"], t["optical"])
@@ -236,7 +236,7 @@ def test_a_log_without_rest_has_no_tare(tmp_path):
         (lambda text: text.replace("\n", "\nx", 2), "Time (s), line 2: found 'x"),
     ],
 )
-def test_a_bad_log_is_told_in_one_line(tmp_path, change, told):
+def test_a_bad_log_is_refused_in_one_line(tmp_path, change, told):
     path = write(tmp_path / "log.csv", truth())
     path.write_text(change(path.read_text(encoding="utf-8-sig")))
     assert told in refusal(read_log, path)
@@ -256,7 +256,7 @@ def test_a_clock_that_goes_back_by_less_than_a_row_is_mended_and_counted(log):
     assert np.abs(read.time - (t["time"] - t["time"][0])).max() < 0.011  # a row
 
 
-def test_a_log_without_esc_signals_is_told_with_the_way_out(log):
+def test_a_log_without_esc_signals_is_refused_with_a_remedy(log):
     with pytest.raises(BadInput, match=r"column ESC signal: found empty cells only, expected .* vpp import csv"):
         log(signal=np.full(len(truth()["time"]), np.nan))
 
@@ -349,7 +349,7 @@ def coasting(levels, held, tau, step=0.01):
         ((0, 0), (2.0, 2.0), np.nan),
     ],
 )
-def test_a_rotor_that_coasts_does_not_turn_by_its_signal(levels, held, turns_from):
+def test_a_coasting_rotor_is_not_taken_for_a_driven_one(levels, held, turns_from):
     time, signal, speed = coasting(levels, held, 0.3)
     assert turning_from(time, signal, speed, 0.0) == pytest.approx(turns_from, nan_ok=True)
 
@@ -389,7 +389,7 @@ def test_too_few_signals_or_a_falling_speed_make_no_map():
         fit_speed_map(falling, RANGES["DShot"], NOMINAL, "log.csv")
 
 
-def test_points_beyond_a_map_do_not_judge_it():
+def test_points_beyond_the_range_of_a_map_do_not_affect_its_quality():
     found = SpeedMap(COEFFICIENTS, NOMINAL, RANGES["DShot"], 300.0, 1500.0, 1.0, 9, "log.csv")
     points = cubic_points([100, 400, 800, 1900])
     shifted = SteadyPoints(points.signal, points.voltage, points.speed + np.array([500.0, 3.0, 4.0, 500.0]), 100.0)
@@ -413,7 +413,7 @@ def test_points_beyond_a_map_do_not_judge_it():
         ({"points": 8.5}, "points: found 8.5, expected a whole number"),
     ],
 )
-def test_a_bad_map_is_told_in_one_line(tmp_path, change, told):
+def test_a_bad_speed_map_is_refused_in_one_line(tmp_path, change, told):
     good = json.loads(SpeedMap(COEFFICIENTS, NOMINAL, RANGES["DShot"], 100.0, 1900.0, 1.0, 9, "log.csv").to_json())
     path = tmp_path / "speed_map.json"
     path.write_text(json.dumps(good | change))
@@ -427,14 +427,9 @@ def test_a_bad_map_is_told_in_one_line(tmp_path, change, told):
 
 
 @pytest.fixture
-def vpp(capsys):
-    """Run an import that must succeed; what it prints."""
-
-    def run(*words):
-        assert cli.main(["import", "rcbenchmark", *map(str, words)]) == 0
-        return capsys.readouterr().out
-
-    return run
+def vpp(printed):
+    """Import a log; what is printed."""
+    return lambda *words: printed("import", "rcbenchmark", *words)
 
 
 @pytest.fixture
@@ -654,7 +649,7 @@ def test_a_real_rotor_that_turns_is_not_mapped_to_rest():
 
 
 @real
-def test_averaged_points_are_known_as_such():
+def test_averaged_points_are_recognised():
     log = read_log(POINTS)
     assert log.averaged
     found = fit_speed_map(log.steady_points(), log.span, log.loaded_voltage, POINTS.name)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from vpp_fmu.app.cli import main, parser_of
+from vpp_fmu.app.cli import parser_of
 
 ROOT = Path(__file__).parents[1]
 PAGES = ("README.md", "tests/README.md", "identification/README.md", "fmu_src/README.md", "CONTRIBUTING.md", "CHANGELOG.md")
@@ -52,7 +52,7 @@ def test_the_script_runs(script):
     assert "LoopResult(1.5 → 12 N: " in said
 
 
-def test_demo_does_the_whole_job(script, tmp_path, capsys, monkeypatch):
+def test_demo_does_the_whole_job(script, tmp_path, printed, monkeypatch):
     """The diagnosis is the script's: the same campaign, the same library."""
     diagnosis = script[1]["found"].found
 
@@ -61,8 +61,7 @@ def test_demo_does_the_whole_job(script, tmp_path, capsys, monkeypatch):
         return diagnosis
 
     monkeypatch.setattr("identification.demo.diagnose", diagnosed)
-    assert main(["demo", "-o", str(tmp_path)]) == 0
-    said = capsys.readouterr().out
+    said = printed("demo", "-o", tmp_path)
     before, after = map(float, re.search(r"FMU in fmpy: ([\d.]+) → ([\d.]+) N", said).groups())
     floor = float(re.search(r"noise ([\d.]+) N", said)[1])
     assert floor < after < before < 2 * floor  # the example's model lacks something, but not more than the noise itself
@@ -72,5 +71,5 @@ def test_demo_does_the_whole_job(script, tmp_path, capsys, monkeypatch):
     ):
         assert (tmp_path / name).stat().st_size > 0
     found = json.loads((tmp_path / "diagnosis.json").read_text())
-    for printed, entry in ((before, found["before"]), (after, found["after"])):
-        assert printed == pytest.approx(entry["rmse_thrust"], abs=5.1e-4)  # three digits are printed
+    for shown, entry in ((before, found["before"]), (after, found["after"])):
+        assert shown == pytest.approx(entry["rmse_thrust"], abs=5.1e-4)  # three digits are printed

@@ -66,7 +66,7 @@ def test_two_logs_beside_a_mapping_are_fitted_one_way_and_the_other(tmp_path, ca
     assert "day0 fitted" in capsys.readouterr().out
 
 
-def test_what_is_no_campaign_and_no_log_is_said(tmp_path, capsys):
+def test_files_that_are_neither_campaign_nor_log_are_named(tmp_path, capsys):
     stand(tmp_path / "day0.csv", 0)
     (tmp_path / "notes.txt").write_text("a windy day")
     with pytest.raises(BadInput, match=r"two logs of RCbenchmark, or two tables beside an import\.toml"):
@@ -84,7 +84,7 @@ SOME = tuple(e for e in LIBRARY if e.off is None or e.name in NAMES)
 @pytest.mark.parametrize(
     "case", [Logged(50.0, True), Logged(50.0, False, age=1.0), Logged(50.0, True, late=0.03)], ids=lambda case: case.name
 )
-def test_what_a_logger_does_is_named(case):
+def test_effects_of_the_logger_are_named(case):
     """As `python -m tests.studies readings`, with fewer rivals and half the record; told to half a row. A delay and a lag of
     the load cell of a row and a half may not be distinguished; the verdict then names both."""
     found = outcome(replace(case, seconds=30.0), library=SOME)

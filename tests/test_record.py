@@ -99,7 +99,7 @@ def test_gaps_in_measured_columns_become_nan(tmp_path):
         read_record(tmp_path / "record.csv", NEED_THRUST)
 
 
-def test_a_simulation_has_the_voltage_between_its_readings():
+def test_a_simulation_interpolates_the_voltage_between_its_readings():
     columns = {"time": [0.0, 1.0, 3.0, 4.0], "voltage": [10.0, np.nan, 40.0, np.nan], "omega": [1.0, np.nan, 2.0, 3.0]}
     record = Record(columns, "made up")
     inputs, *_ = record.run

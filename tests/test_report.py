@@ -237,7 +237,7 @@ def test_page_escapes_every_text():
     assert not any("<a href" in text for tag, text in markup.texts if tag == "script")
 
 
-def test_figures_show_tags_in_names_to_the_letter():
+def test_tags_in_names_are_escaped_in_figures():
     fig = prediction(HOSTILE, name="<b>loud</b>")
     assert "<a" not in fig.layout.title.text
     assert not any("<b>" in trace.name for trace in fig.data)
@@ -277,7 +277,7 @@ def test_names_are_words_and_an_unreached_limit_is_none():
     assert [limited(limit, value) for value in (0.9999 * limit.unlimited, 5400.0)] == ["no limit", "5400 rpm"]
 
 
-def test_a_moment_near_an_end_is_shown_as_long_as_any_other():
+def test_a_section_near_an_end_is_as_long_as_any_other():
     time = np.linspace(0.0, 60.0, 6001)
     for center in (0.5, 30.0, 59.9):
         shown = time[around(time, center, 3.0)]
@@ -459,13 +459,13 @@ def test_candidates_are_ranked_and_say_at_which_gate_they_failed():
     assert fig.layout.shapes[0].x0 == 10.0
 
 
-def test_no_reason_runs_out_of_the_figure():
+def test_the_axis_leaves_room_for_the_reasons():
     low, high = FIGURES["evidence"].layout.xaxis.range
     assert low == -4.0
     assert high >= 2.0 * 5000.0
 
 
-def test_moves_that_reverse_are_told_from_those_that_go_on():
+def test_reversing_moves_are_distinguished_from_others():
     fig = FIGURES["moves"]
     points = {trace.name: trace for trace in fig.data}
     assert set(points) == {f"{name}, {kind}" for name in ("before", "after") for kind in ("onwards", "reversed")}
@@ -507,7 +507,7 @@ def test_how_often_a_limit_is_reached_is_counted():
 
 
 @pytest.mark.parametrize(("shipped", "errors"), [((), ["0.2 N"]), (("pitch_backlash",), ["0.3 -> 0.2 N"])])
-def test_an_effect_that_is_named_and_does_not_ship_is_in_the_headline_with_the_reason(shipped, errors):
+def test_an_effect_left_out_of_the_model_is_in_the_headline_with_the_reason(shipped, errors):
     """Beside one that ships, before and after are that one's."""
     model = plant((*shipped, "rotor_vibration"))
     fit = {"problem": SimpleNamespace(model=model), "values": model.values({"rotor_vibration.amplitude": 0.31})}

@@ -73,7 +73,7 @@ def test_costs_from_the_levels_are_those_of_simulations(pitch):
 
 
 @pytest.mark.parametrize(("name", "step"), [(PITCH, 0.4), (PITCH, 0.273), (SPEED, 20.0), (SPEED, 63.7)])
-def test_the_step_is_among_the_few_that_are_simulated(name, step):
+def test_the_true_step_is_among_the_simulated_ones(name, step):
     """To a tenth of the distance at which the multiple of the highest level is another one."""
     found = look(name, step)[0]
     highest = {PITCH: 10.0, SPEED: 6000.0}[name]
@@ -88,7 +88,7 @@ def test_neighbours_of_the_search_agree_in_the_multiples_of_all_levels(pitch):
     assert (steps[0], steps[-1]) == pytest.approx((largest / 30.0, largest))
 
 
-def test_no_more_points_are_counted_than_chance_needs_and_no_fewer(pitch, monkeypatch):
+def test_the_number_of_independent_comparisons_matches_chance(pitch, monkeypatch):
     """In a rig without steps the products of residual and responses are normal, of covariance R' R: how often the
     best of all steps then gains so much must be no more than what the counted points account for (Bonferroni), and not much
     less."""
@@ -138,7 +138,7 @@ def test_no_step_is_named_where_commands_are_executed_as_they_are():
     assert (found.verdict, found.final.effects) == ("none", ())
 
 
-def test_a_step_whose_refit_does_not_hold_what_its_linearisation_promised_ends_the_search(monkeypatch):
+def test_the_search_ends_if_a_refit_is_worse_than_its_linearisation(monkeypatch):
     """Each of two steps promises to be better than the other."""
     effect = next(e for e in LIBRARY if e.name == PITCH)
     name, costs = effect.full("step"), {0.5: 100.0, 1.1: 120.0}

@@ -44,7 +44,7 @@ def test_a_page_does_what_it_says(name, tmp_path):
     run(page(name), tmp_path, {})
 
 
-def test_a_page_that_says_what_is_not_printed_is_found(tmp_path, monkeypatch):
+def test_a_page_with_wrong_output_fails(tmp_path, monkeypatch):
     (tmp_path / "wrong.md").write_text("---\nseconds: 1\n---\n```sh\necho 1.70 deg\n```\n\n```text\n1.71 deg\n```\n")
     monkeypatch.setattr("tests.site.blocks.DOCS", tmp_path)
     with pytest.raises(Failed, match=r"1\.71 deg"):
@@ -65,7 +65,7 @@ def test_every_link_leads_somewhere(name):
             assert there in {included.picture(file) for file in included.pictures()}, link
 
 
-def test_a_section_that_is_not_there_is_named():
+def test_a_missing_section_is_named():
     with pytest.raises(included.Missing, match="no section 'Wirring'"):
         included.with_included("how-to/x.md", "<!-- include hil/README.md # Wirring -->")
 

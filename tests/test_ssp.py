@@ -83,7 +83,7 @@ def test_the_flat_one_is_the_same_without_connectors_of_its_own(parts, tmp_path)
     assert connected(system) == INNER
 
 
-def test_all_that_is_drawn_has_its_place(loop):
+def test_the_diagram_has_valid_geometry(loop):
     """Within the system, connectors on the edges of their components, lines from one to the other."""
     root = ElementTree.fromstring(loop["SystemStructure.ssd"])
     x1, y1, x2, y2 = (float(root.find(f".//{{{SSD}}}SystemGeometry").get(k)) for k in ("x1", "y1", "x2", "y2"))
@@ -117,7 +117,7 @@ def test_no_algebraic_loop_at_the_start(loop):
         TopologicalSorter(initial_graph(loop) | {("VppController", "omega_ref"): {("VppController", "thrust")}}).prepare()
 
 
-def test_a_host_that_goes_by_that_order_starts_where_the_loop_does(parts, loop, tmp_path):
+def test_initialisation_in_the_order_of_the_graph_gives_the_start_of_the_loop(parts, loop, tmp_path):
     """Values are handed on in the graph's order, once, as a host without an algebraic loop to solve does."""
     slaves = {}
     for name, (_, fmu) in parts.items():

@@ -45,7 +45,7 @@ def campaign(static: StaticMap, low: float, high: float) -> Campaign:
     return Campaign(Path("made up"), static, (), record, None, None)
 
 
-def test_a_map_that_fits_everywhere_counts_everywhere():
+def test_all_points_are_used_where_the_map_fits_all():
     static = grid(0.02)
     fit = static_fit(campaign(static, -5.0, 10.0), SCALES)
     assert fit.used.all()
@@ -53,7 +53,7 @@ def test_a_map_that_fits_everywhere_counts_everywhere():
     assert static_fit(Campaign(Path("made up"), None, (), None, None, None), SCALES) is None
 
 
-def test_where_blades_stall_only_the_pitch_that_records_use_counts():
+def test_stalled_points_beyond_the_pitch_of_the_records_are_left_out():
     static = grid(0.02)
     stalled = static.beta_ref < -5.0
     bent = replace(static, thrust=np.where(stalled, static.thrust + 5.0, static.thrust))
@@ -106,7 +106,7 @@ def test_points_that_do_not_vary_have_no_share_explained():
     assert np.isnan(coefficient_grid(still)[2][0]).all()
 
 
-def test_a_mean_that_is_hardly_known_moves_nothing():
+def test_a_point_with_a_large_uncertainty_has_no_weight():
     static = grid(0.02)
     wrong, spread, samples = static.thrust.copy(), static.thrust_std.copy(), static.samples.copy()
     wrong[75] += 5.0
@@ -123,7 +123,7 @@ def test_a_mean_that_is_hardly_known_moves_nothing():
     assert np.max(np.abs(np.array(list(trusted.values())) - list(without.values()))) > 0.01
 
 
-def test_covariance_is_what_many_campaigns_scatter_by():
+def test_the_covariance_is_the_scatter_of_many_campaigns():
     noise = np.where(np.arange(100) % 3 == 0, 0.2, 0.03)
     fits = [fit_static_map(grid(noise, seed), SCALES) for seed in range(1000)]
     found = np.array([list(f.coefficients.values()) for f in fits])
@@ -170,7 +170,7 @@ def told_beside(*effects: str, free: tuple[str, ...], **values: float):
     return knowledge(model, model.values(values), ["tau_omega_1", *TERMS, *free])
 
 
-def test_points_that_a_term_has_bent_tell_it_beside_the_map():
+def test_steady_points_identify_the_map_and_an_effect_of_the_map():
     """By linear least squares of the six columns, written out: coefficients, and covariance by what they leave."""
     static = bent()
     columns = design(static.omega, static.beta_ref, SCALES, [*TERMS.values(), (1, 3)])
@@ -191,7 +191,7 @@ def test_points_that_a_term_has_bent_tell_it_beside_the_map():
     ("effect", "free"),
     [("recirculation", "share"), ("sensor_drift", "offset"), ("pitch_asymmetry", "asymmetry"), ("speed_saturation", "maximum")],
 )
-def test_what_points_do_not_show_at_once_they_tell_nothing_of(effect, free):
+def test_steady_points_give_no_knowledge_of_dynamic_effects(effect, free):
     """An effect with memory, of the reading, on the way alone, or of a speed that was measured: the map by itself remains."""
     limit = {"speed_saturation.maximum": 4000.0} if effect == "speed_saturation" else {}
     told, alone = told_beside(effect, free=(f"{effect}.{free}",), **limit), told_beside(free=())
@@ -199,7 +199,7 @@ def test_what_points_do_not_show_at_once_they_tell_nothing_of(effect, free):
     np.testing.assert_array_equal(told.mean, alone.mean)
 
 
-def test_knowledge_of_terms_that_make_up_each_other_has_a_root():
+def test_knowledge_of_nearly_collinear_terms_has_a_square_root():
     """Of all further terms of the map beside it some sums are known ten decades better than others; whitened, all are one."""
     free = tuple(f"map_terms.{n}" for n in ("c10", "c22", "stall", "knee"))
     told = told_beside("map_terms", free=free, **{"map_terms.form": 2.0, "map_terms.knee": 3.0, "map_terms.stall": -0.1})
@@ -302,7 +302,7 @@ def test_means_of_coloured_readings_are_worth_fewer_of_them(rho):
     assert np.sqrt(np.mean(pulls**2)) == pytest.approx(1.0, abs=3.0 / np.sqrt(2.0 * points))
 
 
-def test_what_is_no_noise_to_average():
+def test_readings_that_cannot_be_averaged():
     wander = np.cumsum(np.random.default_rng(2).standard_normal(20_000))
     assert not samples_needed(wander, 0.1).settled
     tone = np.tile([1.0, -1.0], 500)

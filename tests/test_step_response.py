@@ -199,7 +199,7 @@ def test_averages_are_near_the_truth_and_slow_comes_first(noisy):
         assert not noisy.delayed(channel)
 
 
-def test_the_speed_tells_its_lags_through_the_tachometer(noisy):
+def test_the_speed_lags_are_fitted_through_the_tachometer(noisy):
     average = found(noisy, "omega", "omega")
     assert not average.delayed
     assert (average.slow, average.fast) == pytest.approx((0.172, 0.053), rel=0.02)
@@ -247,13 +247,13 @@ def test_a_run_unlike_the_model_is_left_out(pitch_runs):
     assert reason(pitch_runs, odd.with_columns(thrust=odd["thrust"] + swing)).startswith("the residual is ")
 
 
-def test_a_command_that_was_not_reached_is_told_by_the_thrust(pitch_runs):
+def test_a_command_not_reached_is_detected_by_the_thrust(pitch_runs):
     half = run("beta", -5, 2, 6000, noise=NOISE, seed=99, **FAST)
     odd = half.with_columns(beta_ref=np.where(half.time < AT - 1e-9, -5.0, 10.0))
     assert "thrust changes by 5" in reason(pitch_runs, odd)
 
 
-def test_a_command_that_was_not_reached_is_told_by_its_own_sensor():
+def test_a_command_not_reached_is_detected_by_its_own_sensor():
     record = run("omega", 2000, 6000, 7, noise=NOISE)
     odd = record.with_columns(omega_ref=np.where(record["omega_ref"] > 2000, 6600.0, 2000.0))
     assert "command not reached: omega ends at " in fit_steps([odd], VALUES, MAP).runs[0].reason

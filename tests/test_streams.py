@@ -61,7 +61,7 @@ def test_streams_that_are_closed_or_not_utf_8_are_no_errors(environment, redirec
     assert said.count(b"\n") == (0 if "2>&-" in redirected else 1)
 
 
-def test_what_a_terminal_cannot_show_is_replaced(here):
+def test_characters_that_a_terminal_cannot_show_are_replaced(here):
     """The page of an effect has arrows and Greek letters; so has the campaign's name."""
     for words in (["check-effect", "none →.py"], ["export", "--parameters", here + b"/p.json", "-o", here + b"/fmus"]):
         _, out, said = run(words, **ASCII)
@@ -82,7 +82,7 @@ def test_a_full_standard_error_changes_no_exit_code(here):
     assert run(["simulate", here + b"/none.csv", "--parameters", here + b"/p.json"], "2>/dev/full")[0] == 2
 
 
-def test_names_that_are_no_utf_8_stand_in_no_file_as_half_characters(here):
+def test_files_stay_valid_utf_8_if_folder_names_are_not(here):
     """Every file of a page's or FMU's verb can be read as UTF-8, JSON and all."""
     assert run(["compare", here + b"/record.csv", here + b"/record.csv", "-o", here + b"/pair"])[0] == 0
     assert run(simulate(here))[0] == 0
@@ -94,7 +94,7 @@ def test_names_that_are_no_utf_8_stand_in_no_file_as_half_characters(here):
                 json.dumps(json.loads(text), ensure_ascii=False).encode()
 
 
-def test_results_are_in_place_before_a_line_of_them_is_printed(here, monkeypatch, tmp_path):
+def test_results_are_written_before_anything_is_printed(here, monkeypatch, tmp_path):
     """A standard output that fails at the first character."""
 
     class Broken:

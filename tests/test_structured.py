@@ -61,7 +61,7 @@ def refusal_of(read, path):
 
 @pytest.mark.parametrize("what", JSON)
 @pytest.mark.parametrize("reader", READERS)
-def test_every_reader_of_json_refuses_it_in_the_same_words(reader, what, tmp_path):
+def test_every_reader_refuses_damaged_json_in_the_same_words(reader, what, tmp_path):
     text, words = JSON[what]
     (tmp_path / "x.json").write_text(text)
     assert words in refusal_of(READERS[reader], tmp_path / "x.json")
@@ -105,7 +105,7 @@ def test_entries_of_a_source_are_of_their_kind(source, words, tmp_path):
 
 
 @pytest.mark.parametrize("noise", [[], "0.1", -1.0, True])
-def test_a_noise_that_is_none_is_refused(noise, tmp_path):
+def test_an_invalid_noise_is_refused(noise, tmp_path):
     (tmp_path / "x.json").write_text(json.dumps({"noise_floor_thrust": noise}))
     assert "noise_floor_thrust" in refusal_of(read_noise, tmp_path / "x.json")
 
@@ -138,7 +138,7 @@ TOML = {
 
 
 @pytest.mark.parametrize(("read", "what"), [*((read_toml, what) for what in TOML), (read_sections, "nested lists")])
-def test_toml_is_refused_soon(read, what, tmp_path):
+def test_damaged_toml_is_refused_without_long_computation(read, what, tmp_path):
     text, words = TOML[what]
     (tmp_path / "x.toml").write_text(text)
     began = time.process_time()
@@ -152,7 +152,7 @@ def bomb(megabytes):
     return b"".join([*(pack.compress(bytes(2**20)) for _ in range(megabytes)), pack.flush()])
 
 
-def test_a_gzip_file_that_grows_without_end_is_refused_and_not_held(tmp_path, monkeypatch):
+def test_a_gzip_bomb_is_refused_without_being_unpacked(tmp_path, monkeypatch):
     path = tmp_path / "x.csv.gz"
     path.write_bytes(bomb(300))
     size = path.stat().st_size
@@ -165,7 +165,7 @@ def test_a_gzip_file_that_grows_without_end_is_refused_and_not_held(tmp_path, mo
 
 
 @pytest.mark.parametrize("name", ["x.csv", "x.csv.gz"])
-def test_a_file_beyond_all_sizes_is_refused(name, tmp_path, monkeypatch):
+def test_a_file_above_the_limit_of_size_is_refused(name, tmp_path, monkeypatch):
     monkeypatch.setattr(files, "LARGEST", 2**20)
     content = bytes(range(256)) * 4096
     for extra in (b"", b"x"):

@@ -56,7 +56,7 @@ def test_intervals_hold_under_coloured_noise_where_white_ones_do_not(coloured):
     assert naive < 0.5
 
 
-def test_theory_of_the_noise_is_that_of_the_noise():
+def test_the_covariance_of_coloured_noise_is_the_closed_form():
     # Least squares for a level: the variance of a mean over what first-order noise gives, in closed form.
     rows, memory = 5000, 0.1
     rho = np.exp(-STEP / memory)
@@ -66,7 +66,7 @@ def test_theory_of_the_noise_is_that_of_the_noise():
     assert covariance(np.ones((rows, 1)), 2.0)[0, 0] == pytest.approx(4.0 / rows)
 
 
-def test_records_are_what_they_claim():
+def test_synthetic_records_have_their_moves_and_noise():
     rng = np.random.default_rng(1)
     record = commands(rng)
     moves = {name: np.flatnonzero(np.diff(record[name])) * STEP for name in ("omega_ref", "beta_ref")}
@@ -78,7 +78,7 @@ def test_records_are_what_they_claim():
     assert error.std() == pytest.approx(NOISE, rel=3.0 / np.sqrt(2.0 * len(record)))
 
 
-def test_forms_are_where_pairs_are_regular(white):
+def test_sums_of_lags_are_known_better_than_single_lags(white):
     # What the response tells well: both sums within a per cent, where single constants of pitch are known to 4 and 7 %.
     known = dict(zip([*BASE_PARAMETERS, *FORMS], np.median(white.theory, axis=0), strict=True))
     for channel in ("omega", "beta"):

@@ -191,7 +191,7 @@ def test_step_of_the_plain_plant_has_no_exponential_left():
 
 @pytest.mark.parametrize("model", [BASE, ALL_ON, CONTROLLER], ids=["plain", "all on", "controller"])
 @pytest.mark.parametrize("wrt", [False, True])
-def test_all_that_needs_only_parameters_and_the_step_is_prepared(model, wrt):
+def test_expressions_of_parameters_and_the_step_are_prepared(model, wrt):
     program = trace(model, [p.name for p in model.parameters] if wrt else ())
     fixed_values = set(program.layout.positions("parameter"))
     moving: dict[Node, bool] = {}

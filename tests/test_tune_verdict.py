@@ -102,7 +102,7 @@ def test_gains_that_cost_less_and_settle_later_are_not_handed_out(example, monke
     assert "not settled worse" in page
 
 
-def test_the_search_holds_what_the_first_gains_do(example, monkeypatch):
+def test_the_search_keeps_the_settling_times_of_the_first_gains(example, monkeypatch):
     """The same plant: left to itself the search brings gains that settle no later, and they are handed out."""
     monkeypatch.setattr("identification.tune.tune.SHAKES", (0, 0))
     task, settings = example
@@ -188,7 +188,7 @@ def test_a_step_is_worse_by_more_than_a_sample_or_beyond_the_limit(other, worse)
         (replace(SOUND, sensitivity=2.0), ""),
     ],
 )
-def test_margins_may_not_break_what_they_kept(margins, worse):
+def test_margins_that_were_kept_may_not_be_lost(margins, worse):
     found = verdict(Loop(), "other", ((SOUND,), (SOUND, margins)), (1.0, 0.5))
     assert found.better == (not worse)
     assert worse in found.words()
@@ -198,7 +198,7 @@ def test_margins_may_not_break_what_they_kept(margins, worse):
     ("other", "cost", "better"),
     [({}, 0.9995, False), ({}, 0.998, True), ({"settling": 0.3}, 0.9995, True), ({"settling": 0.3}, 1.001, False)],
 )
-def test_less_cost_than_a_search_resolves_is_no_gain_by_itself(other, cost, better):
+def test_a_decrease_below_the_resolution_of_the_search_is_no_gain(other, cost, better):
     found = verdict(Loop(**other), "other", ((SOUND,), (SOUND,)), (1.0, cost))
     assert isinstance(found, Verdict)
     assert found.better == better

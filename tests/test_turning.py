@@ -41,24 +41,24 @@ def test_a_vibration_of_any_phase_is_found_and_its_size_told(rho):
     assert found.size == pytest.approx(0.05 / np.sqrt(2.0), rel=0.1)
 
 
-def test_a_speed_that_is_off_by_a_hundredth_still_meets_it():
+def test_a_vibration_is_found_despite_a_speed_error_of_one_per_cent():
     found = rotor_order_test(fit_of([line(1.0, 1.01 * SPEED) + noise(np.random.default_rng(2))]))
     assert found.p < 1e-6
 
 
-def test_a_hum_is_none():
+def test_mains_hum_is_not_taken_for_a_vibration():
     hum = 0.1 * np.sin(2.0 * np.pi * 50.0 * TIME)
     found = rotor_order_test(fit_of([hum + noise(np.random.default_rng(3))]))
     assert found.p > 0.001
 
 
-def test_at_one_speed_nothing_tells_it_from_a_hum():
+def test_at_constant_speed_a_vibration_is_not_distinguished_from_hum():
     steady = np.full(len(TIME), 3000.0)
     assert rotor_order_test(fit_of([line(0.0, steady) + noise(np.random.default_rng(4))], steady)).p == 1.0
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.9])
-def test_of_noise_it_is_found_as_often_as_its_level_says(rho):
+def test_noise_alone_is_rejected_at_the_level(rho):
     """At 5 % in 5 % of 300 draws, within 3 standard errors."""
     rng = np.random.default_rng(5)
     p = np.array([rotor_order_test(fit_of([noise(rng, rho)])).p for _ in range(300)])

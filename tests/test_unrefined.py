@@ -75,14 +75,14 @@ def test_steps_beside_steady_points_give_the_lags_as_well(size):
     assert matrix[names.index("tau_beta_1"), names.index("tau_beta_2")] < 0.0  # their sum is known better than either
 
 
-def test_steps_alone_give_lags_and_say_of_what():
+def test_steps_alone_give_the_lags_of_the_thrust():
     found = identify(campaign("paper", only("steps")))
     assert found.uncertainty.names == LAGS
     assert set(found.not_identifiable) == set(MAP)
     assert any("lags are those of the thrust" in line for line in remarks(found))
 
 
-def test_what_tells_nothing_is_refused_in_a_line():
+def test_a_campaign_without_information_is_refused_in_one_line():
     empty = campaign("paper", only())
     assert "no identifiable parameter" in refusal(identify, empty)
     flat = campaign("paper", only("steps"))
@@ -120,14 +120,14 @@ def test_a_pitch_that_never_moved_is_named_whatever_the_steady_points_are():
     assert np.abs(pulls(found, "micro")).max() < FAR
 
 
-def test_a_static_map_at_one_pitch_takes_nothing_from_a_record_that_moves_it():
+def test_a_static_map_at_one_pitch_does_not_limit_a_record_that_moves_pitch():
     found = identify(campaign("paper", gridded(np.linspace(0.35, 1.0, 9), [3.0])), starts=1)
     assert set(found.static.not_identifiable) == {"c20", "c11", "c21", "c12"}
     assert not found.not_identifiable
     assert np.abs(pulls(found, "paper")).max() < FAR
 
 
-def test_what_is_known_no_better_than_nothing_is_named():
+def test_parameters_without_information_are_not_identifiable():
     rig, rng = SIZES["paper"], np.random.default_rng(0)
     told = {n: c[:400] for n, c in commanded(rig, rng, "x").items()}
     loud = Record(measured(rig, told, rng, 40.0), "open_loop.csv")

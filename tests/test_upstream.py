@@ -48,7 +48,7 @@ def ran(name: str, folder: Path, **environment: str) -> subprocess.CompletedProc
 
 
 @each_patch
-def test_the_installed_package_still_needs_the_mend(name, tmp_path):
+def test_the_installed_package_still_needs_the_patch(name, tmp_path):
     """A slave of pythonfmu's own dies after an exception, or as the process ends; fmpy refuses an input of one row. Once this
     fails, the patch or its like is in, and what is there instead must go: in fmu_src/slave.py `_kept` takes references that
     nobody drops, and `_release_at_exit` is idle; fmu_src/README.md tells to write constant inputs twice."""
@@ -59,7 +59,7 @@ def test_the_installed_package_still_needs_the_mend(name, tmp_path):
     assert re.search(PATCHES[name][1], done.stdout), done.stdout
 
 
-def test_fmpy_holds_the_only_row_once_it_is_mended(tmp_path):
+def test_patched_fmpy_holds_an_input_of_one_row(tmp_path):
     """The patch on a copy of the installed fmpy: its test passes, and the command gives what two equal rows give."""
     source = tmp_path / "src" / "fmpy"
     shutil.copytree(Path(importlib.util.find_spec("fmpy").origin).parent, source, ignore=shutil.ignore_patterns("__pycache__"))
@@ -81,7 +81,7 @@ def test_fmpy_holds_the_only_row_once_it_is_mended(tmp_path):
     assert one == two
 
 
-def test_a_script_that_ran_our_fmu_ends_in_spite_of_it(tmp_path):
+def test_a_script_that_ran_our_fmu_ends_without_a_crash(tmp_path):
     """A round of the study `exits`: the same host, in which pythonfmu's own slave dies, and ours without its mend."""
     if not (shutil.which("cc") and sys.platform == "linux"):
         pytest.skip("no C compiler on Linux")
