@@ -1,4 +1,4 @@
-"""The adaptive twin as a model: bit for bit in Python and C, exact where it must be, learning what closed forms say."""
+"""The adaptive twin as a model: the same bits in Python and C, and estimates that agree with closed forms."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ TWIN = twin(PLANT, ADAPTED)
 
 
 def driven(rows, seed=1, hold=250, **changed):
-    """Commands in steps, and the readings of the plant with `changed` parameters, without noise."""
+    """Commands in steps, and noise-free readings of the plant with `changed` parameters."""
     rng = np.random.default_rng(seed)
     count = -(-rows // hold)
     told = {
@@ -99,7 +99,7 @@ def test_without_a_compiler_the_stepper_gives_the_same_bits(monkeypatch):
 
 
 def test_beside_an_identical_plant_the_innovation_is_zero():
-    """Without noise the innovation is 0 to the bit, and nothing is learned but how well things are known."""
+    """Without noise the innovation is 0 to the bit, and only the uncertainties change."""
     shown = ran(driven(3000))
     assert not np.any(shown["residual"])
     assert not np.any(shown["alarm"])
@@ -109,9 +109,10 @@ def test_beside_an_identical_plant_the_innovation_is_zero():
 
 
 def test_one_parameter_at_rest_has_the_bayesian_posterior():
-    """At a place: reading = offset + error there + white noise, whose mean of n is known to var / n; the rest is a share.
+    """At one place: reading = offset + model error there + white noise, whose mean of n has variance var / n.
 
-    The error there is that of the four nodes around, at 3/4 of speed and 3/5 of pitch, and what is between them."""
+    The model error there is interpolated from the four nodes around, at 3/4 of speed and 3/5 of pitch, plus the error between
+    nodes."""
     model, rows = twin(PLANT, ["sensor_drift.offset"]), 5000
     at = {"omega_ref": np.full(rows, 4500.0), "beta_ref": np.full(rows, 4.0)}
     told = Simulation(PLANT).start({name: column[0] for name, column in at.items()})
@@ -136,8 +137,8 @@ def test_shares_of_the_nodes_are_linear_interpolation():
 
 
 def test_a_known_model_error_is_not_taken_for_a_change():
-    """Back at the two places where the model has always been off, the twin learns nothing; at the same places with a thrust
-    that has changed by a plausible share it alarms."""
+    """On return to two places with a constant model error the twin learns nothing. If the thrust there changes by a plausible
+    share, it raises an alarm."""
     rows, hold = 30_000, 1500
     at = np.arange(rows) // hold % 2
     told = {"omega_ref": np.choose(at, (3500.0, 5000.0)), "beta_ref": np.choose(at, (2.0, 6.0))}
@@ -163,8 +164,9 @@ def test_a_constant_set_point_counts_as_one_visit():
 
 
 def test_only_lags_that_the_data_excite_are_forgotten():
-    """Pitch moves for a minute and stands for four, while speed goes on: of the pitch's lag what is known stays, whatever the
-    memory; of the speed's lag a shorter one keeps less, and never more than a plausible change; the gain knows of none."""
+    """Pitch moves for a minute and is then constant for four, while speed moves on. The uncertainty of the pitch's lag does not
+    increase, whatever the memory. That of the speed's lag increases with a shorter memory, at most to a plausible change. The
+    gain is not affected."""
     inputs = driven(75_000)
     still = np.where(np.arange(75_000) < 15_000, inputs["beta_ref"], 3.0)
     inputs["thrust"] = Simulator(PLANT).simulate({}, inputs | {"beta_ref": still}, np.full(74_999, DT))[:, 0]
@@ -226,7 +228,7 @@ def test_adapted_parameters_stay_within_their_bounds():
 @pytest.mark.sampled("effect")
 @pytest.mark.parametrize("effect", OPTIONAL, ids=lambda e: e.name)
 def test_every_effects_plant_has_a_twin_that_starts_settled(effect):
-    """Also commands that are held back, rows that are late, and forms that want short steps."""
+    """Also with delayed commands, late rows, and forms that need short steps."""
     wider = plant({*BROUGHT, effect.name})
     values = {effect.full(name): value for name, value in effect.probe.items()}
     model = twin(wider, DAILY)

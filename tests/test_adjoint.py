@@ -1,4 +1,4 @@
-"""Reverse mode: the forward tangents' own numbers, at a price that does not know how many parameters there are."""
+"""Reverse mode: the gradient equals that of the forward tangents, at a cost independent of the number of parameters."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ UNEVEN = np.random.default_rng(4).choice([1e-4, 0.0013, 0.004, 0.0047, 0.031], R
 
 
 def is_the_tangents(model, values, inputs, steps, every=1):
-    """The gradient in `every` so manyth parameter is the product of tangents and random cotangents, to rounding."""
+    """The gradient in every `every`-th parameter is the product of tangents and random cotangents, to rounding."""
     names = tuple(p.name for p in model.parameters)[::every]
     outputs, tangents = simulator(model, names).sensitivities(values, inputs, steps)
     cotangents = np.random.default_rng(7).normal(size=outputs.shape) / np.abs(outputs).max(axis=0)
@@ -67,7 +67,7 @@ def test_gradient_in_a_delay_on_and_off_the_grid(delay, hold):
     ids=["all on", "two delays"],
 )
 def test_gradient_at_uneven_steps(model, values, every):
-    """With all effects on each fifth, as all tangents at once take most of a minute to compile."""
+    """With all effects, only each fifth parameter: all tangents at once take most of a minute to compile."""
     is_the_tangents(model, values, random_steps(ROWS, 60, model=model), UNEVEN, every)
 
 
@@ -80,7 +80,7 @@ def test_gradient_of_a_sampled_law(step):
 
 
 def every_operation():
-    """A model whose one step uses every operation, of prepared constants and of what moves."""
+    """A model whose step uses every operation, on prepared constants and on varying values."""
 
     def step(ops, s, x, p, dt):
         y = 0.3 * x.y + sum(getattr(ops, name)(0.4 + p.a * p.b) + getattr(ops, name)(0.5 + 0.1 * s.u * x.y) for name in CALLS)
@@ -117,13 +117,13 @@ def test_a_tape_can_be_pulled_back_repeatedly_and_grows_linearly_with_rows():
 
 
 def operations(text, name):
-    """Statements of a C function."""
+    """Number of statements of a C function."""
     return text.split(f" {name}(")[1].split("\n}\n")[0].count(";")
 
 
 @pytest.mark.parametrize("model", [BASE, ALL_ON])
 def test_the_cost_of_the_gradient_does_not_depend_on_the_number_of_parameters(model):
-    """There and back costs a few times the step itself (theory: at most five); tangents cost that for a few parameters."""
+    """Forward and back costs a few times the step itself (theory: at most five). Tangents cost that for a few parameters."""
     names = [p.name for p in model.parameters]
     plain, back = c_source(trace(model)), c_adjoints(trace(model))
     once = operations(plain, "step")
@@ -166,7 +166,7 @@ def test_the_transpose_of_the_tachometer_is_its_adjoint(campaign):
 
 @pytest.mark.parametrize("channels", [("thrust",), ("thrust", "omega")])
 def test_the_slope_of_the_cost_is_that_of_the_residual(channels, campaign):
-    """Half a second of thrust is missing, as a rig may lose it."""
+    """Half a second of thrust is missing, as on a rig that loses readings."""
     record, values, prior = campaign
     thrust = record["thrust"].copy()
     thrust[1000:1125] = np.nan

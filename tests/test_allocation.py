@@ -77,7 +77,7 @@ def test_the_power_terms_are_selected_and_their_errors_match_the_scatter():
 
 
 def test_the_uncertainty_of_the_least_power_is_the_scatter_of_repeated_measurements():
-    """By the envelope theorem; here from maps of other noise, each with its own best pairs."""
+    """The uncertainty is that of the envelope theorem; here maps with independent noise have their own best pairs."""
     least = [allocate(pitch_only(), model(points(3.0, k)), count=5) for k in range(25)]
     spread = np.std([f.power for f in least], axis=0, ddof=1)
     told = np.mean([f.power_std for f in least], axis=0)
@@ -85,7 +85,7 @@ def test_the_uncertainty_of_the_least_power_is_the_scatter_of_repeated_measureme
 
 
 def test_a_weight_trades_power_for_thrust_reserve():
-    """Power that hardly grows with pitch asks for the greatest pitch, from which pitch adds no thrust."""
+    """Where power hardly grows with pitch, the least power is at the greatest pitch, where pitch has no reserve of thrust."""
     power = model(points(power=lambda w, b: P30 * w**3 * (1.0 + b**2)))
     frugal, agile = (allocate(pitch_only(), power, weight) for weight in (0.0, 0.7))
     assert np.all(agile.power >= frugal.power * (1.0 - 1e-9))
@@ -149,7 +149,7 @@ def electrical(w, b):
 
 
 def test_the_motor_is_found_with_the_error_of_the_cramer_rao_bound():
-    """Of torque and power together, and its 95 % intervals have the truth."""
+    """From torque and power together; its 95 % intervals cover the truth."""
     exact = fitted(points(torque=torque, power=electrical))
     assert exact.effects == ("torque_map", "motor")
     assert exact.values[-3:] == pytest.approx([FRICTION, LOSS, IDLE], rel=1e-5)
@@ -177,7 +177,7 @@ def test_the_plant_with_torque_and_power_has_the_thrust_of_the_plant_without_to_
 
 @pytest.mark.parametrize("torque", [False, True])
 def test_the_power_map_is_identified_from_a_record_alone(tmp_path, printed, torque):
-    """Rows in motion: the rotor's acceleration takes power, too, which is not the map's. Torque beside it gives no motor."""
+    """In motion the acceleration of the rotor takes power, which the map excludes. Torque beside it identifies no motor."""
     rng, time = np.random.default_rng(0), np.arange(0.0, 60.0, 0.02)
     moves = {"omega_ref": rng.uniform(2500.0, 5800.0, 60), "beta_ref": rng.uniform(-2.0, 10.0, 60)}
     columns = {"time": time} | {name: np.repeat(levels, 50) for name, levels in moves.items()}
@@ -260,7 +260,7 @@ def test_a_campaign_with_contradictory_power_is_identified_without_power(tmp_pat
 
 
 def test_the_exported_loop_settles_on_the_pair_of_least_power(tmp_path):
-    """Both flavours. The table of the controller is wrong by 5 % in speed: pitch is at its best all the same."""
+    """In both flavours. The speeds in the controller's table are wrong by 5 %; the pitch is still the best one."""
     words = parameters(tmp_path, points(torque=torque, power=electrical))
     assert main([*words, str(tmp_path / "pairs")]) == 0
     gains = json.loads((tmp_path / "pairs" / "gains.json").read_text())
@@ -286,7 +286,7 @@ def test_the_exported_loop_settles_on_the_pair_of_least_power(tmp_path):
 
 
 def test_the_allocated_law_is_tuned_for_an_objective(tmp_path, capsys, refused):
-    """No step settles later than under the gains of `vpp allocate`, and the loop keeps the limit on sensitivity."""
+    """No step settles later than with the gains of `vpp allocate`, and the loop keeps the limit on sensitivity."""
     words = parameters(tmp_path, points())
     (tmp_path / "profile.csv").write_text("time,thrust_set\n0,3\n1,6\n4,6\n")
     common = [*words[1:3], "--profile", str(tmp_path / "profile.csv"), "-o", str(tmp_path / "tuned")]
@@ -304,7 +304,7 @@ def test_the_allocated_law_is_tuned_for_an_objective(tmp_path, capsys, refused):
 
 
 def hovering(merit, diameter=0.28, density=1.2):
-    """Torque over w and b of the plant of `pitch_only`, whose rotor has this figure of merit where it lifts."""
+    """Torque over w and b of the plant of `pitch_only`, for a rotor with this figure of merit."""
 
     def torque_of(w, b):
         lift = np.maximum(15.0 * C21 * w**2 * b, 0.05)

@@ -1,4 +1,4 @@
-"""What each verb answers: one object for --json, valid by its schema; a sentence first; --quiet and --verbose."""
+"""The answer of each verb: one JSON object that its schema describes, a sentence in the first line, --quiet and --verbose."""
 
 import io
 import json
@@ -60,7 +60,7 @@ CALLS = {
     "paper": ("paper", "--quick", "-o", "paper"),
     "demo": ("demo", "-o", "demo"),
 }
-"""Words by schema, in an order in which each finds the files of those before."""
+"""Words by schema, in an order in which each call finds the files of earlier ones."""
 
 SAME = {
     "check": "checked/check.json",
@@ -80,7 +80,7 @@ SAME = {
     "twin": "day/day.json",
     "paper": "paper/paper.json",
 }
-"""Files that hold the same object."""
+"""Files with the same object."""
 
 
 def given(folder):
@@ -96,7 +96,7 @@ def given(folder):
 
 
 class Said:
-    """All calls of CALLS, once: exit code, standard output and error, and the answer."""
+    """All calls of CALLS, run once: exit code, standard output and error, and the answer."""
 
     def __init__(self, folder):
         self.folder, self.calls, self.answers = folder, {}, {}
@@ -161,7 +161,7 @@ def test_every_verb_has_a_schema_but_the_one_that_prints_a_script():
 
 
 def test_a_missing_or_additional_key_is_invalid(said):
-    """The schemas say something."""
+    """The schemas are not empty."""
     for name, (_, out, _) in said.calls.items():
         found, schema = json.loads(out), Draft202012Validator(SCHEMAS[name.partition(",")[0]])
         assert not schema.is_valid(found | {"another": 1})

@@ -1,4 +1,5 @@
-"""`import vpp_fmu as vpp`: every public name has an example that runs, results show and save themselves, frames go and come."""
+"""`import vpp_fmu as vpp`: every public name has an example that runs; results can be shown and saved; frames are converted
+both ways."""
 
 import doctest
 import inspect
@@ -19,7 +20,7 @@ from vpp_fmu.errors import BadInput, ExtraMissing
 from vpp_fmu.record import Record
 
 CLASSES_OF_DATA = ("Effect", "Parameter", "State", "Rig", "BadInput", "VppError")
-"""Documented by what takes them; the rest has an example of its own."""
+"""Documented by the functions that take them; every other name has an example."""
 
 EXAMPLES = [name for name in vpp.__all__ if name not in CLASSES_OF_DATA]
 

@@ -1,4 +1,4 @@
-"""Real archives: what is no FMI 2.0 co-simulation FMU, or too much of one, is one line, and nothing of any FMU stays."""
+"""Archives that are no FMI 2.0 co-simulation FMU, or too large, are refused in one line, and no FMU leaves files behind."""
 
 import contextlib
 import os

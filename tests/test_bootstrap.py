@@ -1,4 +1,4 @@
-"""The block bootstrap against theory: known truth, known colour of the residual."""
+"""The block bootstrap against theory, with known parameters and known colour of the residual."""
 
 from functools import cache
 
@@ -12,12 +12,12 @@ from identification.fit.refine import BASE_PARAMETERS, refine
 from vpp_fmu.kernel.plant import AVERAGED, BASE, plant
 
 SECTION = 8.0
-"""Seconds of each part of a record: enough for all nine parameters, and quick."""
+"""Seconds of each part of a record: enough for all nine parameters, yet quick."""
 
 COUNT = 100
 
 CALM, MEMORY = 0.05, 0.1
-"""Noise that is small enough for linear theory, N, and what it remembers, s."""
+"""Noise [N] small enough for linear theory, and its correlation time [s]."""
 
 
 @cache
@@ -43,7 +43,7 @@ def theory(refinement, memory: float) -> np.ndarray:
 
 
 def white(refinement) -> np.ndarray:
-    """Standard deviations if the residual is thought white."""
+    """Standard deviations under the assumption of white residuals."""
     return refinement.uncertainty.std / refinement.uncertainty.inflation
 
 

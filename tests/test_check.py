@@ -1,4 +1,5 @@
-"""The quality gate: what is planted is named, of good data nothing is said, what can't be trusted is left out or refused."""
+"""The quality gate: planted faults are found, good data have no findings, bad rows are left out, and unusable data are
+refused."""
 
 import json
 from dataclasses import replace
@@ -39,7 +40,7 @@ from vpp_fmu.native import Simulator
 from vpp_fmu.record import QUANTITIES, Record
 
 SHORT = {"1.2 N": 3.0, "15 N": 6.0, "180 N": 16.0}
-"""s of a section: enough moves to see a fault, few enough rows to write and read them a dozen times."""
+"""s of a section: enough moves to show a fault, few enough rows to write and read a dozen times."""
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +66,7 @@ def campaign_of(record: Record) -> Campaign:
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_every_planted_fault_is_found(fault, short):
-    """Each fault in one size of rig, the sizes in turn; the study plants all in all."""
+    """Each fault in one size of rig, the sizes in turn; the study plants every fault in every size."""
     size = list(SHORT)[list(FAULTS).index(fault) % len(SHORT)]
     findings = planted(fault, short[size])
     hits = [f for f in findings if f.code == FAULTS[fault].code]
@@ -109,7 +110,7 @@ def test_good_data_lose_no_rows(record):
 
 
 def test_clipped_rows_are_left_out_unless_accepted(record):
-    """Clipping at 8 N would bend the map."""
+    """Readings clipped at 8 N would bias the map."""
     clipped = record.with_columns(thrust=np.minimum(record["thrust"], 8.0))
     kept, findings = screen(clipped)
     assert [f.code for f in findings] == ["clipped"]
@@ -123,14 +124,15 @@ def test_clipped_rows_are_left_out_unless_accepted(record):
 
 
 def test_a_sensor_with_less_noise_than_its_resolution_is_not_clipped(record):
-    """Settled, its readings stand still for a second each time, at the highest level too."""
+    """Settled, its readings are constant for a second each time, at the highest level too."""
     quiet = Simulator(BASE).simulate({}, *record.run)[:, 0]
     assert screen(record.with_columns(thrust=np.round(quiet, 1)))[1] == ()
 
 
 @pytest.mark.parametrize(("noise", "stuck"), [(1.0, True), (0.0, False)])
 def test_a_speed_without_its_usual_noise_is_frozen(noise, stuck):
-    """Steps of a thirtieth of the range, 35 ms a turn. Without noise a sensor shows equal values wherever the rotor rests."""
+    """Steps of a thirtieth of the range, 35 ms a turn. A sensor without noise shows equal values wherever the rotor is
+    settled."""
     rows, turn = 40_000, 35
     command = 1700.0 + 33.0 * (np.arange(rows) // 2000 % 2) + 1000.0 * (np.arange(rows) > 30_000)
     shown = np.repeat(command[::turn] + noise * np.random.default_rng(0).standard_normal(-(-rows // turn)), turn)[:rows]
@@ -181,7 +183,7 @@ def test_rows_after_a_gap_are_left_out(record):
 
 
 def test_a_record_with_holes_still_gives_its_parameters(record):
-    """A tenth of the cells empty and a gap: within 5 standard deviations of the truth."""
+    """With a tenth of the cells empty and a gap, all are within 5 standard deviations of the truth."""
     thrust = record["thrust"].copy()
     thrust[::10] = np.nan
     found = identify(campaign_of(record.with_columns(thrust=thrust).part(np.r_[0:2000, 2250:5000])), starts=1)
@@ -303,7 +305,6 @@ def test_identify_and_diagnose_refuse_in_the_same_line(short, tmp_path, capsys):
 
 
 def test_diagnose_fits_the_records_without_the_rows_that_the_gate_removes(short, monkeypatch):
-    """The records that a diagnosis fits are those without the clipped rows."""
     from identification.diagnose import diagnose as module
 
     class Seen(Exception):
@@ -319,7 +320,7 @@ def test_diagnose_fits_the_records_without_the_rows_that_the_gate_removes(short,
 
 
 def test_a_hold_out_record_that_is_too_short_is_refused(short):
-    """Fewer than 20 rows or 2 s; one at rest is judged, as it is not fitted, and so are 15 s at 10 Hz."""
+    """Fewer than 20 rows or 2 s. A record at rest is accepted, as it is not fitted, and so are 15 s at 10 Hz."""
     own = short["15 N"]
     for rows in (2, 5, 199):
         with pytest.raises(BadInput, match=f"validation.csv: rows: found {rows} rows"):
@@ -403,7 +404,7 @@ def test_warnings_are_in_the_json_and_on_the_first_screen(short, tmp_path, print
 
 
 def test_the_unit_of_pitch_is_not_judged_if_the_blades_hardly_move():
-    """A map that is turned about the one pitch there is fits as well as the true one, and has any slope one likes."""
+    """A map rotated about the only pitch fits as well as the true one, and has an arbitrary slope."""
     rng, n, turned = np.random.default_rng(0), 2000, 40.0
     span = Span((2500.0, 5500.0), (8.9, 9.9))
     omega, beta = rng.uniform(*span.speed, n), 9.9 - 0.1 * np.abs(rng.standard_normal(n))
@@ -422,7 +423,7 @@ def test_the_unit_of_pitch_is_not_judged_if_the_blades_hardly_move():
 
 @pytest.mark.parametrize(("middle", "codes"), [(-1.35, []), (0.05, ["pitch_unit"])])
 def test_a_nearly_constant_pitch_is_in_rad_only_if_degrees_are_beyond_the_other_files(middle, codes):
-    """0.3 of a range of 14.5 about -1.35: that many rad would be -77 deg, where no other file of -5.5 to 9 deg is."""
+    """0.3 of a range of 14.5 about -1.35: that many rad would be -77 deg, far from the other file's -5.5 to 9 deg."""
     files = [
         SimpleNamespace(response=None, where=where, column=lambda name, ends=ends: np.linspace(*ends, 50))
         for where, ends in (("static.csv", (-5.5, 9.0)), ("validation.csv", (middle - 0.13, middle + 0.13)))

@@ -1,4 +1,4 @@
-"""The command: the whole job from the shell, and one line for whatever is wrong."""
+"""The command line: loops, comparisons, misspelt words, progress, and the sentences about steps."""
 
 import io
 import json

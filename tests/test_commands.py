@@ -1,4 +1,4 @@
-"""Commands: within a rig's range and slews, whatever the rig; and what a rig.json alone declares."""
+"""Commands stay within the range and the slews of any rig; and the declarations of a rig.json."""
 
 import json
 from dataclasses import replace
@@ -207,7 +207,7 @@ def test_round_numbers_are_the_next_up_and_the_nearest_by_ratio(power):
 
 
 def grid(speed, pitch, thrust):
-    """Steady points at the ends of these ranges, each often enough to be no outlier."""
+    """Steady points at the ends of these ranges, repeated so that none is an outlier."""
     columns = {"omega_ref": speed, "beta_ref": pitch, "thrust": thrust}
     return {name: np.repeat(np.array(ends, float), 50) for name, ends in columns.items()}
 
@@ -227,7 +227,7 @@ PAPERS_RANGES = (2000.0, 6000.0), (-10.0, 10.0), (0.0, 14.0)
     ],
 )
 def test_a_rig_keeps_the_papers_scales_up_to_twice_its_size_and_down_to_half(k, inside, beyond):
-    """Speed 6000 rpm, thrust 15 N of either sign; pitch half of its 15 deg beyond the scale's ends of -5 and 10 deg."""
+    """Speed 6000 rpm, thrust 15 N of either sign; pitch half of its 15 deg beyond the ends of the scale, -5 and 10 deg."""
     ranges = [[*PAPERS_RANGES[:k], ends, *PAPERS_RANGES[k + 1 :]] for ends in (inside, beyond)]
     near, far = (infer_rig([], grid(*own), {}) for own in ranges)
     assert (near.scales, near.origin["scales"]) == (Scales(), "the paper's, whose size it has")

@@ -1,4 +1,4 @@
-"""The cache of compiled models: what is damaged, foreign or too much in it, and compilers that fail."""
+"""The cache of compiled models: damaged, foreign or too many libraries, and compilers that fail."""
 
 import os
 import shutil
@@ -38,7 +38,7 @@ def folder(monkeypatch, tmp_path):
 
 
 def twice(source=SOURCE, **environment):
-    """A fresh process: the dynamic loader keeps what this one has loaded, whatever becomes of the file."""
+    """Run in a fresh process: the dynamic loader of this one keeps libraries that it has loaded, even if the file changes."""
     command = [sys.executable, "-c", TWICE, source]
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])} | environment
     return subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
@@ -171,7 +171,7 @@ def test_a_failing_compiler_is_reported_once_and_treated_as_missing(failing, fol
 
 
 def test_the_message_of_a_failing_compiler_is_the_same_for_every_model(folder, tmp_path, monkeypatch):
-    """Once a process: what is said is kept by its words."""
+    """The warning is given once in a process for each text."""
     cc = tmp_path / "cc"
     cc.write_text('#!/bin/sh\nwc -l model.c | sed "s/ .*//; s/.*/model.c:&:1: error: broken/" >&2; exit 1\n')
     cc.chmod(0o755)

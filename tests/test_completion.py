@@ -1,4 +1,4 @@
-"""Completion in real shells, and the next step where no verb is given."""
+"""Completion in real shells, and the suggestion of the next command if no verb is given."""
 
 import shutil
 import subprocess

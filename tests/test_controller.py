@@ -1,4 +1,4 @@
-"""The dual PID against the paper's formulas written down anew, and what its limits do."""
+"""The dual PID against an independent implementation of the paper's formulas, and its behaviour at limits."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ ONLY_I = dict.fromkeys(("kp_omega", "kd_omega", "kp_beta", "kd_beta"), 0.0)
 
 
 def papers_pid(e, dt, t_filter, kp, ki, kd):
-    """Section 3.3: trapezoidal sum, filtered difference; nothing before the first sample. Normalised."""
+    """Section 3.3, normalised: trapezoidal sum and filtered difference, both zero at the first sample."""
     commands, integral, derivative = [], 0.0, 0.0
     for k in range(len(e)):
         if k > 0:
@@ -67,7 +67,7 @@ def test_published_gains_are_the_papers():
 
 
 def held_within(moves, low, high):
-    """An integral that stands still at its limits."""
+    """An integral that is clamped at its limits."""
     held = [0.0]
     for move in moves:
         held.append(min(max(held[-1] + move, low), high))
@@ -76,7 +76,8 @@ def held_within(moves, low, high):
 
 @pytest.mark.parametrize(("ki_omega", "ki_beta", "free"), [(5.0, 50.0, 0), (50.0, 0.5, 1)])
 def test_one_channel_saturates_and_the_other_goes_on(ki_omega, ki_beta, free):
-    """4 s of error up, 3 s down: the free channel is the plain integral of all of it, the other one runs limit to limit."""
+    """4 s of positive error, 3 s of negative: the free channel is the plain integral, the other one goes from limit to
+    limit."""
     limits = {**WIDE, "omega_min": 2000.0, "omega_max": 6000.0} if free == 1 else WIDE
     e = np.r_[np.full(1000, 0.1), np.full(750, -0.1)]
     inputs = {"thrust_set": 15.0 * np.r_[e, 0.0], "thrust": np.zeros(1751)}
@@ -97,7 +98,7 @@ def test_one_channel_saturates_and_the_other_goes_on(ki_omega, ki_beta, free):
 
 
 def test_a_saturated_integral_may_still_move_inwards():
-    """The derivative alone presses the command to its limits, up and down, while the error calls for less thrust."""
+    """The derivative alone drives the command to its limits, up and down, while the error demands less thrust."""
     e = np.r_[np.full(100, 0.1), -0.1, np.tile([-0.08, -0.09], 20)]
     controller = Simulation(CONTROLLER, {**WIDE, **ONLY_I, "ki_omega": 10.0, "kd_omega": 10.0, "t_filter": 0.0})
     shown = []
@@ -126,7 +127,7 @@ def test_both_channels_leave_their_limits_at_once_when_the_error_turns(sign, sec
 
 @pytest.mark.parametrize("gains", [DUAL, SPEED_ONLY])
 def test_the_duration_of_an_unreachable_set_point_does_not_affect_the_recovery(gains):
-    """With the plant in the loop: 20 N, more than it has, for 6 s or for 30 s, then 6 N."""
+    """With the plant in the loop: 20 N, which is out of reach, for 6 s or for 30 s, then 6 N."""
 
     def released_after(seconds):
         plant, controller = Simulation(BASE, {"tau_beta_2": 0.05}), Simulation(CONTROLLER, gains)
@@ -143,7 +144,7 @@ def test_the_duration_of_an_unreachable_set_point_does_not_affect_the_recovery(g
 @pytest.mark.parametrize("gains", [DUAL, SPEED_ONLY])
 @pytest.mark.parametrize("wanted", [14.8, 15.0, 15.5, 16.0, 20.0])
 def test_an_unreachable_set_point_drives_both_commands_to_their_limits(wanted, gains):
-    """14.67 N is the most that the plant has, at 6000 rpm and 10 deg."""
+    """The plant reaches at most 14.67 N, at 6000 rpm and 10 deg."""
     plant, controller = Simulation(BASE, {"tau_beta_2": 0.05}), Simulation(CONTROLLER, gains)
     thrust = plant.start({"omega_ref": 4000.0, "beta_ref": 5.0})["thrust"]
     for _ in range(2500):
@@ -184,7 +185,7 @@ def test_speed_only_keeps_the_pitch_and_is_the_papers_law_for_speed():
 
 @pytest.mark.parametrize("milliseconds", [1, 2, 3, 4, 8, 12, 24])
 def test_it_samples_at_its_own_period_whatever_the_communication_step(milliseconds):
-    """Inputs change every 24 ms; whoever looks there sees what the samples 4 ms apart gave."""
+    """Inputs change every 24 ms; at these times the commands are those of samples 4 ms apart."""
     coarse = errors(251)
     every_sample = {name: np.repeat(column, 6) for name, column in coarse.items()}
     expected = commands(DUAL, every_sample, np.full(1505, 0.004))[5::6]
@@ -233,7 +234,7 @@ def test_a_table_of_a_single_thrust_gives_finite_commands():
 
 @pytest.mark.parametrize("modes", [(0.0, 2.0), (2.0, 0.0), (1.0, 2.0), (1.0, 0.0)])
 def test_commands_are_continuous_when_the_mode_changes(modes):
-    """At the switch the error has not changed; pitch moves on from a fixed pitch, too."""
+    """The error is the same at the switch; pitch also continues from a fixed pitch."""
     law = Simulation(CONTROLLER, {**WIDE, **SOFT, **TABLE, "mode": modes[0], "t_filter": 0.004})
     law.start({"thrust_set": 5.0, "thrust": 4.6})
     for _ in range(50):
@@ -246,7 +247,7 @@ def test_commands_are_continuous_when_the_mode_changes(modes):
 
 
 def test_speed_does_not_wind_up_while_pitch_is_away_from_its_best():
-    """A wanted thrust out of reach for 20 s: speed leaves its limit with the first sample of a thrust within reach."""
+    """After 20 s of an unreachable set-point, speed leaves its limit at the first sample of a reachable one."""
     tight = {**TABLE, "omega_max": 5000.0, "beta_min": -5.0, "beta_max": 10.0}
     held = 5000
     inputs = {"thrust_set": np.repeat([9.0, 3.0], held), "thrust": np.repeat([5.0, 5.0], held)}
@@ -258,7 +259,7 @@ def test_speed_does_not_wind_up_while_pitch_is_away_from_its_best():
 @pytest.mark.parametrize("error", [0.95, 1.05])
 @pytest.mark.parametrize("pitch", [4.0, 10.0])
 def test_on_the_best_pairs_thrust_has_no_error_at_rest_though_the_table_has(error, pitch):
-    """Also where the best pitch is the greatest: then only speed can add thrust. The table's speeds are wrong by 5 %."""
+    """Also where the best pitch is the greatest, so that only speed can add thrust. The table's speeds are wrong by 5 %."""
     plant = Simulation(BASE)
 
     def speed_of(thrust):

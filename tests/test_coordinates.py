@@ -1,4 +1,4 @@
-"""The coordinates of a fit: whatever they are, the values they stand for are within the model's bounds."""
+"""The coordinates of a fit always represent values within the model's bounds."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def test_the_jacobian_is_right_also_where_a_lag_is_at_its_minimum(total):
 
 @pytest.mark.parametrize("first", [0.0002, 0.001, 0.05])
 def test_a_lag_is_identified_from_a_start_without_it(first):
-    """At its least a lag has no tangent: from there it would pass for one that nothing depends on."""
+    """At its minimum a lag has no tangent, so that it would seem not to be identifiable."""
     inputs = random_steps(3001, 40)
     time, truth = 0.004 * np.arange(3001), {"tau_beta_1": 0.3, "tau_beta_2": 0.08}
     shown = Simulator(BASE).simulate(truth, inputs, np.diff(time))[:, 0]
@@ -47,7 +47,7 @@ def test_a_lag_is_identified_from_a_start_without_it(first):
 
 
 def test_a_fit_keeps_all_values_within_their_bounds():
-    """Nor do those that a record does not tell, and that stay where they were."""
+    """Also parameters that the record does not identify, which keep their start values."""
     inputs, time = {"omega_ref": np.repeat([3000.0, 5000.0], 300), "beta_ref": np.full(600, 5.0)}, 0.004 * np.arange(600)
     read = Simulator(BASE).simulate({}, inputs, np.diff(time))[:, 0]
     found = refine(BASE, [Record({"time": time, **inputs, "thrust": read}, "made")], {"tau_beta_1": 0.35, "tau_beta_2": 0.0002})

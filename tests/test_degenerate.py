@@ -1,4 +1,4 @@
-"""The table of degenerate campaigns, short: the quickest rows of `python -m tests.studies degenerate`."""
+"""The table of degenerate campaigns in short: the quickest rows of `python -m tests.studies degenerate`."""
 
 import json
 
@@ -34,7 +34,7 @@ REFUSED = {
     "dead load cell": "look at the load cell",
 }
 FEW = {"diagnose": ("--effects", "pitch_delay,sensor_drift"), "identify": ("--starts", "1")}
-"""What makes a row quick: a diagnosis among two effects, an identification from one start."""
+"""Options that save time: a diagnosis among two effects, an identification from one start."""
 
 
 def checked(names, verbs, folder) -> list[Row]:
@@ -52,7 +52,7 @@ def test_identify_writes_its_files_and_names_parameters_that_are_not_identifiabl
 
 
 def test_a_record_at_rest_is_not_called_a_poor_fit(tmp_path):
-    """One thrust at one point is told to what the mean of the readings is; there is no response that a fit could miss."""
+    """One thrust at one point is known as well as the mean of the readings; there is no response that a fit could miss."""
     checked(["no move at all"], ("identify",), tmp_path)
     (folder,) = tmp_path.iterdir()
     found = json.loads((folder / "identify" / "identification.json").read_text())
@@ -108,7 +108,7 @@ def test_the_table_has_rows_enough_and_knows_its_verbs():
 
 
 def test_the_table_detects_every_kind_of_fault(tmp_path, monkeypatch, capsys):
-    """A verb that crashes, warns, writes NaN, says two lines or leaves a file out is found out."""
+    """A verb that crashes, warns, writes NaN, prints two lines or omits a file."""
     import studies.degenerate as table
 
     def verb(does):

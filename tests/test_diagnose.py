@@ -1,4 +1,4 @@
-"""From a campaign to what its model lacks: the files, the model that exports, and what happens where data are missing."""
+"""From a campaign to the effects that its model lacks: the verdict, the files, the exported model, and missing data."""
 
 import json
 import re
@@ -79,7 +79,7 @@ def banded():
 
 @pytest.fixture(scope="module")
 def nothing_missing():
-    """A rig that is the model."""
+    """A rig that equals the model."""
     return diagnose(rig(), FEW)
 
 
@@ -202,7 +202,7 @@ def test_nothing_is_added_where_nothing_is_missing(nothing_missing, tmp_path):
 
 
 def test_an_effect_outside_the_library_is_a_lack_of_fit():
-    """And is learned, if at all, in its place, to the good of a record that no fit saw."""
+    """If a term is learned instead, it decreases the error on a hold-out record."""
     found = diagnose(rig(**{"pitch_rate_limit.rate": 12.0}), some("sensor_drift"))
     assert found.verdict in ("unexplained", "learned")
     assert found.before.significant
@@ -220,7 +220,7 @@ def map_at(omega, beta):
 
 
 def test_a_drift_of_the_speed_alone_is_a_lack_of_fit():
-    """rpm, in proportion to time: of a mean square D^2 / 3 beside noise of 5 rpm, which the parameters can take nothing of."""
+    """A drift proportional to time, of mean square D^2 / 3 beside noise of 5 rpm; no parameter can absorb it."""
     campaign, rng, noise, drift = rig(), np.random.default_rng(5), 5.0, 30.0
 
     def heard(record):
@@ -269,8 +269,8 @@ def test_a_validation_record_alone_is_fitted():
 
 
 def test_an_effect_that_the_validation_record_refutes_is_not_in_the_model():
-    """The validation record comes from a rig that is the base model as these records bend it: there, what fits them is
-    wrong."""
+    """The validation record is simulated with the base model as fitted to the other records, so the added effect is wrong
+    there."""
     campaign = rig(**{"sensor_drift.rate": 0.02})
     base = diagnose(replace(campaign, validation=None), some("sensor_drift")).base
     validation = campaign.validation
@@ -288,7 +288,7 @@ def test_an_effect_that_the_validation_record_refutes_is_not_in_the_model():
 
 
 def test_a_refuted_effect_is_reported_as_the_best_guess_with_the_reason():
-    """The rig has play; its validation record is that of a rig without it, as the fitted records bend the base model."""
+    """The rig has play; its validation record is simulated with the base model as fitted to the other records, without play."""
     name, half = "pitch_backlash", 0.75
     campaign = rig(**{f"{name}.half_gap": half})
     base = diagnose(replace(campaign, validation=None), some(name), thorough=False).base
@@ -332,7 +332,7 @@ def test_a_speed_in_the_repeat_alone_is_accepted():
 
 
 def test_the_report_says_if_no_candidate_explains_the_lack_of_fit():
-    """A rotor that speeds up faster than it slows down, and a library that knows of slow drifts only."""
+    """A rotor that speeds up faster than it slows down, and a library of slow drifts only."""
     found = diagnose(rig(**{"speed_asymmetry.asymmetry": 0.3}), some("sensor_drift", "sensor_gain"), thorough=False)
     guess = found.best_guess
     assert (found.verdict, found.final.effects) == ("unexplained", ())
@@ -349,7 +349,7 @@ def test_the_answer_comes_before_what_was_refuted(nothing_missing):
 
 
 def test_a_validation_record_of_another_logger_is_reported(nothing_missing):
-    """Its thrust is read a second late; held-out parts of the fitted records are as before."""
+    """Its thrust is read a second late; held-out parts of the fitted records are unchanged."""
     record = nothing_missing.unseen.record
     late = record.with_columns(thrust=np.roll(record["thrust"], round(1.0 / record.period)))
     other = replace(nothing_missing, unseen=replace(nothing_missing.unseen, record=late))
@@ -373,7 +373,7 @@ def test_a_spent_budget_ends_the_search_and_lists_the_steps_not_tried(banded):
 
 
 def test_the_validation_record_does_not_affect_the_selection(banded):
-    """With another thrust in it everything is found as before."""
+    """The selection is the same with another thrust in the validation record."""
     campaign = rig(**BAND)
     other = campaign.validation.with_columns(thrust=1.2 * campaign.validation["thrust"])
     found = diagnose(replace(campaign, validation=other), FEW)
@@ -389,7 +389,7 @@ def test_a_repeat_alone_is_fitted():
 
 
 def test_a_given_model_s_effects_are_part_of_the_base():
-    """Play of 1 deg is in the given model with 0.7 deg: it is refitted, stays in the model that exports, and is no finding."""
+    """The given model has play of 0.7 deg, the rig 1 deg. Play is refitted, stays in the exported model, and is no finding."""
     campaign, name = rig(**{"pitch_backlash.half_gap": 1.0}), "pitch_backlash"
     given = ParameterSet(plant([name])).replaced(TRUTH | {f"{name}.half_gap": 0.7})
     found = diagnose(campaign, some(name, "sensor_lag"), given=given)
@@ -462,7 +462,8 @@ def test_a_command_at_rest_has_no_moves():
 
 
 def limited(pitches, seed=0) -> Campaign:
-    """A rig whose supply sags: speeds below its limit at any pitch, and 6000 rpm, above it, at these pitches [deg] only."""
+    """A rig whose supply sags: speeds below its limit at any pitch, and 6000 rpm, above the limit, at these pitches [deg]
+    only."""
     rng, rows = np.random.default_rng(seed), round(1.0 / STEP)
     below = [(rng.uniform(2500.0, 4500.0), rng.uniform(-4.0, 9.0)) for _ in range(16)]
     above = [level for pitch in pitches for level in (*[(3500.0, pitch)] * 4, *[(6000.0, pitch)] * 2)]

@@ -1,4 +1,4 @@
-"""Numbers as text: as many digits as mean something, on a rig of any size."""
+"""Numbers as text, with their significant digits, on a rig of any size."""
 
 import json
 

@@ -48,7 +48,7 @@ def paper_map(omega, beta):
 
 
 def fine_base(inputs, split=16):
-    """What the plain plant shows on a grid `split` times finer: (time, thrust, omega, beta)."""
+    """Outputs of the plain plant on a grid `split` times finer: (time, thrust, omega, beta)."""
     rows = len(inputs["omega_ref"])
     fine = {name: np.repeat(column, split)[: (rows - 1) * split + 1] for name, column in inputs.items()}
     shown = simulator(BASE).simulate({}, fine, np.full((rows - 1) * split, STEP / split))
@@ -56,7 +56,7 @@ def fine_base(inputs, split=16):
 
 
 def filtered(numerator, denominator, signal, time):
-    """Response of a transfer function to a signal that runs straight between samples, settled on its first value."""
+    """Response of a transfer function to a signal that is linear between samples, settled on its first value."""
     gain = numerator[-1] / denominator[-1]
     return gain * signal[0] + lsim((numerator, denominator), signal - signal[0], time)[1]
 
@@ -208,7 +208,7 @@ def test_the_actuator_stops_short_of_its_goal_by_the_half_width(name, size, form
 
 
 def test_the_motor_stops_on_the_edge_between_samples():
-    """e = 8 exp(-t / tau) meets the edge at tau ln(8 / d); behind it the outer lag alone goes on."""
+    """e = 8 exp(-t / tau) reaches the edge at tau ln(8 / d); after that only the outer lag moves."""
     d, tau, fast = 0.45, 0.374, {"tau_beta_1": 0.001}
     beta = run("pitch_stop_band", {"half_width": d}, held((0, 0.04), (8, 3)), base=fast)[2]
     t = np.arange(len(beta)) * STEP - 0.04
@@ -229,7 +229,7 @@ def test_restart_ignores_less_than_its_band_and_follows_more():
 @pytest.mark.parametrize("name", ["pitch_asymmetry", "speed_asymmetry"])
 @pytest.mark.parametrize("form", [1.0, 2.0])
 def test_asymmetry_is_two_time_constants(name, skew, form):
-    """63 % of a rise takes tau exp(skew), of a fall tau exp(-skew), where the other lag is out of the way."""
+    """63 % of an increase takes tau exp(skew), of a decrease tau exp(-skew); the other lag is negligible."""
     u = "omega" if name.startswith("speed") else "beta"
     fast = {f"tau_{u}_{1 if form == 1.0 else 2}": 0.001}
     level, other = np.repeat([0.0, 1.0, 0.0], 9000), np.full(27000, 5.0)
@@ -243,7 +243,7 @@ def test_asymmetry_is_two_time_constants(name, skew, form):
 
 
 def test_rate_limit_is_its_slope_and_ends_at_its_instant():
-    """Straight at the limit until what is left is limit tau, then the lag relaxes; the outer lag is out of the way."""
+    """A straight ramp until the remaining distance is limit tau, then the lag; the outer lag is negligible."""
     r, tau = 10.0, 0.374
     beta = run("pitch_rate_limit", {"rate": r}, held((0, 0.04), (9, 3)), base={"tau_beta_1": 0.001})[2]
     t = np.arange(len(beta)) * STEP - 0.04 - 0.001  # a ramp passes a fast lag late by its time constant
@@ -253,7 +253,7 @@ def test_rate_limit_is_its_slope_and_ends_at_its_instant():
 
 
 def test_a_rate_limit_on_the_command_is_a_ramp_before_the_lags():
-    """Two lags follow a ramp with its slope, behind by the sum of their time constants; then they settle on the goal."""
+    """Two lags follow a ramp with its slope, later by the sum of their time constants; then they settle on the goal."""
     beta = run("pitch_rate_limit", {"rate": 2.0, "form": 3.0}, held((0, 0.04), (9, 12)))[2]
     t = np.arange(len(beta)) * STEP - 0.04
     in_ramp = (t > 3.5) & (t < 4.4)  # what the lags remember of the start has fallen to a few parts in 1e5
@@ -288,7 +288,7 @@ def test_stall_latch_stays_short_until_the_opposite_command():
 
 
 def test_speed_limits_arrive_and_stop_at_their_accuracy():
-    """20 deg/s to 3 deg before the goal, tau until 4 deg/s, straight from there to the accuracy."""
+    """20 deg/s until 3 deg before the goal, the lag until 4 deg/s, constant speed from there to the accuracy."""
     law = {"slowest": 4.0, "full": 20.0, "threshold": 3.0, "accuracy": 0.25}
     beta = run("pitch_speed_limits", law, held((0, 0.04), (9, 3)), base={"tau_beta_1": 0.001})[2]
     t = np.arange(len(beta)) * STEP - 0.04 - 0.001
@@ -411,7 +411,7 @@ def test_sag_follows_the_pitch_through_the_rotors_lags():
 
 
 def test_droop_answers_through_the_rotors_lags():
-    """Two lags towards what the load leaves of the command, integrated by another solver."""
+    """Two lags towards the command minus the droop, integrated by another solver."""
     ref, sag, lift = 5500.0, 80.0, 12.0
     inputs = {"omega_ref": np.r_[3000.0, np.full(749, ref)], "beta_ref": np.full(750, lift - 5.0)}
     omega = run("supply_sag", {"sag": sag, "form": 2.0}, inputs)[1]

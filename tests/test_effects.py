@@ -1,4 +1,4 @@
-"""What holds for every optional effect in the library, whatever it does: a new one is tested here without an edit."""
+"""Properties of every optional effect in the library; a new effect is tested here without an edit."""
 
 from functools import reduce
 
@@ -53,7 +53,7 @@ def test_a_contained_effect_is_a_special_case(effect):
 
 @pytest.mark.parametrize("effects", [(), OPTIONAL], ids=["none", "all"])
 def test_the_communication_step_does_not_matter(effects):
-    """Commands over the whole range on a grid of 8 ms, some changing every time, seen from 1, 2, 4 and 8 ms."""
+    """Commands over the whole range on a grid of 8 ms, some in every row, stepped by 1, 2, 4 and 8 ms."""
     model = plant(e.name for e in effects)
     values = {name: value for name, value in PROBES.items() if name.partition(".")[0] in model.optional}
     slow, fast = random_steps(2000, 150, model=model), random_steps(200, 1, model=model)
@@ -206,7 +206,7 @@ def test_a_new_effect_runs_everywhere_without_an_edit(tmp_path):
 
 
 def test_the_time_constant_of_the_inflow_is_screened_over_a_decade():
-    """Where it is near the pitch's slow lag, a refit from a shorter one ends in a double pole."""
+    """If it is near the pitch's slow lag, a refit from a shorter one ends in a double pole."""
     effect = next(e for e in LIBRARY if e.name == "inflow_lag")
     seen = [shape[effect.full("time_constant")] for shape in Candidate(effect, {}, (effect.full("time_constant"),)).shapes()]
     assert max(seen) >= 9.0 * min(seen)

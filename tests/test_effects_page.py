@@ -1,4 +1,4 @@
-"""`vpp effects`: a page of theory that is made from the declarations."""
+"""`vpp effects`: a page of theory, generated from the declarations."""
 
 import re
 from pathlib import Path
@@ -33,7 +33,7 @@ def test_every_effect_has_its_equation_its_bounds_and_its_response():
 
 
 def test_every_effect_is_visible_in_its_picture():
-    """Also one that needs a low supply, one that is slow, and one that is small beside any move."""
+    """Also an effect that needs a low supply, a slow one, and one that is small beside any move."""
     names = "supply_sag", "supply_voltage", "thrust_gain_drift", "speed_command_resolution", "row_clock"
     page = effects_page([e for e in OPTIONAL if e.name in names], LIBRARY)
     assert len(page.figures) == len(names)

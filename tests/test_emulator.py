@@ -1,4 +1,4 @@
-"""The studies' emulator of rigs against closed forms, and what the studies make of its cases."""
+"""The studies' emulator of rigs against closed forms, and the studies' handling of cases."""
 
 import json
 from dataclasses import replace
@@ -48,7 +48,7 @@ def test_lags_answer_a_step_as_two_lags_do():
 
 
 OWN_TIME = {"fade", "drift", "discharge"}
-"""What goes on in its own time, whatever the rig's."""
+"""Settings of processes whose time scale is not the rig's."""
 
 
 @pytest.mark.parametrize(

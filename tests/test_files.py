@@ -18,7 +18,7 @@ NOBODY = 65534
 
 @contextlib.contextmanager
 def without_privileges():
-    """Root may write anywhere: be someone else meanwhile."""
+    """Root may write anywhere: become another user meanwhile."""
     if not hasattr(os, "geteuid"):
         pytest.skip("no users to change to on this system")
     before = os.geteuid()
@@ -32,7 +32,7 @@ def without_privileges():
 
 @pytest.fixture
 def locked():
-    """A folder that no ordinary user can write to, outside pytest's own, which others can't enter."""
+    """A folder that no ordinary user can write to, outside pytest's own folder, which other users can't enter."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         folder.chmod(0o555)

@@ -1,4 +1,4 @@
-"""FMUs that end or hang their process are refused in one line: they are tried in another one first."""
+"""FMUs that end or hang their process are refused in one line, because another process tries them first."""
 
 import zipfile
 
@@ -19,7 +19,7 @@ ENDS = {
 
 @pytest.fixture
 def changed(fmu_files, tmp_path):
-    """Makes the controller's FMU with more lines at the end of its module."""
+    """Makes the controller's FMU with lines added at the end of its module."""
 
     def make(lines):
         path = tmp_path / "changed.fmu"

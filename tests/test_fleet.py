@@ -1,4 +1,5 @@
-"""Several campaigns diagnosed at once: each as if it were alone, one table of all, whoever computes it."""
+"""Several campaigns diagnosed at once: the result of each is that of a single diagnosis, in one table, on any kind of
+worker."""
 
 import csv
 import json
@@ -22,7 +23,7 @@ SHORT = {"size": "paper", "rate": 100, "noise": "white", "level": 1.0, "strength
 
 @pytest.fixture(scope="module")
 def campaigns(tmp_path_factory):
-    """Folders of campaigns: one with a dead band, one that hides nothing, one that is empty."""
+    """Folders of campaigns: one with a dead band, one without a hidden effect, one empty."""
     folder = tmp_path_factory.mktemp("fleet")
     for name, kind, hidden in (("2026-03-01", "single", ("pitch_command_deadband",)), ("2026-03-08", "none", None)):
         case = draw(11, kind, hidden=hidden, **SHORT)
@@ -33,7 +34,7 @@ def campaigns(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def fleet(campaigns, tmp_path_factory):
-    """What two processes write of them."""
+    """Files of a diagnosis of them in two processes."""
     out = tmp_path_factory.mktemp("out") / "out"
     assert main(["diagnose", *campaigns, *FEW, "--workers", "2", "-o", str(out)]) == 2  # one is refused
     return out
@@ -93,12 +94,12 @@ def test_an_internal_error_in_one_campaign_does_not_stop_the_others(campaigns, t
 
 
 def threads(_) -> int:
-    """Of BLAS, at most."""
+    """Largest number of threads of a BLAS library."""
     return max(library["num_threads"] for library in threadpool_info())
 
 
 def test_every_worker_has_one_thread_of_blas():
-    """On two its sums round otherwise than on a Dask worker, which has one."""
+    """With two threads sums round otherwise than on a Dask worker, which has one."""
     with threadpool_limits(2):
         assert threads(None) == 2
         assert spread(threads, [None]) == [1]

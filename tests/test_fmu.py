@@ -1,4 +1,5 @@
-"""The Python FMU in fmpy: valid, reproducible, the kernel's numbers, state that can be kept, plain words when refused."""
+"""The Python FMU in fmpy: valid, reproducible, equal to the kernel to the bit, with states that can be kept and clear
+refusals."""
 
 import ast
 import os
@@ -138,7 +139,7 @@ def test_an_input_holds_until_it_is_set_again(fmus):
 
 
 def in_a_new_process(code, folder, **variables):
-    """What Python code prints in another process, with the tests and this project on the path."""
+    """Run Python code in another process, with the tests and this project on the path; its output."""
     path = os.pathsep.join(map(str, (Path(__file__).parent, Path(vpp_fmu.__file__).parents[1])))
     return subprocess.run(
         [sys.executable, "-c", code],
@@ -230,7 +231,8 @@ def test_without_inputs_the_plant_stays_at_rest(tmp_path):
 
 
 def test_instances_of_several_fmus_do_not_mix(fmus, tmp_path):
-    """Two plants and two controllers of the same names, other content, interleaved, beside this project's own modules."""
+    """Two plants and two controllers with the same names and different content, interleaved, beside this project's own
+    modules."""
     slow = tmp_path / "slow.fmu"
     slow.write_bytes(python_fmu(BASE, {"tau_omega_1": 0.5, "c21": 0.7}))
     speed_only = tmp_path / "speed_only.fmu"
@@ -264,7 +266,7 @@ def all_values(slave):
 
 @each_fmu
 def test_a_kept_state_goes_on_to_the_bit(fmus, name):
-    """At random moments, delays under way and the controller between two samples: in place, and in a fresh instance."""
+    """At random times, with pending delays and between two samples of the controller: in place, and in a fresh instance."""
     rng, fmu = np.random.default_rng(1), fmus[name]
     slave, inputs = Slave(fmu), [u for u in fmu.variables.values() if u.causality == "input"]
     tuned = {"controller": "kp_omega"}.get(name, "tau_omega_1")
@@ -326,7 +328,7 @@ CHOSEN = {"plain": "state.omega_inner", "all_on": "state.omega_inner", "controll
 
 @each_fmu
 def test_a_state_begins_where_it_is_set(fmus, name):
-    """As the functions do that are told so; what is not set still settles on the inputs."""
+    """As in the kernel; states that are not set settle on the inputs."""
     model, state = MODELS[name], CHOSEN[name].removeprefix("state.")
     simulation = Simulation(model, PROBES if name == "all_on" else {})
     inputs = {u.name: 0.4 * u.nominal for u in model.inputs if not u.clock}
@@ -348,7 +350,7 @@ def test_a_state_begins_where_it_is_set(fmus, name):
 
 
 def test_gains_are_tuned_while_the_controller_runs(fmus):
-    """From the next sample on, as for a controller that goes on from there with the new gains."""
+    """From the next sample on, as in the kernel with the new gains."""
     slave, kernel = Slave(fmus["controller"]), Simulation(CONTROLLER)
     inputs, names = {"thrust_set": 8.0, "thrust": 7.9}, ["omega_ref", "beta_ref"]
     kernel.start(inputs)
@@ -370,7 +372,7 @@ def test_after_a_step_without_numbers_the_last_ones_can_be_read(way, tmp_path):
 
 
 def keeps_the_last_numbers(make, model, folder):
-    """Outputs and states after a step that gave no numbers are those from before it, whatever way steps are taken."""
+    """After a step without finite numbers, outputs and states are those before it, for each way of stepping."""
     (folder / "model.fmu").write_bytes(make(model))
     fmu, given = Fmu(folder / "model.fmu"), model.inputs[0]
     kept = [n for n, v in fmu.variables.items() if v.causality in ("output", "local")]

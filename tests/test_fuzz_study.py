@@ -1,4 +1,4 @@
-"""The fuzz study (python -m tests.studies fuzz), short: verbs that take little time, other seeds than the study's own."""
+"""The fuzz study (python -m tests.studies fuzz) in short: quick verbs, and other seeds than those of the study."""
 
 import os
 import random
@@ -31,12 +31,12 @@ def test_undamaged_files_are_accepted(tmp_path):
 
 
 def test_every_verb_that_takes_a_file_of_the_user_s_is_in_the_study():
-    """The others take none, or make their own."""
+    """The other verbs take no file or make their own."""
     assert set(VERBS) - set(fuzz.COMMANDS) == {"demo", "paper", "cache", "completion"}
 
 
 def test_most_damaged_files_are_refused_and_some_are_not(found):
-    """Most damaged files are refused, and some are not: a study of good files alone, or of nothing but noise, shows little."""
+    """A study of undamaged files alone, or of noise alone, would show little."""
     refused = sum(case.code == 2 for case in found)
     assert RUNS // 3 <= refused < RUNS
 
@@ -48,7 +48,7 @@ def test_a_seed_defines_its_case():
 
 
 def test_every_kind_of_fault_is_detected(tmp_path):
-    """What the study looks for, each made on purpose."""
+    """Each fault is made on purpose."""
     out = tmp_path / "out"
     out.mkdir()
     (out / "a.json").write_text('{"x": NaN}')

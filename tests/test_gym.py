@@ -1,4 +1,5 @@
-"""The rig as Gymnasium environments: vector against single to the bit, the FMU against the model, draws of the posterior."""
+"""The rig as Gymnasium environments: vector equals single to the bit, FMU equals model, parameters are drawn from the
+posterior."""
 
 from importlib.util import find_spec
 

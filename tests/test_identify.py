@@ -1,4 +1,4 @@
-"""A campaign from its files to parameters: what is fitted, what is only predicted, what is said."""
+"""From the files of a campaign to parameters: the records that are fitted, those that are only predicted, and the output."""
 
 import json
 from dataclasses import replace
@@ -50,7 +50,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def found(folder):
-    """The campaign as it stands, identified."""
+    """The unchanged campaign, identified."""
     return identify(read_campaign(folder), starts=2)
 
 
@@ -137,8 +137,8 @@ def test_findings_name_the_record_of_the_rows_left_out(folder):
 
 @pytest.mark.parametrize(("rate", "speed"), [(100.0, 15000.0), (250.0, 4000.0), (1000.0, 3000.0)])
 def test_the_model_of_the_tachometer_has_the_delay_of_its_mark(rate, speed):
-    """A rotor that speeds up evenly, its turns counted exactly: the mean over the last whole turn before each row, on average
-    neither ahead of nor behind what is compared with it, whether a row holds many turns or a turn many rows."""
+    """A rotor with constant acceleration and exact turns: each reading is the mean over the last whole turn. On average the
+    model is neither early nor late, with many turns in a row or many rows in a turn."""
     time, gain = np.arange(0.0, 4.0, 1.0 / rate), 0.2 * speed
     turns = (speed * time + 0.5 * gain * time**2) / 60.0
     whole = np.floor(turns + 0.37)
@@ -153,7 +153,7 @@ def test_the_model_of_the_tachometer_has_the_delay_of_its_mark(rate, speed):
 
 
 def test_a_lag_on_its_bound_is_not_used_as_a_time_scale():
-    """What a saturated rotor bends onto 30 s is no time scale for a plan, for blocks of noise, for bounds."""
+    """A lag of 30 s that a saturated rotor causes is no time scale for plans, noise blocks or bounds."""
     start = BASE.values()
     longest = next(p.maximum for p in BASE.parameters if p.name == "tau_omega_1")
     bent = {**start, "tau_omega_1": longest, "tau_beta_1": 1.1 * start["tau_beta_1"]}
@@ -164,7 +164,7 @@ def test_a_lag_on_its_bound_is_not_used_as_a_time_scale():
 
 @pytest.mark.parametrize(("told", "other"), [((), 7.1), (("beta",), 0.2)])
 def test_the_other_lag_of_the_channel_is_replaced_if_steps_have_identified_it(told, other):
-    """An actuator that latches half way looks like one lag of 7 s and one of none."""
+    """An actuator that latches half way looks like a lag of 7 s beside a negligible one."""
     start = {**BASE.values(), "tau_beta_1": 0.2, "tau_beta_2": 0.1}
     shortest = next(p.minimum for p in BASE.parameters if p.name == "tau_beta_2")
     steps = StepSummary((), (), {u: SimpleNamespace(slow=0.2, fast=0.1) for u in told}, {})

@@ -1,4 +1,4 @@
-"""Somebody's log into its place in a campaign: mapping, units, clock, commands, what is said, what is never overwritten."""
+"""Import of foreign logs into a campaign: mapping, units, clock, commands, messages, and protection of existing files."""
 
 import csv
 import json
@@ -26,13 +26,13 @@ from vpp_fmu.record import Record, read_record
 
 @pytest.fixture
 def vpp(printed):
-    """Import a log; what is printed."""
+    """Import a log, which must succeed, and return the output."""
     return lambda *words: printed("import", "csv", *words)
 
 
 @pytest.fixture
 def refused(refused):
-    """The line that refuses an import."""
+    """Import a log, which must be refused, and return the line."""
     return lambda *words: refused("import", "csv", *words)
 
 
@@ -47,7 +47,7 @@ def table(path, columns, delimiter=","):
 
 
 def lagged(commands, step, lag):
-    """(n,) a held command behind one lag, exactly: what is measured in a row is before the row's command acts."""
+    """(n,) a held command behind one lag, exactly: a row is measured before its command acts."""
     kept, out = np.exp(-step / lag), np.empty(len(commands))
     out[0] = commands[0]
     for k in range(1, len(commands)):
@@ -56,7 +56,7 @@ def lagged(commands, step, lag):
 
 
 def stand(rows=6000, step=0.01, hold=1.5, lag=0.12, seed=5):
-    """A thrust stand of fixed pitch: signal [us], speed [rpm] by a parabola behind one lag, thrust [gf]."""
+    """A thrust stand of fixed pitch: signal [us], speed [rpm] from a parabola and one lag, thrust [gf]."""
     rng = np.random.default_rng(seed)
     time = np.round(step * np.arange(rows), 6)
     signal = np.repeat(rng.integers(1150, 1900, rows), round(hold / step))[:rows].astype(float)
@@ -245,7 +245,7 @@ def test_a_proposal_writes_nothing_and_what_it_saves_imports_the_same(tmp_path, 
     ],
 )
 def test_columns_with_unclear_names_are_mapped_by_their_units(tmp_path, vpp, names):
-    """A load cell is none of a battery; "target (rpm)" is a speed by its unit."""
+    """A "load cell" is no battery cell; a setpoint in rpm is a speed."""
     t = truth()
     path = table(tmp_path / "log.csv", dict(zip(names, (t[n] for n in ("time", "omega_ref", "omega", "thrust")), strict=True)))
     vpp(path, "-o", tmp_path / "out")
@@ -262,7 +262,7 @@ def test_columns_with_unclear_names_are_mapped_by_their_units(tmp_path, vpp, nam
     ],
 )
 def test_guessed_units_need_the_option_yes(tmp_path, vpp, refused, names):
-    """The n behind a force is no speed, and may be newton."""
+    """The n in "force_n" is no speed; it may mean newton."""
     t = truth()
     path = table(tmp_path / "log.csv", {header: t[name] for name, header in names.items()})
     err = refused(path, "-o", tmp_path / "out")
@@ -412,7 +412,8 @@ def test_a_log_of_names_alone_has_no_numbers(tmp_path, refused):
 
 
 def test_repeated_readings_of_one_conversion_count_once(tmp_path, vpp):
-    """80 conversions a second in 200 rows; noise of 50 digits. What is stuck for half a second stays for the gate to name."""
+    """80 conversions a second in 200 rows; noise of 50 digits. Readings frozen for half a second are left to the quality
+    gate."""
     rng, rows = np.random.default_rng(3), np.arange(4000)
     fresh = np.append(True, np.diff(rows * 80 // 200) > 0)
     speed, pitch = np.repeat(rng.integers(2000, 6000, 40), 100).astype(float), np.repeat(rng.uniform(-4.0, 9.0, 20), 200)
@@ -471,7 +472,7 @@ def test_timestamps_of_the_arduino_serial_monitor_are_the_time(tmp_path, vpp):
 
 
 def test_a_long_name_without_a_value_is_tried_once():
-    """Each of its 60 parts could be split in two ways."""
+    """Each of its 60 parts could be split in two ways, so that a search over all splits would not end."""
     assert named_values([(1, "_".join(60 * "a") + " b"), (2, "1 2")], 400) is None
 
 
@@ -722,7 +723,7 @@ def test_the_command_of_a_signal_is_the_parabola_that_the_motor_follows(tmp_path
 
 
 def test_a_short_hold_is_not_taken_for_a_rotor_at_rest(tmp_path, vpp):
-    """The lowest levels hold for less than a steady part; the motor turns there all the same, as the parabola says."""
+    """The lowest levels are held for less than a steady part; the rotor still turns there, as the parabola predicts."""
     rng = np.random.default_rng(3)
     levels = [v for pair in zip(rng.uniform(1300, 1900, 30), rng.uniform(1160, 1280, 30), strict=True) for v in pair]
     signal = np.concatenate([np.full(200 if v >= 1300.0 else 60, round(v)) for v in levels]).astype(float)
@@ -738,7 +739,7 @@ def test_a_short_hold_is_not_taken_for_a_rotor_at_rest(tmp_path, vpp):
 
 
 def test_a_motor_in_a_transient_is_not_reported_as_missing_its_command(tmp_path, vpp):
-    """The pitch moves within a lag of the speed's moves: both commands hold while the rotor is on its way."""
+    """The pitch moves within a lag of the speed's moves, so that both commands are constant during the transient."""
     log, rng = stand(rows=12_000, hold=1.2, lag=0.3), np.random.default_rng(2)
     pitch = np.repeat(np.round(rng.uniform(-4.0, 9.0, 400), 1), 30)
     log["Thrust (gf)"] = (8.0 * (log["RPM"] / 6000.0) ** 2 + 0.3 * pitch) / 9.80665e-3 + rng.normal(0.0, 5.0, 12_000)
@@ -750,7 +751,7 @@ def test_a_motor_in_a_transient_is_not_reported_as_missing_its_command(tmp_path,
 
 
 def test_the_measured_speed_is_suggested_if_the_motor_misses_its_command(tmp_path, vpp, refused):
-    """Each hold ends 5 % off the map, at random; thrust follows the measured speed."""
+    """Each hold ends at a random speed, 5 % off the map; thrust follows the measured speed."""
     log, rng = stand(), np.random.default_rng(8)
     hold = np.cumsum(np.append(0, np.diff(log["ESC (us)"]) != 0))
     log["RPM"] = np.round(log["RPM"] * (1.0 + rng.normal(0.0, 0.05, hold.max() + 1))[hold])
@@ -767,8 +768,8 @@ def test_the_measured_speed_is_suggested_if_the_motor_misses_its_command(tmp_pat
 
 
 def test_the_likelihood_gain_of_a_speed_signal_is_the_closed_form():
-    """Thrust w^2 at 4 pitches a speed: a commanded speed with independent errors leaves what the errors make, the right one the
-    noise; n / 2 log of the ratio is 20 log(10) for a tenfold residual of 20 points, but for the few fitted terms."""
+    """Thrust w^2 at 4 pitches per speed: the residual of a wrong speed is the effect of its errors, that of the right speed is
+    the noise. The gain is n / 2 log of the ratio of powers, but for the few fitted terms."""
     rng = np.random.default_rng(4)
     omega, beta = (g.ravel() for g in np.meshgrid(np.linspace(2000.0, 6000.0, 10), [0.0, 3.0, 6.0, 9.0]))
     w = omega / 6000.0

@@ -1,4 +1,4 @@
-"""Every format of the zoo: what came out of the importer equals what went in, or one line says why not."""
+"""Every format of the zoo: the imported record equals the log, or one line gives the reason of its refusal."""
 
 import pytest
 from import_zoo import came_out, containers, formats
@@ -6,7 +6,7 @@ from import_zoo import came_out, containers, formats
 from vpp_fmu.app.cli import main
 
 NEEDS = {"Parquet": "pyarrow", "HDF5": "h5py", "MAT v7.3": "h5py"}
-"""What reads a container, by the beginning of a format's name."""
+"""Libraries that read containers, by the beginning of a format's name."""
 
 
 @pytest.mark.parametrize("format", formats(), ids=lambda format: format.name)

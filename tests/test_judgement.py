@@ -1,4 +1,4 @@
-"""The judgement: cross-validation, rules, selection, estimate and refutation, each against a closed form."""
+"""The judgement of effects: cross-validation, rules, selection, estimation and refutation, each against a closed form."""
 
 from types import SimpleNamespace
 
@@ -58,7 +58,7 @@ def fit_of(residual, jacobian, time, thresholds=()):
 
 
 def reason_against(judge, shipped, base, found, final, partly=False):
-    """What `validation` says of a set without an unseen record."""
+    """Reason of `validation` against a set without a validation record."""
     return validation.reason_against(validation.Replacement(judge, shipped, base, found, final, None, partly))
 
 
@@ -91,7 +91,7 @@ def test_gain_is_the_profile_likelihood_ratio():
 
 @pytest.mark.parametrize("count", [1, 3])
 def test_chance_exceeds_the_threshold_as_often_as_the_level(count):
-    """The best of many independent candidates that explain nothing: half a chi^2 each."""
+    """The best of many independent candidates without an effect: half a chi^2 each."""
     comparisons, draws = 50, 20000
     best = 0.5 * chi2.rvs(count, size=(draws, comparisons), random_state=1).max(axis=1)
     passed = np.mean(best > chance_threshold(count, comparisons))
@@ -151,7 +151,8 @@ def test_a_special_case_ranks_before_the_wider_effect_that_fits_as_well():
 
 @pytest.mark.parametrize(("band", "lag", "name"), [(-0.5, -0.5, "band"), (-3.0, 0.5, "limits"), (-3.0, 2.0, "lag")])
 def test_the_order_of_effects_is_tried_again_beside_the_whole_set(monkeypatch, band, lag, name):
-    """Ahead when it was alone, the wider effect gives way where its special case fits as well, or another effect better."""
+    """The wider effect was first when it was alone. It is replaced if its special case fits as well, or another effect
+    better."""
     wide = SimpleNamespace(name="limits", contains={"band": {}})
     problem = SimpleNamespace(model=SimpleNamespace(effects=[wide]))
     for other in ("wake", "band", "lag"):
@@ -176,7 +177,7 @@ def weighed(effect, evidence, size):
 
 @pytest.mark.parametrize(("size", "kept"), [(0.2, ("band", "clock")), (0.01, ("band",))])
 def test_an_effect_that_became_too_small_beside_another_is_dropped(monkeypatch, size, kept):
-    """The clock has evidence either way: below the minimum size it leaves the set, and takes nothing with it."""
+    """The clock has enough evidence. Below the minimum size it leaves the set, and no other effect leaves with it."""
     monkeypatch.setattr(selection, "without", lambda searcher, base, fit, name: SimpleNamespace(effects=fit.effects[:1]))
     whole, evidence, sizes = (
         SimpleNamespace(effects=("band", "clock")),
@@ -202,7 +203,7 @@ def test_the_rest_of_a_refuted_set_is_judged_separately(monkeypatch):
 
 
 def test_two_effects_are_found_where_a_third_alone_looks_better_than_either(monkeypatch):
-    """By itself `limits` is worth 39, `drift` 37 and `delay` 10; `limits` and `map` together 50, `drift` and `delay` 67."""
+    """Gains alone: `limits` 39, `drift` 37, `delay` 10; `limits` and `map` together 50, `drift` and `delay` 67."""
     worth = {(): 0, ("limits",): 39, ("drift",): 37, ("delay",): 10, ("limits", "map"): 50, ("delay", "drift"): 67}
     model = SimpleNamespace(effects=[SimpleNamespace(name=n, contains={}) for n in ("limits", "drift", "delay", "map")])
 
@@ -233,7 +234,7 @@ def test_two_effects_are_found_where_a_third_alone_looks_better_than_either(monk
 
 @pytest.mark.parametrize(("gained", "word"), [(100.0, "partly"), (8.0, "unexplained")])
 def test_a_residual_of_the_speed_does_not_hide_an_explained_thrust(gained, word):
-    """Of the log-likelihood a set gains 100 or 8 nats, and generic regressors 10 more; the speed's residual is as it was."""
+    """A set gains 100 or 8 nats of log-likelihood, and generic regressors 10 more; the speed's residual is unchanged."""
     base, final = (SimpleNamespace(deviance=-2.0 * gain, effects=effects) for gain, effects in ((0.0, ()), (gained, ("lag",))))
     common = {"bands": (), "significant": True, "turns": False, "transient_lack_of_fit": False, "speed_lack_of_fit": True}
     before, after = (SimpleNamespace(score=SimpleNamespace(gain=gain), speed=0.9, **common) for gain in (gained + 10.0, 10.0))
@@ -242,7 +243,7 @@ def test_a_residual_of_the_speed_does_not_hide_an_explained_thrust(gained, word)
 
 @pytest.mark.parametrize(("steps", "ships"), [(0.05, ("vibration", "lag")), (0.2, ("lag",)), (None, ("lag",))])
 def test_an_effect_with_an_arbitrary_phase_is_kept_only_if_step_runs_confirm_it(monkeypatch, steps, ships):
-    """Step runs have starts of their own: without it they are predicted to 0.1 N."""
+    """Step runs have phases of their own: without the effect their prediction error is 0.1 N."""
     declared = [SimpleNamespace(name=n, parameters=[SimpleNamespace(initial=n == "vibration")]) for n in ("vibration", "lag")]
     problem = SimpleNamespace(model=SimpleNamespace(effects=declared))
     both, rest = (SimpleNamespace(effects=names, problem=problem) for names in (("vibration", "lag"), ("lag",)))
@@ -269,14 +270,14 @@ def test_an_effect_below_the_minimum_size_after_estimation_is_refuted(monkeypatc
 
 @pytest.mark.parametrize(("after", "worse"), [(0.2, True), (0.1, False), (0.05, False)])
 def test_an_error_increases_if_the_blocks_agree(after, worse):
-    """Twelve blocks of noise, 0.1 before."""
+    """Twelve blocks of noise with an rms of 0.1 before."""
     rng, time = np.random.default_rng(3), np.arange(0.0, 60.0, 0.05)
     assert error_increases([(time, 0.1 * rng.standard_normal(len(time)), after * rng.standard_normal(len(time)))]) is worse
 
 
 @pytest.mark.parametrize(("partly", "told"), [(True, "cross-validated thrust error increases from 0.1 to 0.11 N"), (False, "")])
 def test_a_partial_explanation_must_not_increase_the_error_on_thirds(monkeypatch, partly, told):
-    """Left-out thirds are worse by a tenth, in one of three blocks alone: no certainty."""
+    """The error of left-out thirds increases by a tenth, in one of three blocks alone, which is not significant."""
     time = np.arange(0.0, 15.0, 0.05)
     old = np.full(len(time), 0.1)
     new = np.where(time < 5.0, np.sqrt(3.0 * 0.11**2 - 2.0 * 0.1**2), 0.1)
@@ -289,8 +290,8 @@ def test_a_partial_explanation_must_not_increase_the_error_on_thirds(monkeypatch
 
 
 class Estimates:
-    """A judge of fits that are known by the rms of their errors in folds, noise of one draw scaled: which of two is the larger
-    is certain."""
+    """A judge of fits given by the rms of their errors in folds, scaled from one draw of noise, so that all comparisons are
+    significant."""
 
     runs = ()
 
@@ -304,7 +305,7 @@ class Estimates:
 
 
 def estimate(name: str, **others):
-    """A fit, and what it is when it is estimated otherwise."""
+    """A fit with its alternative estimates."""
     problem = SimpleNamespace(experiments=[SimpleNamespace(record=SimpleNamespace(time=TIME))])
     made = {n: lambda *_, one=one: one for n, one in others.items()}
     return SimpleNamespace(name=name, problem=problem, at_rest=False, **made)
@@ -347,8 +348,8 @@ def test_the_previous_map_is_kept_if_step_runs_refute_the_new_one(at_rest, held,
 
 @pytest.mark.parametrize(("name", "widened"), [("pitch_asymmetry", False), ("map_terms", True)])
 def test_steady_points_lose_weight_only_beside_effects_of_the_map(name, widened):
-    """Records that put a coefficient of the thrust map five of the map's standard deviations elsewhere. An effect on the way
-    can't have brought the points there; terms of the map itself may have."""
+    """The records shift a coefficient of the thrust map by five of the map's standard deviations. A dynamic effect can't have
+    shifted the steady points; terms of the map itself may have."""
     effect = next(e for e in LIBRARY if e.name == name)
     model, rng = plant([name]), np.random.default_rng(4)
     free = [n for n in effect.probe if effect.full(n) not in ("pitch_asymmetry.form",)]
@@ -378,7 +379,7 @@ def test_steady_points_lose_weight_only_beside_effects_of_the_map(name, widened)
 
 
 def test_the_search_for_a_resonance_spans_the_frequencies_of_the_record():
-    """Two cycles in 20 s: 0.1 Hz; half of 100 rows a second: 50 Hz; twelve a decade are a factor of 1.22 apart."""
+    """From two cycles in 20 s, 0.1 Hz, to half of 100 rows a second, 50 Hz; twelve per decade are a factor of 1.22 apart."""
     time = 0.01 * np.arange(2001)
     record = Record({"time": time, "omega_ref": np.full(2001, 4000.0), "beta_ref": np.zeros(2001)}, "made up")
     (candidate,) = candidates([e for e in LIBRARY if e.name == "stand_resonance"], [record])
@@ -389,13 +390,13 @@ def test_the_search_for_a_resonance_spans_the_frequencies_of_the_record():
 
 @pytest.mark.parametrize(("losses", "p"), [([1.0, 2.0, 3.0, 40.0, 500.0, 6e3], 1 / 64), ([-1.0, 2.0], 1 / 2), ([0.0] * 6, 1.0)])
 def test_an_error_that_decreases_in_every_block_has_the_least_p_value(losses, p):
-    """Of the signs of six differences one combination in 64 has a mean as large, however unequal they are: a t test says 0.16.
+    """One of the 64 sign combinations of six differences has a mean as large, however unequal they are; a t test gives 0.16.
     (0.5 and 1.5 of [-1, 2]: two of four.)"""
     assert p_no_decrease([], losses) == pytest.approx(p)
 
 
 def test_rivals_come_from_the_round_that_added_the_effect():
-    """Alone a limit has 800 nats, in another form 790, and a wake that is there too 200; beside the limit a map comes near the
+    """Alone a limit has 800 nats, in another form 790, and a wake 200; beside the limit a map has nearly the evidence of the
     wake."""
 
     def tried(name, evidence, form=1.0):
@@ -414,7 +415,7 @@ def test_rivals_come_from_the_round_that_added_the_effect():
 
 
 def test_a_fit_with_the_same_arguments_is_computed_once():
-    """It goes by all that was asked: another start, or order of the lags, is another fit."""
+    """Another start or another order of the lags is another fit."""
     record = Record({"time": 0.02 * np.arange(400), **commanded(400), "thrust": RNG.standard_normal(400)}, "drawn")
     values = plant(()).values()
     searcher = Searcher([Experiment([Fitted("drawn", record)], independent(15.0))], ["c20", "c11"], None, values, LIBRARY)
@@ -431,7 +432,7 @@ def commanded(rows: int) -> dict[str, np.ndarray]:
 
 
 def test_an_estimate_with_the_map_of_another_fit_changes_the_lags_alone():
-    """Records of a rotor that is slower one way: map and its standard deviations stay as they were, to the digit."""
+    """Records of a rotor that is slower in one direction: the map and its standard deviations are unchanged to the digit."""
     model, rng, name = plant(["speed_asymmetry"]), np.random.default_rng(6), "speed_asymmetry.asymmetry"
     told = {"omega_ref": np.repeat(rng.uniform(2500.0, 5800.0, 40), 50), "beta_ref": np.repeat(rng.uniform(-3.0, 9.0, 40), 50)}
     shown = Simulator(model).simulate(model.values({name: 0.3}), told, np.full(1999, 0.01))
@@ -454,8 +455,8 @@ def test_an_estimate_with_the_map_of_another_fit_changes_the_lags_alone():
     [(0.5, np.geomspace(0.02, 4.5, FINE)), (-4.0, np.linspace(-4.5, 4.5, FINE)), (-4.0, np.linspace(-4.5, -0.5, FINE))],
 )
 def test_the_threshold_search_finds_every_wide_piece(low, grid):
-    """Edges that are known, and each piece's rows at a right angle to all others': a grid misses most of the pieces, halving
-    meets those wider than its finest part, so the right one, whichever it is."""
+    """The edges are known, and the rows of each piece are orthogonal to those of all others. A grid misses most pieces;
+    bisection finds every piece wider than its finest part."""
     edges, grid, rows = np.sort(np.random.default_rng(9).uniform(low, low + 2.5, 300)), grid.tolist(), 30.0 * np.eye(301)
     changing = min(b for b in grid if b > edges[-1]) - max(a for a in grid if a < edges[0])
     wide = np.flatnonzero(np.diff(edges) > changing / FINEST) + 1
@@ -478,8 +479,8 @@ def test_the_threshold_search_finds_every_wide_piece(low, grid):
 
 
 def test_the_threshold_search_finds_the_best_of_many_similar_pieces():
-    """A bump whose place goes in 3000 small pieces, in noise: of all of them none is better than the one that was met by more
-    than half the finest step costs, and few are looked at."""
+    """The position of a bump in noise has 3000 small pieces. The cost found exceeds the least by at most that of half the
+    finest step, and few pieces are evaluated."""
     edges, axis, width = np.linspace(0.5, 3.0, 3001), np.linspace(-1.0, 5.0, 600), 0.3
     bumps = 4.0 * np.exp(-(((axis - edges[:, None]) / width) ** 2))
     curvature = 4.0**2 * np.sqrt(0.5 * np.pi) / width / (axis[1] - axis[0])  # of half the squared distance of two bumps
@@ -499,8 +500,8 @@ def test_the_threshold_search_finds_the_best_of_many_similar_pieces():
 
 @pytest.mark.parametrize(("small", "expected"), [(1.0, 2.0), (2.0, 0.0)])
 def test_the_middle_of_equivalent_thresholds_is_taken(small, expected):
-    """Commands change by 1 deg, which is ignored, and then by 3 deg in all: any value between does the same. Where all changes
-    are of 2 deg, and none is ignored, the range ends first: the value of least influence is taken."""
+    """Moves of 1 deg are ignored and moves of 3 deg are followed, so any value between is equivalent. If all moves are of 2 deg
+    and none is ignored, the value of least influence is taken."""
     model, time = plant(["pitch_command_deadband"]), 0.01 * np.arange(3001)
     moves = np.cumsum(np.tile([2.0, -small, -2.0, small], 8))[:30]
     columns = {
@@ -519,7 +520,7 @@ def test_the_middle_of_equivalent_thresholds_is_taken(small, expected):
 
 @pytest.mark.parametrize(("half_width", "start"), [(0.731, 1.0), (1.618, 0.0)])
 def test_a_dead_band_in_a_closed_loop_is_found(half_width, start):
-    """Commands of a loop creep: beside the very dead band the next ones explain nothing, and a grid passes it by."""
+    """Commands of a loop creep: close to the true dead band other values explain nothing, so that a grid misses it."""
     model, rng = plant(["pitch_command_deadband"]), np.random.default_rng(12)
     name, time = "pitch_command_deadband.half_width", np.cumsum(np.r_[0.0, rng.uniform(1.5, 4.0, 20)])
     wanted = Record({"time": time, "thrust_set": rng.uniform(3.0, 11.0, len(time))}, "wanted")
@@ -556,7 +557,7 @@ def test_step_runs_can_choose_the_other_estimate(on_runs, chosen):
     ("after", "told"), [(0.1001, "cross-validated thrust error increases from 0.1 to 0.1001 N"), (0.0999, "")]
 )
 def test_a_model_with_a_larger_cross_validation_error_is_refuted(monkeypatch, after, told):
-    """Whatever the evidence, and however little: that it is so for certain is not asked for."""
+    """Whatever the evidence, and even if the increase is not significant."""
     monkeypatch.setattr(validation, "error_increases", lambda *_: False)
     judge, present, found = Estimates(present=0.1, found=after, base=0.2), estimate("present"), estimate("found")
     monkeypatch.setattr(validation, "cross_validated", lambda one, split: judge.held_out(one))
@@ -567,7 +568,7 @@ def test_a_model_with_a_larger_cross_validation_error_is_refuted(monkeypatch, af
     ("as_it_ships", "told"), [(0.09, ""), (0.21, "cross-validated thrust error increases from 0.2 to 0.21 N")]
 )
 def test_only_the_final_estimate_can_refute_a_set(monkeypatch, as_it_ships, told):
-    """Of an actuator that latches the records tell little of the map: with the static map's word it is known."""
+    """The records of an actuator that latches hardly identify the map; with the static map as prior it is known."""
     monkeypatch.setattr(validation, "error_increases", lambda *_: False)
     judge = Estimates(present=0.1, found=0.5, final=as_it_ships, base=0.2)
     monkeypatch.setattr(validation, "cross_validated", lambda one, split: judge.held_out(one))
@@ -584,8 +585,8 @@ def test_only_the_final_estimate_can_refute_a_set(monkeypatch, as_it_ships, told
     ],
 )
 def test_a_larger_error_on_step_runs_refutes_a_set(monkeypatch, every, rise, told):
-    """A limit at the edge of the fitted commands: half of 40 runs go further, or two much further (no t test is certain of
-    that), and their mean square rises from 0.01 N^2 by `rise`, sqrt(0.01 + 0.48 / 2) = 0.5; the folds gain 0.11^2 - 0.07^2 =
+    """A limit at the edge of the fitted commands: half of 40 runs go further, or two much further (not significant in a t
+    test). Their mean square increases from 0.01 N^2 by `rise`, sqrt(0.01 + 0.48 / 2) = 0.5. The folds gain 0.11^2 - 0.07^2 =
     0.0072, less than 0.24 and more than 0.005."""
     time = np.arange(0.0, 15.0, 0.05)
     held = {
@@ -605,7 +606,7 @@ def test_a_larger_error_on_step_runs_refutes_a_set(monkeypatch, every, rise, tol
     [(set(), "band", {"band": ["hold", "lag"]}), ({"band"}, "hold", {"hold": ["lag"]}), ({"band", "hold", "lag"}, None, None)],
 )
 def test_a_rival_replaces_a_refuted_effect_unless_it_is_refuted_too(monkeypatch, refuted, taken, family):
-    """Three rivals of a limit, the most evidence first."""
+    """Three rivals of a limit, in the order of their evidence."""
     fits = {n: SimpleNamespace(effects=(n,), bic=lambda k=k: float(k)) for k, n in enumerate(("band", "hold", "lag"))}
     stands = Judgement("", 9.0, 5.0, 8.0, {}, 0.2, 0.1)
     found = selection.Selection(None, None, {"limit": stands}, rivals={"limit": dict(reversed(fits.items()))})
@@ -630,7 +631,7 @@ def test_a_rival_replaces_a_refuted_effect_unless_it_is_refuted_too(monkeypatch,
 
 
 def test_the_allowance_for_the_form_of_another_effect():
-    """An effect that explains 8000 nats and is described to 5 % of its amplitude leaves 0.05^2 of them, 20, in its own band."""
+    """An effect that explains 8000 nats, with an amplitude error of 5 %, may leave 0.05^2 of them, 20, in its own band."""
     left = 0.05**2 * 8000.0
     assert model_form_allowance(np.array([25.0, 0.0]), np.array([8000.0, 0.0])) == pytest.approx(left)
     assert model_form_allowance(np.array([3.0, 25.0]), np.array([8000.0, 0.0])) == 3.0
@@ -638,7 +639,7 @@ def test_the_allowance_for_the_form_of_another_effect():
 
 
 def thrust_fit(rows):
-    """A fit that has whitened thrust `rows` as its residual, of one record with a repeat, beside a speed that it explains."""
+    """A fit with whitened thrust residuals `rows`, of one record with a repeat, and a speed that it explains."""
     squares, counts = {"thrust": float(rows @ rows), "omega": 10.0}, {"thrust": len(rows), "omega": 10}
     problem = SimpleNamespace(
         residual_at=lambda values: np.append(rows, np.ones(10)),
@@ -651,8 +652,8 @@ def thrust_fit(rows):
 
 @pytest.mark.parametrize(("weak", "accepted"), [("wave of 2 Hz", True), ("error of the drift's form", False)])
 def test_beside_a_strong_drift_an_effect_of_30_nats_is_accepted_in_another_band_alone(weak, accepted):
-    """90 s at 100 Hz. A drift explains 16 000 nats, of which its form may leave 40. A lag shows at 2 Hz, where the drift has no
-    power; the error of the drift's form is the curve that a line leaves of a drift that settles."""
+    """90 s at 100 Hz. A drift explains 16 000 nats, of which its form may leave 40. A lag is visible at 2 Hz, where the drift
+    has no power; the error of the drift's form is the residual of a line fitted to a drift that settles."""
     count, since = 9000, np.linspace(-1.0, 1.0, 9000)
     drift = since * np.sqrt(3.0 * np.expm1(2.0 * 16000.0 / count))
     wave, curve = np.sin(2.0 * np.pi * 2.0 * 90.0 * np.arange(count) / count), since**2 - np.mean(since**2)
@@ -671,7 +672,7 @@ def test_beside_a_strong_drift_an_effect_of_30_nats_is_accepted_in_another_band_
 
 @pytest.mark.parametrize(("away", "factor"), [(0.5, 1.0), (2.0, None), (500.0, WIDEST)])
 def test_prior_knowledge_is_widened_by_its_disagreement_with_the_records(away, factor):
-    """Of one parameter d^2 = C + f^2 S has a closed form; below, knowledge keeps its word, above nothing is left of it."""
+    """For one parameter d^2 = C + f^2 S has a closed form; f is at least 1 and at most WIDEST."""
     of_records, known = 0.6, 0.3
     uncertainty = Uncertainty(("c20",), np.array([1.0 + away]), np.array([[of_records**2]]), np.ones(1))
     told = Prior(("c20", "c11"), np.array([1.0, 7.0]), np.diag([known**2, 1.0]))
@@ -691,7 +692,8 @@ def test_prior_knowledge_is_widened_by_its_disagreement_with_the_records(away, f
     ],
 )
 def test_when_a_learned_term_is_accepted(monkeypatch, ahead, leaves, elsewhere, refuted, looks, shipped):
-    """Penalised log-likelihood over the effects of the list: more than 5 is asked for."""
+    """Beside the base it needs 5 nats more than the effects of the list, and no lack of fit may remain. Beside those effects it
+    is rejected if lack of fit remains and a term elsewhere explains as much."""
     base, known, seen = SimpleNamespace(name="base"), SimpleNamespace(name="known", effects=("one", "other")), []
 
     def learned_beside(fit):

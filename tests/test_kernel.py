@@ -94,10 +94,9 @@ def test_plant_is_the_papers_equations_under_scipy():
 
 @pytest.mark.parametrize("channel", ["omega", "beta"])
 def test_the_order_of_two_lags_shows_if_the_inner_one_is_not_settled(channel):
-    """From rest their order does not show. With x and u the deviations of the inner and the outer lag from the command:
+    """From rest their order is not observable. With x and u the deviations of the inner and the outer lag from the command:
 
-    u(t) = u_0 exp(-t / tau_1) + x_0 tau_2 (exp(-t / tau_1) - exp(-t / tau_2)) / (tau_1 - tau_2)
-    """
+    u(t) = u_0 exp(-t / tau_1) + x_0 tau_2 (exp(-t / tau_1) - exp(-t / tau_2)) / (tau_1 - tau_2)"""
     rest, tau_1, tau_2 = {"omega_ref": 3000.0, "beta_ref": 2.0}, 0.2, 0.05
     simulation = Simulation(BASE, {f"tau_{channel}_1": tau_1, f"tau_{channel}_2": tau_2})
     level, x_0, u_0 = rest[f"{channel}_ref"], 1.5, -0.5
@@ -151,7 +150,7 @@ def test_sets_are_the_papers_numbers():
 @pytest.mark.parametrize("beta", np.linspace(-10.0, 10.0, 10))
 @pytest.mark.parametrize("omega", np.linspace(2000.0, 6000.0, 10))
 def test_averaged_map_is_the_papers_polynomial_but_for_the_dropped_term(omega, beta):
-    """Put beta = 15 b - 5 in: w alone gets (5 x 5.7 - 25 x 1.25) 1e-6 = -2.75e-6 N/rpm, 0.0165 N at 6000 rpm."""
+    """With beta = 15 b - 5 the coefficient of w alone is (5 x 5.7 - 25 x 1.25) 1e-6 = -2.75e-6 N/rpm, 0.0165 N at 6000 rpm."""
     paper = (
         0.21 * omega**2 - 5.7 * omega * beta + 0.023 * omega**2 * beta - 1.25 * omega * beta**2 - 2.15e-6 * omega**3
     ) * 1e-6
@@ -196,7 +195,7 @@ def test_delay_shifts_the_response_exactly(pitch, speed, hold, grid):
 @pytest.mark.parametrize("period", ["0.004", "0.01", "0.007", "0.0003"])
 @pytest.mark.parametrize("span", ["0.001", "0.003", "0.004", "0.007", "0.011"])
 def test_every_sample_falls_into_its_communication_step(period, span):
-    """Sample n is due at n period: in the step that begins then or before, whatever rounding has gathered."""
+    """Sample n is due at n period: it belongs to the step that begins then or before, whatever the accumulated rounding."""
     wait, taken = 0.0, []
     for k in range(3000):
         wait = run_sampled(wait, float(period), float(span), lambda _, k=k: taken.append(k))
@@ -205,6 +204,6 @@ def test_every_sample_falls_into_its_communication_step(period, span):
 
 
 def test_the_defaults_of_an_effect_switch_it_off():
-    """A file of parameters that names the effect, and not its size, has the model without it."""
+    """A parameter file that names the effect but not its size gives the model without it."""
     for effect in (e for e in (*LIBRARY, *POWER_EFFECTS) if e.off):
         assert {p.name: p.default for p in effect.parameters if p.name in effect.off} == effect.off, effect.name

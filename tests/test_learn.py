@@ -1,4 +1,4 @@
-"""vpp learn: a law that follows the set-point on plants it has not seen, its files, and the FMU that is made of it."""
+"""vpp learn: a law that follows the set-point on unseen plants, its files, and its FMU."""
 
 import json
 from dataclasses import replace
@@ -21,7 +21,7 @@ from vpp_fmu.policy import read_policy
 
 @pytest.fixture(scope="module")
 def learned(tmp_path_factory):
-    """A folder with what 40 generations of learning wrote; gains.json are the published ones."""
+    """A folder with the files of 40 generations of learning; gains.json are the published ones."""
     folder = tmp_path_factory.mktemp("learned")
     std = {"tau_omega_1": 0.02, "tau_beta_2": 0.04, "c20": 0.01, "c21": 0.05}
     ParameterSet(plant()).replaced({n: FINE_TUNED[n] for n in std}, std).save(folder)
@@ -68,7 +68,7 @@ def test_the_learning_curve_decreases_and_held_out_plants_are_compared(learned):
 
 
 def test_the_loop_of_a_learned_law_is_the_loop_of_its_functions(learned):
-    """The compiled loop of the search, against plant, chain-free reading and law in Python."""
+    """The compiled loop of the search against plant and law in Python, without a measurement chain."""
     policy = read_policy(learned).parameters()
     model = replace(policy.model, outputs=policy.model.outputs[:2])
     loop, wanted = ClosedLoop(plant(), model), np.repeat([2.0, 8.0], 50)

@@ -1,4 +1,4 @@
-"""Terms of no list: columns against the kernel's own tangents, the score test's size, what is learned, its file."""
+"""Learned terms: columns against the kernel's tangents, the level of the score test, the term that is learned, and its file."""
 
 import json
 from dataclasses import replace
@@ -41,7 +41,7 @@ FEW = tuple(e for e in LIBRARY if e.off is None or e.name in ("pitch_command_dea
 
 
 def with_term(gain):
-    """The plant with thrust that goes with the pitch rate."""
+    """The plant with a thrust term proportional to the pitch rate."""
     effect = learned("hidden", "thrust", "pitch_rate", "line", {"gain": gain}, (-60.0, 60.0))
     return plant(["hidden"], placed(LIBRARY, effect, PORTS["thrust"])), {"hidden.gain": gain}
 
@@ -61,13 +61,13 @@ def campaign(gain, seed=0) -> Campaign:
 
 @pytest.fixture(scope="module")
 def found():
-    """The diagnosis of a rig with a term that the list given to it lacks."""
+    """The diagnosis of a rig with a term that its library does not have."""
     return diagnose(campaign(GAIN), FEW)
 
 
 @pytest.fixture(scope="module")
 def nothing():
-    """The diagnosis of a rig that lacks nothing."""
+    """The diagnosis of a rig that equals the model."""
     return diagnose(campaign(0.0), FEW)
 
 
@@ -93,7 +93,7 @@ def test_a_lag_of_a_step_is_the_exponential():
 
 @pytest.mark.parametrize("port", [p for p in PORTS if p != "reading"])
 def test_a_port_s_response_is_the_kernel_s_tangent(nothing, port):
-    """Curves over pitch or speed, at 0: what the look's linear response says, and what the model does."""
+    """Curves over pitch or speed, linearised at 0: the linear response of the screening against the tangent of the model."""
     base, form = nothing.base, 2.0
     e, driver = base.problem.experiments[0], "speed" if PORTS[port].channel == "beta" else "pitch"
     outputs = Simulator(base.problem.model).simulate(base.values, *e.record.run)
@@ -114,7 +114,7 @@ def test_a_port_s_response_is_the_kernel_s_tangent(nothing, port):
 
 
 def test_the_score_test_of_noise_has_its_distribution(nothing):
-    """Twice the fall of a group is chi^2 of its rank where there is only noise: 200 draws, Kolmogorov and Smirnov."""
+    """For noise, twice the likelihood gain of a group is chi^2 with its rank: 200 draws, Kolmogorov-Smirnov test."""
     base = nothing.base
     e, about = base.problem.experiments[0], base.linearised()
     outputs = Simulator(base.problem.model).simulate(base.values, *e.record.run)
@@ -168,13 +168,13 @@ def test_a_missing_term_is_learned_and_added_to_the_model(found):
     ],
 )
 def test_a_rival_elsewhere_is_of_another_place_or_driver(found, port, driver, elsewhere):
-    """What was learned is at the thrust, by the rate of pitch."""
+    """The learned term is at the thrust, driven by the pitch rate."""
     rival = replace(found.learned.term, lead=replace(found.learned.term.lead, port=port, driver=driver))
     assert replace(found.learned, rivals=(rival,)).elsewhere == (rival,) * elsewhere
 
 
 def test_a_refuted_term_is_on_the_page_with_the_reason(found):
-    """Refuted as it is where something is lacking beside it: where it enters, and why it stays out, in table and JSON."""
+    """Refuted as if lack of fit remained: its place and the reason are in the table and in the JSON."""
     refuted = replace(found, verdict="unexplained", final=found.base, attempt=found.attempt.but_refuted("something is lacking"))
     page = diagnosis_page(refuted).html()
     stood = next(term for term, judged in refuted.attempt.tried if judged.refused == ("something is lacking",))
@@ -207,7 +207,7 @@ def test_its_files_are_read_exported_and_reported(found, tmp_path):
 
 @pytest.mark.parametrize("end", ["minimum", "maximum"])
 def test_a_value_on_its_bound_is_one_that_its_file_allows(tmp_path, end):
-    """The bounds go by the driver's range, which no short number is."""
+    """The bounds come from the range of the driver, which has many digits."""
     lead = SimpleNamespace(port="pitch_rate", driver="pitch_to_go", shape="sign", lag=None, times="", form=2.0)
     lead.values, lead.span = {"gain": -1.23456789, "width": 0.5}, (-1.95791771, 1.95791772)
     effect = effect_of(lead, "learned", PAPER)

@@ -1,4 +1,4 @@
-"""A learned term is an effect like any other: off, C as Python, tangents, both FMUs; and each shape's closed form."""
+"""A learned term is an effect like any other: off, C equals Python, tangents, both FMUs; and the closed form of each shape."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def span(driver):
 
 
 def curve(port, driver, lag=None, times="", size=0.1):
-    """A bent curve over a driver's range, of a share of the port's limit."""
+    """A curve over a driver's range, with values up to a share of the port's limit."""
     low, high = span(driver)
     at, top = np.linspace(low, high, 4), size * PORTS[port].limit
     top *= {"": 1.0, "pitch": 15.0, "speed": 6000.0, "thrust": 15.0, "pitch/time": 30.0, "speed/time": 12000.0}[
@@ -36,7 +36,7 @@ def curve(port, driver, lag=None, times="", size=0.1):
 
 
 def shaped(port, driver, shape, lag=None, **values):
-    """Another shape."""
+    """A term of another shape."""
     return port, learned(f"{shape}_{port}", port, driver, shape, values, span(driver), lag)
 
 
@@ -67,7 +67,7 @@ TERMS = {
 each_term = pytest.mark.parametrize("term", TERMS)
 sampled = pytest.mark.sampled("term")
 JUMPS = ("threshold", "relay", "hold")
-"""Discontinuous in their driver: at a crossing a result goes with the step."""
+"""Discontinuous in their driver: at a crossing the result depends on the step."""
 
 
 def model_of(term):
@@ -80,7 +80,7 @@ _simulators = {}
 
 
 def run(term, model, values, inputs, steps, wrt=()):
-    """A simulator is made once."""
+    """Outputs and tangents; each simulator is made once."""
     made = _simulators.setdefault((term, wrt), Simulator(model, wrt))
     return made.sensitivities(values, inputs, steps)
 
@@ -176,7 +176,7 @@ def test_a_curve_is_straight_between_its_knots_and_flat_beyond():
 
 
 def test_a_term_in_a_feedback_loop_starts_settled():
-    """A term driven by what arises behind it, through a lag of seconds: no transient at the start."""
+    """A term whose driver depends on the term itself, through a lag of seconds: no transient at the start."""
     shown, base = settled("speed_command_share", 5500.0)
     assert np.abs(shown[:, 0] - shown[-1, 0]).max() < 1e-4
     assert abs(shown[-1, 0] - base[0]) > 0.01

@@ -1,4 +1,4 @@
-"""Where an unexplained error lives."""
+"""Location of an unexplained error: signal, input and frequency band."""
 
 import json
 import warnings
@@ -16,7 +16,7 @@ THRUST = 6.0 + 0.001 * (SPEED - 4000.0)
 
 
 def located(error, speed=SPEED, pitch=PITCH):
-    """What is said of an error [N] that comes back in the repeat."""
+    """The location of an error [N] that is the same in the repeat."""
     columns = {"omega_ref": speed, "beta_ref": pitch, "omega": speed, "beta": pitch, "thrust": THRUST + error}
     made = [Record({"time": TIME, **columns, "thrust": columns["thrust"] + noise}, "") for noise in noises()]
     with warnings.catch_warnings():
@@ -54,7 +54,7 @@ def test_empty_cells_do_not_affect_the_location():
 
 
 def test_frequency_bands_are_right_at_a_low_sampling_rate():
-    """A record of 20 Hz, whose means are of one row: 3 to 10 Hz is where a tone of 5 Hz is, whatever the means' length."""
+    """At 20 Hz each mean has one row: a tone of 5 Hz is still in the band from 3 to 10 Hz."""
     time = TIME[::12][:1000]
     columns = {"time": time, "omega_ref": SPEED[::12][:1000], "beta_ref": PITCH[::12][:1000]}
     thrust = THRUST[::12][:1000]

@@ -1,4 +1,4 @@
-"""Speed sensors and loggers of the loggers study against closed forms, and what the study makes of its cases."""
+"""Speed sensors and loggers of the loggers study against closed forms, and the study's handling of cases."""
 
 import json
 
@@ -16,13 +16,13 @@ from vpp_fmu.kernel.plant import BASE as MODEL
 from vpp_fmu.native import Simulator
 
 START, SLOPE = 2400.0, 1800.0
-"""rpm and rpm/s of a rotor that speeds up evenly."""
+"""rpm and rpm/s of a rotor with constant acceleration."""
 
 RNG = np.random.default_rng(0)
 
 
 def speeding_up(seconds=1.5):
-    """From a second before 0 on, its speed and turns in closed form."""
+    """Constant acceleration from 1 s before 0 on: speed and turns in closed form."""
     time = np.arange(-1.0, seconds, FINE)
     return Motion(time, START + SLOPE * time, (START * time + 0.5 * SLOPE * time**2) / 60.0)
 
@@ -60,7 +60,7 @@ def test_telemetry_answers_a_step_as_a_first_order_filter_does():
 
 
 def stepped(rate, lag=0.0, span=0.0):
-    """What is read of a step from half of full speed to 0.9, sent after 0.4 s; the rows' times [s] behind the step."""
+    """Readings of a step from 0.5 to 0.9 of full speed, sent at 0.4 s; the rows' times [s] after the step."""
     rows = round(2.4 * rate)
     w = np.where(np.arange(rows) < 0.4 * rate, 0.5, 0.9)
     read = LoggedRig(PAPER, rate=rate, logger=Logger(lag, span)).read(np.random.default_rng(3), (w, w))
@@ -68,14 +68,14 @@ def stepped(rate, lag=0.0, span=0.0):
 
 
 def integral(t):
-    """Of the speed's answer to the step, per unit, from 0 on: s."""
+    """Integral [s] of the unit step response of the speed."""
     a, c = PAPER["tau_w1"], PAPER["tau_w2"]
     t = np.maximum(t, 0.0)
     return t - (a + c) + (a**2 * np.exp(-t / a) - c**2 * np.exp(-t / c)) / (a - c)
 
 
 def answer(t):
-    """rpm at times [s] behind the step."""
+    """Speed [rpm] at times [s] after the step."""
     a, c = PAPER["tau_w1"], PAPER["tau_w2"]
     t = np.maximum(t, 0.0)
     return 6000.0 * (0.9 - 0.4 * (a * np.exp(-t / a) - c * np.exp(-t / c)) / (a - c))

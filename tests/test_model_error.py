@@ -1,4 +1,4 @@
-"""How far a model is off by itself: of errors whose size is known, at places that are counted."""
+"""Size of the model error, from errors of known size at a known number of places."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ VALUES = BASE.values()
 
 @pytest.fixture(scope="module")
 def visits():
-    """200 places of the map in random order, 4 s each, where the reading is off by as much as each place's own error [N]."""
+    """200 places of the map in random order, 4 s each; each place has its own constant error of the reading [N]."""
     dice = np.random.default_rng(3)
     grid = [(w, b) for w in np.linspace(2100.0, 5900.0, 10) for b in np.linspace(-4.9, 9.9, 20)]
     order, rows = dice.permutation(len(grid)), round(STAY / DT)
@@ -48,7 +48,7 @@ def test_steady_points_lose_the_degrees_of_freedom_of_their_map():
 
 
 def test_a_late_reading_is_an_error_of_the_moves_alone(visits):
-    """A reading that is late by 0.1 s is off on the move alone."""
+    """A reading that is 0.1 s late is wrong during moves alone."""
     late = visits.record.with_columns(thrust=np.concatenate([np.full(10, visits.thrust[0]), visits.thrust[:-10]]))
     found = model_error([], [Prediction(late, visits.thrust, visits.omega, visits.beta)], VALUES, 9, noise=0.0)
     assert found.steady < 0.02

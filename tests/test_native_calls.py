@@ -1,4 +1,4 @@
-"""The native FMU's C interface: the order of the calls, what is refused, derivatives, lives, threads."""
+"""The C interface of the native FMU: order of calls, refusals, derivatives, memory, threads."""
 
 import ctypes
 import threading
@@ -20,7 +20,7 @@ fmu_files, fmus = test_native_fmu.fmu_files, test_native_fmu.fmus
 
 
 class Raw:
-    """The library's functions as they are, and what it logs."""
+    """The library's functions without fmpy, and its messages."""
 
     LOGGER = ctypes.CFUNCTYPE(None, ctypes.c_void_p, *[ctypes.c_char_p] * 1, ctypes.c_int, *[ctypes.c_char_p] * 2)
 
@@ -217,7 +217,7 @@ def derivative(slave, unknowns, knowns, moves):
 
 @each_fmu
 def test_derivatives_at_the_start_are_differences(fmus, name):
-    """Of outputs and states in inputs and parameters, one by one and along a mixed direction."""
+    """Of outputs and states with respect to inputs and parameters, one by one and along a mixed direction."""
     model = MODELS[name][0]
     # At no limit of the controller, and at no jump of a command that is executed in steps.
     inputs = {u.name: (0.424 - 0.05 * k) * u.nominal for k, u in enumerate(model.inputs)}
@@ -262,7 +262,7 @@ def test_derivatives_at_communication_points_are_the_simulators(fmus, name):
 
 
 def test_the_controllers_derivatives_are_differences(fmus):
-    """Also in its sample time: 37 samples of each length, under thrust that stands still."""
+    """Also with respect to its sample time: 37 samples of each length, at constant thrust."""
     held, unknowns = {"thrust_set": 7.0, "thrust": 6.99}, ["omega_ref", "beta_ref"]
 
     def run(samples, **values):

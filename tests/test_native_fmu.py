@@ -1,4 +1,4 @@
-"""The native FMU: what holds for the Python flavour holds for it; the archive, its bits, what it is built by and for."""
+"""The native FMU: the tests of the Python flavour, the archive, reproducible builds, compilers and platforms."""
 
 import io
 import os
@@ -155,7 +155,7 @@ def test_fmpy_compiles_it_from_its_sources(fmu_files, long_run, tmp_path, monkey
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 @each_fmu
 def test_its_build_description_is_valid(name, version):
-    """After FMI 3.0's schema, and after its table of a SourceFileSet: options are those of a compiler that is named."""
+    """By FMI 3.0's schema and its table of SourceFileSet: options require the name of a compiler."""
     fmu = io.BytesIO(native(name, version))
     (build,) = read_build_description(fmu)
     assert build.modelIdentifier == MODELS[name][0].name
@@ -168,7 +168,7 @@ def test_its_build_description_is_valid(name, version):
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="the flag is x86-64's")
 def test_its_source_allows_no_fused_multiply_add(tmp_path):
-    """Whatever the compiler is told: the build description names no options."""
+    """Whatever the compiler's options: the build description names none."""
     (tmp_path / "plant.c").write_text(c_text(BASE, BASE.values(), "{}"))
     command = [CC, "-std=gnu99", "-O3", "-w", "-mfma", "-S", "-o", "plant.s", "plant.c"]
     subprocess.run(command, cwd=tmp_path, check=True)
@@ -234,7 +234,7 @@ def test_64_bit_arm_gives_the_same_bits():
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the GNU C library is Linux's")
 def test_the_command_says_what_the_fmus_were_linked_to(tmp_path, printed):
-    """What `objdump` finds is the yardstick, where it is installed."""
+    """Compared with `objdump`, where it is installed."""
     said = next(
         line for line in printed("export", "--flavour", "native", "-o", tmp_path).splitlines() if "GNU C library" in line
     )

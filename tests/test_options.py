@@ -1,4 +1,4 @@
-"""Every number that any verb takes says what it may be; this walks over all of them, so that none is forgotten."""
+"""Every number option of every verb declares its range; all parsers are searched, so that none is forgotten."""
 
 import argparse
 import math
@@ -13,7 +13,7 @@ NO_NUMBERS = ("-1e9", "1e400", "nan", "inf", "-inf", "", "two", "1,5", "0x10", "
 
 
 def actions(verb, parser):
-    """(words that lead there, action) of every option and argument of a verb and its sub-verbs."""
+    """(words that lead there, action) of every option and argument of a verb and its subverbs."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for name, below in action.choices.items():

@@ -1,4 +1,4 @@
-"""A run's files come as a set, whole or not at all; what an earlier run left and would now lie goes, nothing else does."""
+"""The files of a run appear together or not at all; outdated files of an earlier run are removed, and no others."""
 
 import json
 import os
@@ -18,7 +18,7 @@ ONE, OTHER = "0123456789ab", "ba9876543210"
 
 
 def ran(folder, verb, identity, **files):
-    """A run of `verb` that wrote these files, of parameters of that identity."""
+    """A run of `verb` that wrote these files, from parameters of that identity."""
     done = OutputSet(folder, verb)
     for name, text in files.items():
         done.write(name.replace("_json", ".json").replace("_fmu", ".fmu"), text)

@@ -1,4 +1,4 @@
-"""Effects and verbs from outside the package: by a file, by an entry point, and what is checked of them."""
+"""Effects and verbs from outside the package, by a file or by an entry point, and the checks of them."""
 
 import json
 import re
@@ -34,7 +34,7 @@ BROKEN = {
     "free of the communication step": SOURCE.replace("s.thrust)\n    return", "s.thrust) + p.tau * dt * 1e3\n    return"),
     "sensitivities are differences": None,
 }
-"""A file that each invariant catches; a wrong tangent can't be written by a user."""
+"""A file that each invariant refuses; a user can't write a wrong tangent."""
 
 
 def test_the_effect_of_the_readme_keeps_every_invariant(printed):
@@ -166,7 +166,7 @@ def test_a_diagnosis_tries_a_user_defined_effect():
 
 @pytest.fixture
 def installed(tmp_path, monkeypatch):
-    """Puts a package with entry points onto the path: (group, name, value), its modules by name."""
+    """Puts a package with entry points (group, name, value) and modules (source by name) onto the path."""
 
     def install(entries, modules):
         info = tmp_path / "a_plugin-1.0.dist-info"

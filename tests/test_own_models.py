@@ -1,4 +1,4 @@
-"""vpp export --model: the worked example in both flavours, and what is said of models that can't become an FMU."""
+"""vpp export --model: the worked example in both flavours, and the refusals of models that can't become an FMU."""
 
 import sys
 import zipfile
@@ -24,7 +24,7 @@ OUTPUTS = [s.name for s in MODEL.outputs]
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """An empty current folder from which modules are found, as the command has it."""
+    """An empty current folder from which modules are imported, as for the command."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
@@ -63,7 +63,7 @@ def test_the_example_is_the_functions_to_the_bit_in_all_flavours(example):
 
 
 def test_the_example_keeps_momentum_and_swings_as_the_textbook_says(example):
-    """Momentum is force times time; the spring between the masses swings at sqrt(k / mu), mu = m1 m2 / (m1 + m2)."""
+    """Momentum is force times time; the masses oscillate at sqrt(k / mu), mu = m1 m2 / (m1 + m2)."""
     for fmu in example.values():
         slave = Slave(fmu, initialised=False).initialise(d=0.0)
         stretch, steps = [], 2000
@@ -221,7 +221,7 @@ def test_a_name_of_no_model_is_refused_in_one_line(folder, refused, wrong):
 
 
 def test_an_error_names_its_verb_once(folder, refused):
-    """In each verb, where no file is at fault but its own options."""
+    """For errors in options, not in files."""
     for command in (["export", "--adapt", "c20"], ["export", "--model", "none:MODEL"], ["hil", "run", "--profile", "none.csv"]):
         assert refused(*command).count(f"vpp {command[0]}") == 1
 
@@ -283,7 +283,7 @@ def test_a_broken_model_is_refused_by_its_declaration_and_nothing_is_written(fol
 
 
 def test_the_readmes_example_runs(folder):
-    """The text between its fences is a module as it stands."""
+    """The code block of the README is a whole module."""
     page = (Path(fmu_src.__file__).parent / "README.md").read_text()
     text = page.split("```python\n# cooling.py\n")[1].split("```")[0]
     (folder / "cooling.py").write_text(text)

@@ -131,7 +131,7 @@ def test_the_static_rows_are_a_plain_fit_in_the_papers_units(quick):
 
 
 def test_the_sum_of_the_pitch_lags_is_the_area_above_the_step_response(quick):
-    """Two lags add up to the area that a step response leaves above it."""
+    """For two lags the area above the step response is the sum of their time constants."""
     sums = {}
     for record in quick.campaign.steps:
         size = abs(record["beta_ref"][-1] - record["beta_ref"][0])
@@ -171,7 +171,7 @@ def test_the_step_test_of_the_papers_model_is_the_kernels_own_loop(quick, contro
 
 
 def test_the_lag_beside_the_assumed_one_is_the_rigs_own_of_that_name(quick):
-    """The paper assumes its slower pitch lag to be 0.05 s; a fit writes the slower one first."""
+    """The paper assumes 0.05 s for its slower pitch lag; a fit writes the slower one first."""
     lags = sorted(quick.rows[f"fine_tuned.tau_beta_{k}"]["rig"] for k in (1, 2))
     found = read_parameters(quick.out / "parameters.json", plant).values
     assert lags == sorted(found[f"tau_beta_{k}"] for k in (1, 2))
@@ -205,8 +205,8 @@ def test_a_cost_that_agrees_by_construction_is_marked(quick):
 
 
 def test_the_pages_table_is_what_the_study_prints(quick):
-    """Of a full study. What does not depend on the size of the campaign must be today's: the paper's column, and what the
-    paper's gains do on the paper's model. The rig's column takes minutes: `python -m tests.studies paper --write`."""
+    """The table is of a full study. Columns that do not depend on the size of the campaign must agree: the paper's, and the
+    results of its gains on its model. The rig's column takes minutes: `python -m tests.studies paper --write`."""
     today, page = ([line.split(" | ") for line in text.splitlines()] for text in (numbers(quick.told), stored("paper")))
     assert [line[:2] for line in page] == [line[:2] for line in today]
     names = ("reached", "overshoot", "up", "down")
@@ -248,7 +248,7 @@ def test_gains_and_fmus_are_those_of_the_rows(quick):
 
 
 def test_every_stage_is_printed_as_it_begins(quick):
-    """Minutes of silence in a pipe pass for a hang."""
+    """Minutes without output would look like a hang."""
     told = re.findall(r"^vpp paper: (.*) \(\d+ s\)$", quick.said, re.MULTILINE)
     assert told[-2:] == ["export", "report"]
     assert {"steps the paper's way", "the paper's descent"} <= set(told)

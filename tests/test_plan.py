@@ -1,4 +1,4 @@
-"""The next experiment: within the rig's range, better than the paper's, and right about what it will bring."""
+"""The next experiment: within the rig's range, better than the paper's, with a correct forecast of the uncertainty."""
 
 import json
 from dataclasses import replace
@@ -100,7 +100,8 @@ def test_the_same_seed_gives_the_same_plan(narrow):
 
 
 def test_it_beats_the_paper_s_plan(planned, narrow):
-    """Steps every 0.2 to 0.8 s on both channels cut tau_beta_1 to a third (notes); the weakest direction follows."""
+    """Steps every 0.2 to 0.8 s on both channels reduce the error of tau_beta_1 to a third (notes); so does the weakest
+    direction."""
     assert planned.gain > 2.0
     assert planned.after.typical < 0.5 * planned.paper.typical
     taus = [planned.after.names.index(f"tau_beta_{k}") for k in (1, 2)]
@@ -110,7 +111,7 @@ def test_it_beats_the_paper_s_plan(planned, narrow):
 
 
 def test_a_rig_ten_times_as_slow_gets_the_same_plan_ten_times_as_slowly():
-    """Time has no other scale than the rig's: the same draws, the same shares of the ranges, the same information a reading."""
+    """Time has no other scale than the rig's: the same draws, shares of the ranges, and information per reading."""
     slow_values = {name: 10.0 * value if name.startswith("tau") else value for name, value in SORTED.items()}
     fast, slow = (
         plan(BASE, values, Rig().timed(unit), 20.0 * unit, 0.3, evaluations=20)
@@ -159,7 +160,7 @@ def test_the_forecast_is_the_scatter_of_refits(planned):
 
 
 def test_prior_knowledge_adds_to_the_information_and_steers_the_search():
-    """Gaussian knowledge: inverse covariances add. With the map known, the search turns to the time constants."""
+    """Gaussian knowledge: inverse covariances add. If the map is known, the search concentrates on the time constants."""
     names = BASE_PARAMETERS[4:]
     mean = np.array([SORTED[n] for n in names])
     knowledge = Prior(names, mean, np.diag((1e-3 * mean) ** 2))
@@ -178,7 +179,7 @@ def test_prior_knowledge_adds_to_the_information_and_steers_the_search():
 
 
 def test_a_plan_for_effects_names_parameters_that_are_not_identifiable():
-    """A threshold has no slope anywhere; under much noise some coefficients drown before others."""
+    """A threshold has no derivative; under much noise some coefficients become unidentifiable before others."""
     model, delay = plant(["pitch_delay", "pitch_command_deadband"]), "pitch_delay.delay"
     values = {delay: 0.0413, "pitch_command_deadband.half_width": 1.5}
     found = plan(model, values, Rig(), 20.0, 0.1, evaluations=20)
@@ -333,7 +334,8 @@ def test_a_plan_needs_a_measured_or_declared_range(tmp_path, printed, refused):
 
 
 def test_a_plan_for_a_slow_logger_is_sampled_faster(parameters, tmp_path):
-    """A rig's commands are at most a tenth of its time scale apart: 0.05 s for the paper's, whose log has a row each 0.2 s."""
+    """Commands are at most a tenth of the rig's time scale apart: 0.05 s for the paper's rig, although its log has a row each
+    0.2 s."""
     slow = ParameterSet(BASE, source=SOURCE | {"sample_period": 0.2}).replaced(SORTED)
     parameters.write_text(to_json(slow))
     assert cli.main(["plan", "--parameters", str(parameters), "--seconds", "8", "-o", str(tmp_path / "out")]) == 0
@@ -398,7 +400,7 @@ def test_a_range_without_a_measurable_change_of_thrust_needs_the_option_yes(tmp_
 
 
 def test_an_identification_beside_the_parameters_is_used_as_knowledge(tmp_path, capsys, monkeypatch):
-    """An identification.json that nobody named counts if it is of the same model, and is passed over if it is not."""
+    """identification.json is used without an option if it is of the same model, and ignored if it is not."""
     seen = []
 
     def planned(*given, **more):

@@ -1,4 +1,4 @@
-"""Effects of power in time: named with their true size, none where nothing is hidden, no section without power."""
+"""Dynamic effects of power: named with their true size, none if nothing is hidden, no section without power."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What results say of where they come from, and that two files which must speak of one model do."""
+"""The origin that results name, and the check that two files belong to the same model."""
 
 import json
 import re

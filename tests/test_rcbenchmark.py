@@ -1,4 +1,4 @@
-"""Logs of RCbenchmark stands: what is read, what is left out, and the map from ESC signal to speed."""
+"""Logs of RCbenchmark stands: reading, rows left out, and the map from ESC signal to speed."""
 
 import csv
 import json
@@ -45,7 +45,7 @@ HEADERS = {
 
 
 def truth(signals=(0, 200, 600, 1000, 1500, 1900, 800, 0), held=2.0, seed=1) -> dict[str, np.ndarray]:
-    """A log's quantities in a record's units: steps of the signal, a motor that follows at once, a battery that sags."""
+    """A log in a record's units: steps of the signal, a motor without lag, a battery that sags."""
     rng = np.random.default_rng(seed)
     time = np.cumsum(rng.uniform(0.007, 0.011, int(len(signals) * held / 0.009)))
     signal = np.array(signals, float)[np.minimum((time / held).astype(int), len(signals) - 1)]
@@ -78,7 +78,7 @@ def log(tmp_path):
 
 
 def gapped(columns, rows, gap=0.09):
-    """The time column with the logger standing still before each of `rows`."""
+    """The time column with a stall of the logger before each of `rows`."""
     time = columns["time"].copy()
     for row in rows:
         time[row:] += gap
@@ -318,7 +318,7 @@ def test_the_map_is_0_below_the_signal_that_turns_the_motor_whatever_the_cubic_s
 
 
 def test_parts_that_are_short_or_unsteady_make_no_point():
-    """A motor that stutters is at rest half of the time; one that is held shortly turns."""
+    """A motor that stutters is at rest half of the time; a motor at a short hold turns."""
     time = np.arange(0.0, 6.0, 0.01)
     signal = np.select([time < 2.0, time < 2.8, time < 4.0], [100.0, 200.0, 300.0], 400.0)
     speed = np.where(time < 2.0, 1000.0 * (np.arange(len(time)) % 3 == 0), 10.0 * signal)
@@ -428,13 +428,13 @@ def test_a_bad_speed_map_is_refused_in_one_line(tmp_path, change, told):
 
 @pytest.fixture
 def vpp(printed):
-    """Import a log; what is printed."""
+    """Import a log, which must succeed, and return the output."""
     return lambda *words: printed("import", "rcbenchmark", *words)
 
 
 @pytest.fixture
 def refused(refused):
-    """The line that refuses an import."""
+    """Import a log, which must be refused, and return the line."""
     return lambda *words: refused("import", "rcbenchmark", *words)
 
 
@@ -491,7 +491,7 @@ def test_rows_that_are_averages_give_a_map_and_no_record(tmp_path, vpp):
 
 
 def averages(t, rate=8.0):
-    """What a logger writes that averages over its rows: means of time and readings, the signal of the row's end."""
+    """A logger that averages over its rows: means of time and readings, the signal at the end of the row."""
     row = (t["time"] * rate).astype(int)
     return {
         n: np.array([c[row == k][-1] if n == "signal" else c[row == k].mean() for k in np.unique(row)]) for n, c in t.items()
@@ -608,7 +608,7 @@ def test_real_logs_are_cleaned(path, start, offset):
 
 @real
 def test_the_row_behind_a_real_stall_is_older_than_it_says():
-    """90 ms after a step up the speed is still on its way in that row, and has arrived in the last row that is left empty."""
+    """90 ms after a step up the speed in that row is still changing; in the last row that is emptied it has settled."""
     log = read_log(SECOND)
     steps = np.flatnonzero(np.diff(log.signal) > 0) + 1
     stale = 0
@@ -638,7 +638,7 @@ def test_a_map_of_one_day_misses_the_other_by_a_few_hundred_rpm():
 
 @real
 def test_a_real_rotor_that_turns_is_not_mapped_to_rest():
-    """The second day has levels, 58 and 84, below all of the first: 1344 rpm at 84."""
+    """The second day has signals of 58 and 84, below all of the first: 1344 rpm at 84."""
     first, second = read_log(FIRST), read_log(SECOND)
     found = fit_speed_map(first.steady_points(), first.span, first.loaded_voltage, FIRST.name)
     here = found.reaching(second.steady_points().turns_from)

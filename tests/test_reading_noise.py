@@ -36,7 +36,7 @@ def flicker(noise: np.ndarray) -> np.ndarray:
 
 
 def shown(rng: np.random.Generator, noise, count: float = 0.0, record: Record | None = None) -> tuple[Prediction, float]:
-    """(a record beside the true model's thrust, the rms of its readings' error), read by a converter of `count` N."""
+    """(a record with the true model's prediction, the rms error of its readings), read by a converter of `count` N."""
     record = record or commands(rng)
     true = predict(BASE, TRUTH, record)
     reading = true.thrust + NOISE * noise(rng.standard_normal(len(record)))
@@ -46,7 +46,7 @@ def shown(rng: np.random.Generator, noise, count: float = 0.0, record: Record | 
 
 
 def white(noise: np.ndarray) -> np.ndarray:
-    """As it is."""
+    """White noise, unchanged."""
     return noise
 
 
@@ -125,12 +125,12 @@ def test_noise_that_grows_with_speed_widens_the_range_of_a_record_to_that_of_the
 
 
 def alone(**changes) -> Campaign:
-    """The campaign that ships with the project without its repeat."""
+    """The campaign of the project without its repeat."""
     return replace(read_campaign(example_folder()), repeat=None, **changes)
 
 
 TRUE = 0.128
-"""N: of the campaign that ships with the project, by its repeat."""
+"""Noise [N] of the project's campaign, from its repeat."""
 
 
 @pytest.mark.parametrize("changes", [{}, {"static": None}], ids=["with steady points", "records alone"])

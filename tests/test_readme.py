@@ -1,4 +1,4 @@
-"""What the pages of the project claim can be run, found and cited."""
+"""Commands of the project's pages parse, links lead somewhere, and the README's script and demo run."""
 
 import contextlib
 import io
@@ -53,7 +53,7 @@ def test_the_script_runs(script):
 
 
 def test_demo_does_the_whole_job(script, tmp_path, printed, monkeypatch):
-    """The diagnosis is the script's: the same campaign, the same library."""
+    """The diagnosis is taken from the script: the same campaign and library."""
     diagnosis = script[1]["found"].found
 
     def diagnosed(campaign, **_):

@@ -1,4 +1,4 @@
-"""Logs of one's own, from the folder to the table: which are taken, both directions; a logger told from a rotor."""
+"""Logs of a user, from the folder to the table: which are accepted, fits in both directions, and effects of the logger."""
 
 import csv
 from dataclasses import replace
@@ -15,15 +15,15 @@ from vpp_fmu.kernel.plant import LIBRARY
 
 SECONDS, NOISE = 20.0, 0.05
 LEFT = np.exp(-0.001 / 0.1)
-"""Of a lag of 0.1 s after a ms."""
+"""Remainder of a lag of 0.1 s after 1 ms."""
 
 G = 9.80665e-3
-"""N a gf."""
+"""N per gf."""
 
 
 def stand(path, day: int, columns=("Zeit [ms]", "Soll [rpm]", "Ist [rpm]", "Schub [gf]"), every: int = 20):
-    """A day's log of a fixed-pitch stand in a table of its own, a row `every` ms: one lag, a mark a revolution, a steady map
-    that is 2 % more the next day."""
+    """A day's log of a fixed-pitch stand in its own table, a row `every` ms: one lag, one mark a revolution, and a steady map
+    that is 2 % larger the next day."""
     rng = np.random.default_rng(day)
     time = np.arange(0.0, SECONDS, 0.001)
     command = rng.uniform(2500.0, 5800.0, 40)[(time / 0.5).astype(int)]
@@ -52,7 +52,8 @@ thrust = "Schub [gf]:gf"
 
 
 def test_two_logs_beside_a_mapping_are_fitted_one_way_and_the_other(tmp_path, capsys):
-    """A lag and the steady map describe a day; the other has 2 % more thrust, which its own map takes, and noise stays."""
+    """A lag and the steady map describe each day. The other day's thrust is 2 % larger, which its own map absorbs, so that
+    noise remains."""
     folder = tmp_path / "logs" / "stand"
     folder.mkdir(parents=True)
     for day in (0, 1):
@@ -85,8 +86,8 @@ SOME = tuple(e for e in LIBRARY if e.off is None or e.name in NAMES)
     "case", [Logged(50.0, True), Logged(50.0, False, age=1.0), Logged(50.0, True, late=0.03)], ids=lambda case: case.name
 )
 def test_effects_of_the_logger_are_named(case):
-    """As `python -m tests.studies readings`, with fewer rivals and half the record; told to half a row. A delay and a lag of
-    the load cell of a row and a half may not be distinguished; the verdict then names both."""
+    """As `python -m tests.studies readings`, with fewer rivals and half the record; times to half a row. A delay and a lag of
+    the load cell of 1.5 rows may not be distinguished; the verdict then names both."""
     found = outcome(replace(case, seconds=30.0), library=SOME)
     assert found["word"] in ("right", "family")
     assert all("not your rotor" in said for said in found["said"].values())

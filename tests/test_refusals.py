@@ -1,4 +1,4 @@
-"""The table of refusals (python -m tests.studies refusals), as the study makes it: each in order, and for its own reason."""
+"""The table of refusals (python -m tests.studies refusals): each row is refused as required, for the right reason."""
 
 import os
 import tempfile
@@ -26,7 +26,7 @@ NO_PERMISSION = {
 
 @pytest.fixture(scope="module")
 def found():
-    """Every row, made in a folder that others may enter, too."""
+    """Every row, in a folder that other users may enter."""
     with tempfile.TemporaryDirectory() as name:
         Path(name).chmod(0o755)
         return list(refusals(Path(name)))

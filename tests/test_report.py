@@ -1,4 +1,4 @@
-"""The report: a page that needs no network, and figures that say what they show."""
+"""The report: a page that needs no network, and figures with titles, units and correct data."""
 
 import re
 from html.parser import HTMLParser
@@ -179,7 +179,7 @@ def page() -> Page:
 
 
 class Markup(HTMLParser):
-    """Tags with attributes, and texts by the tag they stand in."""
+    """Tags with attributes, and texts by the tag around them."""
 
     def __init__(self, html: str):
         super().__init__()
@@ -483,7 +483,7 @@ def test_each_pair_is_shown_once_and_only_what_is_close_has_a_number():
 
 
 def test_how_often_a_limit_is_reached_is_counted():
-    """Three pulses of 1 s beyond the limit: it acts while they last and until two lags have forgotten them."""
+    """Three pulses of 1 s beyond the limit: it is active during the pulses and until the two lags have settled."""
     name, maximum = "speed_saturation", 5000.0
     time = np.arange(0.0, 20.0, 0.01)
     fast = (time % 6.0 >= 3.0) & (time % 6.0 < 4.0)
@@ -508,7 +508,7 @@ def test_how_often_a_limit_is_reached_is_counted():
 
 @pytest.mark.parametrize(("shipped", "errors"), [((), ["0.2 N"]), (("pitch_backlash",), ["0.3 -> 0.2 N"])])
 def test_an_effect_left_out_of_the_model_is_in_the_headline_with_the_reason(shipped, errors):
-    """Beside one that ships, before and after are that one's."""
+    """Beside an effect in the model, the errors before and after are those of that effect."""
     model = plant((*shipped, "rotor_vibration"))
     fit = {"problem": SimpleNamespace(model=model), "values": model.values({"rotor_vibration.amplitude": 0.31})}
     base, final = SimpleNamespace(effects=()), SimpleNamespace(effects=shipped, **fit)

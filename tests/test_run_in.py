@@ -1,4 +1,4 @@
-"""Records that begin in motion, cut out of longer ones whose first command had been another until shortly before."""
+"""Records that begin in motion: parts of longer ones, after a move of both commands shortly before."""
 
 import numpy as np
 import pytest

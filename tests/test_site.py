@@ -1,4 +1,4 @@
-"""The documentation site: what its pages tell a reader to type is run, or says why not; what it includes is there."""
+"""The documentation site: commands on its pages are run or have a reason why not, and included files exist."""
 
 import ast
 import re
@@ -53,7 +53,7 @@ def test_a_page_with_wrong_output_fails(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name", [found.name for found in PAGES])
 def test_every_link_leads_somewhere(name):
-    """Anchors are checked by the build, which takes warnings for errors."""
+    """The build checks anchors, and treats warnings as errors."""
     made = {*verbs.pages(), verbs.INDEX, "reference/api.md", "reference/effects.md"}
     folder = included.DOCS / Path(name).parent
     text = included.with_included(name, (included.DOCS / name).read_text())

@@ -1,4 +1,4 @@
-"""The static map: its fit, its uncertainty, and the points it rests on."""
+"""The static map: its fit, its uncertainty, and its points."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +20,7 @@ KNOWN = np.array([SCALES[name] for name in TERMS])
 
 
 def grid(noise: float | np.ndarray = 0.0, seed: int = 0, pitches=None) -> StaticMap:
-    """The known map on the paper's grid; each mean errs by `noise` [N], told as the spread of 100 readings."""
+    """The known map on the paper's grid; each mean has an error of `noise` [N], given as the spread of 100 readings."""
     pitches = np.linspace(-10.0, 10.0, 10) if pitches is None else pitches
     omega, beta = (axis.ravel() for axis in np.meshgrid(np.linspace(2000.0, 6000.0, 10), pitches, indexing="ij"))
     noise = np.broadcast_to(noise, omega.shape)
@@ -39,7 +39,7 @@ def test_noise_free_means_give_their_coefficients_back():
 
 
 def campaign(static: StaticMap, low: float, high: float) -> Campaign:
-    """One whose record commands pitch from low to high."""
+    """A campaign whose record commands pitch from low to high."""
     columns = {"time": np.arange(3.0), "omega_ref": np.full(3, 4000.0), "beta_ref": np.array([low, high, low])}
     record = Record({**columns, "thrust": np.zeros(3)}, "record")
     return Campaign(Path("made up"), static, (), record, None, None)
@@ -157,21 +157,21 @@ BENT, ERROR = 0.2, 0.02
 
 
 def bent() -> StaticMap:
-    """The grid of blades that stall by 0.2 w b^3 of the thrust scale, each mean to 0.02 N."""
+    """The grid of blades that stall by 0.2 w b^3 of the thrust scale, with an error of 0.02 N in each mean."""
     w, b = grid().omega / SCALES["omega_scale"], (grid().beta_ref + SCALES["beta_offset"]) / SCALES["beta_scale"]
     static = grid(ERROR, seed=4)
     return replace(static, thrust=static.thrust + BENT * w * b**3 * SCALES["thrust_scale"])
 
 
 def told_beside(*effects: str, free: tuple[str, ...], **values: float):
-    """What bent points tell of the map and of `free` beside effects, at other values than the points'."""
+    """Knowledge of the map and of `free` from these points beside effects, linearised at other values than the true ones."""
     static, model = bent(), plant(effects)
     knowledge = AtRest(static, fit_static_map(static, SCALES), SCALES)
     return knowledge(model, model.values(values), ["tau_omega_1", *TERMS, *free])
 
 
 def test_steady_points_identify_the_map_and_an_effect_of_the_map():
-    """By linear least squares of the six columns, written out: coefficients, and covariance by what they leave."""
+    """Against explicit linear least squares of the six columns: coefficients, and covariance scaled by the residual."""
     static = bent()
     columns = design(static.omega, static.beta_ref, SCALES, [*TERMS.values(), (1, 3)])
     thrust = static.thrust / SCALES["thrust_scale"]
@@ -192,7 +192,7 @@ def test_steady_points_identify_the_map_and_an_effect_of_the_map():
     [("recirculation", "share"), ("sensor_drift", "offset"), ("pitch_asymmetry", "asymmetry"), ("speed_saturation", "maximum")],
 )
 def test_steady_points_give_no_knowledge_of_dynamic_effects(effect, free):
-    """An effect with memory, of the reading, on the way alone, or of a speed that was measured: the map by itself remains."""
+    """Nor of effects of the reading, or of a measured speed: only the map is known."""
     limit = {"speed_saturation.maximum": 4000.0} if effect == "speed_saturation" else {}
     told, alone = told_beside(effect, free=(f"{effect}.{free}",), **limit), told_beside(free=())
     assert told.names == alone.names == tuple(TERMS)
@@ -200,7 +200,7 @@ def test_steady_points_give_no_knowledge_of_dynamic_effects(effect, free):
 
 
 def test_knowledge_of_nearly_collinear_terms_has_a_square_root():
-    """Of all further terms of the map beside it some sums are known ten decades better than others; whitened, all are one."""
+    """With all further terms of the map some sums are known ten decades better than others; whitened, all have variance 1."""
     free = tuple(f"map_terms.{n}" for n in ("c10", "c22", "stall", "knee"))
     told = told_beside("map_terms", free=free, **{"map_terms.form": 2.0, "map_terms.knee": 3.0, "map_terms.stall": -0.1})
     root = told.root()
@@ -290,7 +290,7 @@ def test_coloured_readings_need_the_textbooks_inflation(rho):
 
 @pytest.mark.parametrize("rho", [0.5, 0.9])
 def test_means_of_coloured_readings_are_worth_fewer_of_them(rho):
-    """n (1 - rho) / (1 + rho), in the long run, for a first-order colour."""
+    """The effective number is n (1 - rho) / (1 + rho) for first-order noise and large n."""
     rows, points = 2000, 12
     omega_ref = np.repeat(np.linspace(2000.0, 6000.0, points), rows)
     thrust = omega_ref / 1000.0 + 0.2 * first_order(rho, len(omega_ref), 7)

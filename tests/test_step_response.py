@@ -1,4 +1,4 @@
-"""Start values from step responses: known constants come back, and runs that tell nothing are told from the others."""
+"""Start values from step responses: known constants are recovered, and unusable runs are left out."""
 
 import json
 from dataclasses import replace
@@ -62,7 +62,7 @@ FAST = {"tau_beta_1": 0.2, "tau_beta_2": 0.08}
 
 
 def runs(noise=NOISE, **values) -> list[Record]:
-    """Steps of both channels, at two levels of the other."""
+    """Steps of both channels, each at two levels of the other channel."""
     values = FAST | values
     made = []
     for channel, steps, levels in (("omega", SPEEDS, (0.0, 7.0)), ("beta", PITCHES, (4000.0, 6000.0))):
@@ -221,7 +221,7 @@ def pitch_runs():
 
 
 def reason(records, odd) -> str:
-    """Why `odd` is left out among `records`; all others must stay."""
+    """Why `odd` is left out among `records`, which must all be used."""
     summary = fit_steps([*records, odd], VALUES, MAP)
     assert not any(r.reason for r in summary.runs[:-1])
     return summary.runs[-1].reason

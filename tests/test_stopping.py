@@ -1,4 +1,4 @@
-"""Signals end a command in order: the exit code says which, one line says it, and nothing is left: no process, no file."""
+"""Signals end a command in order: exit code, one line, and no process or file left behind."""
 
 import gc
 import os
@@ -45,7 +45,7 @@ def test_a_bootstrap_and_its_workers_end_and_write_nothing(tmp_path):
 
 
 def at_work(process):
-    """Whether both workers are past their imports."""
+    """Whether both workers have finished their imports."""
     workers = [pid for pid in group(process.pid) if pid != process.pid]
     return sum(cpu_seconds(pid) > 1.0 for pid in workers) == 2
 

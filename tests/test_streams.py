@@ -1,4 +1,4 @@
-"""Standard streams that are closed, full or not UTF-8, and folder names that are not: each verb ends as it should."""
+"""Each verb works with standard streams that are closed, full or not UTF-8, and with folder names that are not UTF-8."""
 
 import json
 import os
@@ -21,7 +21,7 @@ PARAMETERS = {"format": "vpp-parameters/1", "parameters": {}, "effects": [], "so
 
 @pytest.fixture
 def here(tmp_path):
-    """A folder of that name with a record and parameters; the place's path in bytes."""
+    """A folder with that name, with a record and parameters; its path in bytes."""
     place = os.fsencode(tmp_path) + b"/" + NAME
     os.mkdir(place)
     for name, text in (
@@ -62,7 +62,7 @@ def test_streams_that_are_closed_or_not_utf_8_are_no_errors(environment, redirec
 
 
 def test_characters_that_a_terminal_cannot_show_are_replaced(here):
-    """The page of an effect has arrows and Greek letters; so has the campaign's name."""
+    """The page of an effect has arrows and Greek letters; the campaign's name has some, too."""
     for words in (["check-effect", "none →.py"], ["export", "--parameters", here + b"/p.json", "-o", here + b"/fmus"]):
         _, out, said = run(words, **ASCII)
         (out + said).decode("ascii")
@@ -83,7 +83,7 @@ def test_a_full_standard_error_changes_no_exit_code(here):
 
 
 def test_files_stay_valid_utf_8_if_folder_names_are_not(here):
-    """Every file of a page's or FMU's verb can be read as UTF-8, JSON and all."""
+    """Every file of a verb that writes pages can be read as UTF-8, JSON included."""
     assert run(["compare", here + b"/record.csv", here + b"/record.csv", "-o", here + b"/pair"])[0] == 0
     assert run(simulate(here))[0] == 0
     for folder in (b"/pair", b"/out"):

@@ -1,4 +1,4 @@
-"""The one reader of JSON and TOML, and every file that goes through it: damaged, nested, duplicated, huge, of wrong kinds."""
+"""The reader of JSON and TOML, and every kind of file that it reads: damaged, nested, duplicate, huge, or of wrong types."""
 
 import gzip
 import json
@@ -52,7 +52,7 @@ JSON = {
 
 
 def refusal_of(read, path):
-    """The line that refuses a file: it names the file, and is short."""
+    """The line that refuses a file; it names the file and is short."""
     said = refusal(read, path)
     assert said.startswith(str(path))
     assert len(said) < 500
@@ -147,7 +147,7 @@ def test_damaged_toml_is_refused_without_long_computation(read, what, tmp_path):
 
 
 def bomb(megabytes):
-    """A gzip file of zeros, made without holding them."""
+    """A gzip file of zeros that is never in memory as a whole."""
     pack = zlib.compressobj(9, wbits=31)
     return b"".join([*(pack.compress(bytes(2**20)) for _ in range(megabytes)), pack.flush()])
 

@@ -1,4 +1,4 @@
-"""The identification study, short: enough records to see a wrong interval, not enough to see a slightly wrong one."""
+"""The identification study in short: enough records to detect a wrong interval, not a slightly wrong one."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def white():
 
 @pytest.fixture(scope="module")
 def coloured():
-    """Records whose noise remembers 0.1 s."""
+    """Records whose noise has a correlation time of 0.1 s."""
     return trials(RECORDS, memory=COLOURED)
 
 

@@ -1,4 +1,4 @@
-"""What is recorded, what can't be, derivatives of each operation, and what is set apart from the step."""
+"""Tracing: which operations are recorded or refused, their derivatives, and expressions prepared outside the step."""
 
 import math
 import re
@@ -168,7 +168,7 @@ def test_constants_survive_compilation():
 
 
 def test_only_states_that_depend_on_a_parameter_have_a_tangent_in_it():
-    """An outer lag of the speed moves the speed and the thrust, an inner one its lag too, a coefficient only the thrust."""
+    """The outer lag of the speed affects speed and thrust, the inner one also its own state, a coefficient only the thrust."""
     program = trace(BASE, ("tau_omega_1", "tau_omega_2", "c20"))
     names, found = [*program.layout.outputs, *program.layout.states], {}
     for kind, *at in (target for target, _ in program.step):

@@ -1,4 +1,4 @@
-"""Gains: the paper's cost, the order of the search, limits that are kept, draws as wide as they should be, the command."""
+"""Gains: the paper's cost, the order of the search, limits, draws of plants, and the command."""
 
 import json
 from dataclasses import dataclass, field, replace
@@ -78,7 +78,7 @@ def test_the_penalty_is_proportional_to_the_excess_over_a_limit():
 
 @dataclass
 class Bowl:
-    """A cost whose minimum over the gains is known, and whether the derivative gains were in use."""
+    """A cost with a known minimum over the gains, which records the gains that it was called with."""
 
     names: tuple[str, ...] = ("kp_omega", "kp_beta", "ki_omega", "ki_beta", "kd_omega", "kd_beta")
     best: tuple[float, ...] = (3.0, 0.5, 40.0, 7.0, 0.1, 0.0)
@@ -125,7 +125,7 @@ def test_both_actuators_settle_sooner_on_a_step_down(nominal):
 
 
 def test_without_limits_the_cost_prefers_an_unstable_loop(nominal):
-    """Why there are limits: these gains follow the test signal better than tuned ones, and do not hold a little above it."""
+    """The reason for limits: these gains follow the test signal better than tuned ones, and are unstable a little above it."""
     tuned = nominal.tuned["dual"]
     keen = np.array([61.3, 16.6, 40.8, 139.0, 0.742, 1.225])
     assert tuned.objective.cost(keen) < tuned.cost("tuned")
@@ -136,7 +136,7 @@ def test_without_limits_the_cost_prefers_an_unstable_loop(nominal):
 
 @pytest.fixture
 def short_search(monkeypatch):
-    """One search a controller is enough where not the gains are tested but what becomes of them."""
+    """One search per controller, for tests of what is done with the gains."""
     monkeypatch.setattr("identification.tune.tune.STARTS", (1.0,))
     monkeypatch.setattr("identification.tune.tune.SHAKES", (0, 0))
 

@@ -1,4 +1,4 @@
-"""The compiled loop is the loop: kernel, FMUs and generated Python give the same bits; and what the controller is given."""
+"""The compiled loop gives the bits of kernel, FMUs and generated Python; and the measurement chain."""
 
 import numpy as np
 import pytest
@@ -93,7 +93,7 @@ def test_merits_are_those_of_the_record():
 
 
 def test_small_changes_of_the_set_point_are_no_steps():
-    """A ramp in 1000 stairs: a tick late is many stairs, and no overshoot."""
+    """A ramp of 1000 small steps: a delay of one sample spans many of them, and is no overshoot."""
     ramp = Record({"time": np.arange(1001) * 0.004, "thrust_set": np.linspace(2.0, 12.0, 1001)}, "ramp")
     loop, _, sets = loop_and_sets((), DUAL, {})
     assert loop.merits(sets, Course.of(ramp, 0.004, 15.0, rest=IDLE))[0, 1] == 0.0

@@ -1,4 +1,4 @@
-"""Tuning any rig: its limits, a profile that its controllers can follow, first gains at its pace; channels that are fixed."""
+"""Tuning any rig: its limits, a reachable profile, first gains scaled to its speed of response, and fixed channels."""
 
 import json
 from dataclasses import asdict, replace
@@ -24,7 +24,7 @@ PACE = {"micro": 0.3, "large": 3.0}
 
 
 def on(rig, slower=1.0, **values):
-    """The paper's model, normalised, on another rig and at another pace."""
+    """The paper's normalised model on another rig, with other time scales."""
     lags = {name: slower * value for name, value in {**FINE_TUNED, **FAST_PITCH}.items() if name.startswith("tau")}
     return ParameterSet(plant(scales=rig.scales), source={"rig": rig.summary()}).replaced({**lags, **values})
 
@@ -79,7 +79,7 @@ def test_first_gains_hold_another_rig_within_its_limits(rig):
 
 @pytest.mark.parametrize("slower", [0.25, 4.0])
 def test_scaled_gains_are_the_same_loop_at_another_pace(slower):
-    """Plant, sampling, filter and gains all r times as slow: the same numbers, sample by sample."""
+    """Plant, sampling, filter and gains are all r times as slow: the same numbers, sample by sample."""
     shown = []
     for r in (1.0, slower):
         rig = Rig(scales=replace(PAPER, time_scale=0.5 * r))

@@ -1,4 +1,4 @@
-"""A line that turns with the rotor: found whatever its phase, its size told, and nothing else taken for it."""
+"""A vibration at the rotor's speed: detected at any phase, with its size, and nothing else is taken for it."""
 
 from types import SimpleNamespace
 
@@ -12,11 +12,11 @@ from vpp_fmu.record import Record
 STEP, SECONDS = 0.004, 30.0
 TIME = np.arange(0.0, SECONDS, STEP)
 SPEED = 3000.0 + 1200.0 * np.sin(2.0 * np.pi * TIME / 11.0)
-"""rpm: from 30 to 70 turns a second, mains' 50 among them."""
+"""rpm: 30 to 70 turns a second, which includes the mains' 50 Hz."""
 
 
 def fit_of(readings, speed=SPEED):
-    """A model that predicts this speed and no thrust, beside records of the readings."""
+    """A model that predicts this speed and no thrust, with records of the readings."""
     commands = {"omega_ref": speed, "beta_ref": np.zeros(len(TIME))}
     records = [SimpleNamespace(record=Record({"time": TIME, **commands, "thrust": r}, "made")) for r in readings]
     experiment = SimpleNamespace(records=records, converter=SimpleNamespace(reads=lambda thrust: thrust))
@@ -25,7 +25,7 @@ def fit_of(readings, speed=SPEED):
 
 
 def noise(rng, rho=0.0):
-    """0.1 N of it."""
+    """Noise of 0.1 N with the autocorrelation rho."""
     return 0.1 * np.sqrt(1.0 - rho**2) * lfilter([1.0], [1.0, -rho], rng.standard_normal(len(TIME)))
 
 

@@ -1,4 +1,4 @@
-"""Records of the same commands: simulated once, fitted together, and what they share is not taken for independent."""
+"""Records of the same commands: simulated once, fitted together, and common errors are not taken for independent ones."""
 
 import tracemalloc
 
@@ -22,7 +22,7 @@ CALM = 0.05
 
 @pytest.fixture(scope="module")
 def records():
-    """Two records of the same commands with noise of their own, and one of other commands."""
+    """Two records of the same commands with independent noise, and one of other commands."""
     rng = np.random.default_rng(0)
     orders = commands(rng, SECTION)
     return [measured(orders, rng), measured(orders, rng), measured(commands(rng, SECTION), rng)]
@@ -52,7 +52,7 @@ def test_records_of_the_same_commands_are_simulated_once_and_their_thrust_is_ave
 
 
 def test_a_long_record_costs_no_more_memory_than_its_rows_and_two_jacobians():
-    """Twenty pieces: all outputs' sensitivities would be three Jacobians of the thrust."""
+    """Twenty pieces: the sensitivities of all outputs would be three Jacobians of the thrust."""
     rows = 20 * PIECE
     commands = {"omega_ref": np.where(np.arange(rows) // 500 % 2, 4000.0, 5000.0), "beta_ref": np.full(rows, 5.0)}
     record = Record({"time": STEP * np.arange(rows), **commands, "thrust": np.zeros(rows)}, "made")
@@ -116,7 +116,7 @@ def theory(problem) -> np.ndarray:
 
 
 def test_an_error_shared_by_both_records_is_not_averaged_out(records):
-    """A slow error of the model in both, larger than the noise: a second record brings next to nothing."""
+    """A slow model error in both, larger than the noise: a second record hardly improves the estimate."""
     time = np.arange(len(records[0])) * STEP
     wave = 0.5 * np.sin(2.0 * np.pi * time / 3.0) * np.sin(2.0 * np.pi * time / 23.0)
     shared = [record.with_columns(thrust=record["thrust"] + wave) for record in records[:2]]

@@ -1,4 +1,4 @@
-"""What single files tell: steady points alone, steps alone, a record that moves one command, and what is said of the rest."""
+"""Identification from single files: steady points alone, steps alone, or a record that moves one command."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +23,7 @@ MAP = ("c20", "c11", "c21", "c12", "c30")
 
 
 def campaign(size: str, *changes, parts: str = "wbx") -> Campaign:
-    """A whole campaign of a rig, changed; its scales are declared."""
+    """A whole campaign of a rig, with changes; its scales are declared."""
     rig, rng = SIZES[size], np.random.default_rng(4)
     files = whole(rig, rng, parts)
     for change in changes:
@@ -40,7 +40,7 @@ def campaign(size: str, *changes, parts: str = "wbx") -> Campaign:
 
 
 def pulls(found, size: str) -> np.ndarray:
-    """Errors of what is told, in standard deviations."""
+    """Errors of identifiable parameters in standard deviations."""
     truth, uncertainty = SIZES[size].truth, found.uncertainty
     told = [k for k, name in enumerate(uncertainty.names) if name not in found.not_identifiable]
     return np.array([(uncertainty.values[k] - truth[uncertainty.names[k]]) / uncertainty.std[k] for k in told])
@@ -161,7 +161,7 @@ def test_a_page_without_a_record_has_values_and_no_prediction():
 
 
 def test_means_of_runs_scatter_as_their_covariance_says():
-    """Runs that differ by more than each is known to, and by no more."""
+    """With and without scatter between runs in excess of their own uncertainty."""
     rng = np.random.default_rng(0)
     # Excess scatter is never negative: where there is none, what chance shows of it makes the answer too wide.
     for between, most in ((np.zeros((2, 2)), 1.5), (np.array([[4.0, 1.0], [1.0, 2.0]]), 1.2)):
