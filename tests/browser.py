@@ -2,7 +2,8 @@
 
 It is controlled through its debugging pipe, by the protocol of chromedevtools.github.io/devtools-protocol.
 
-`python -m tests.browser PAGE.html ... -o DIR` saves a picture of each page: light, dark, and on a phone."""
+`python -m tests.browser PAGE.html ... -o DIR` saves a picture of each page: light, dark, and on a phone.
+"""
 
 import argparse
 import base64
@@ -90,8 +91,7 @@ class Browser:
         self.scheme(dark)
 
     def open(self, address: str) -> None:
-        """Open an address and wait until it is loaded; `problems` then lists errors of its scripts and refusals of the
-        browser."""
+        """Open an address, wait until it is loaded, and collect errors of its scripts and refusals in `problems`."""
         self.problems = []
         self.ask("Page.navigate", url=address)
         self._until(lambda told: told.get("method") == "Page.loadEventFired")

@@ -1,6 +1,7 @@
 """Logs in the formats of other people: the same data written in many ways, by code that shares nothing with the importer.
 
-Each format has the options that its user types and the tolerance that its digits allow, or the reason of its refusal."""
+Each format has the options that its user types and the tolerance that its digits allow, or the reason of its refusal.
+"""
 
 import datetime
 import gzip
@@ -85,8 +86,7 @@ def text(
     pack: bool = False,
     title: Callable[[str], str] = lambda row: row,
 ):
-    """A writer of text. `factors`: from a record's unit to the file's; `cells`: how a quantity is written, if not as a
-    number."""
+    """A writer of text. `factors`: from a record's unit to the file's; `cells`: how quantities are written, else as numbers."""
     names, factors, cells = TOLD if names is None else names, factors or {}, cells or {}
 
     def write(path: Path, t: Mapping[str, np.ndarray]) -> None:

@@ -1,5 +1,4 @@
-"""The order in which an importer must compute the initial values of an SSP, as OMSimulator does; a cycle is an algebraic
-loop."""
+"""The order in which an importer must compute the initial values of an SSP; a cycle is an algebraic loop."""
 
 import io
 import zipfile

@@ -7,7 +7,8 @@ native flavour and fmi2Fatal from the Python one, since pythonfmu's binary has n
 instance must survive: its values can be read and are finite, and a reset makes a fresh one. The table omits what pythonfmu's
 binary answers without asking the slave: null pointers and callbacks (it reads them), a wrong GUID (it accepts any), set-up at
 the wrong time (it stores the start time for later), unknown log categories, derivatives and pending steps (fmi2Error, as
-natively)."""
+natively).
+"""
 
 import ctypes
 import json

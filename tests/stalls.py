@@ -5,7 +5,8 @@ distinguish that from a silent board or a lost supervisor, and shuts its rotor d
 is then meaningless, so a failure counts as skipped.
 
 Run as a script, with the descriptor of a file to write to: one thread a core, with a priority above every loop in real time,
-logs when it was woken late."""
+logs when it was woken late.
+"""
 
 import contextlib
 import os

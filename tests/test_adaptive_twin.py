@@ -112,7 +112,8 @@ def test_one_parameter_at_rest_has_the_bayesian_posterior():
     """At one place: reading = offset + model error there + white noise, whose mean of n has variance var / n.
 
     The model error there is interpolated from the four nodes around, at 3/4 of speed and 3/5 of pitch, plus the error between
-    nodes."""
+    nodes.
+    """
     model, rows = twin(PLANT, ["sensor_drift.offset"]), 5000
     at = {"omega_ref": np.full(rows, 4500.0), "beta_ref": np.full(rows, 4.0)}
     told = Simulation(PLANT).start({name: column[0] for name, column in at.items()})

@@ -1,5 +1,4 @@
-"""The quality gate: planted faults are found, good data have no findings, bad rows are left out, and unusable data are
-refused."""
+"""The quality gate: planted faults are found, good data pass, bad rows are left out, unusable data are refused."""
 
 import json
 from dataclasses import replace
@@ -131,8 +130,7 @@ def test_a_sensor_with_less_noise_than_its_resolution_is_not_clipped(record):
 
 @pytest.mark.parametrize(("noise", "stuck"), [(1.0, True), (0.0, False)])
 def test_a_speed_without_its_usual_noise_is_frozen(noise, stuck):
-    """Steps of a thirtieth of the range, 35 ms a turn. A sensor without noise shows equal values wherever the rotor is
-    settled."""
+    """Steps of a thirtieth of the range, 35 ms a turn. A sensor without noise shows equal values whenever it is settled."""
     rows, turn = 40_000, 35
     command = 1700.0 + 33.0 * (np.arange(rows) // 2000 % 2) + 1000.0 * (np.arange(rows) > 30_000)
     shown = np.repeat(command[::turn] + noise * np.random.default_rng(0).standard_normal(-(-rows // turn)), turn)[:rows]

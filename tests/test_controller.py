@@ -76,8 +76,7 @@ def held_within(moves, low, high):
 
 @pytest.mark.parametrize(("ki_omega", "ki_beta", "free"), [(5.0, 50.0, 0), (50.0, 0.5, 1)])
 def test_one_channel_saturates_and_the_other_goes_on(ki_omega, ki_beta, free):
-    """4 s of positive error, 3 s of negative: the free channel is the plain integral, the other one goes from limit to
-    limit."""
+    """4 s of positive error, 3 s of negative: the free channel is the plain integral, the other one reaches both limits."""
     limits = {**WIDE, "omega_min": 2000.0, "omega_max": 6000.0} if free == 1 else WIDE
     e = np.r_[np.full(1000, 0.1), np.full(750, -0.1)]
     inputs = {"thrust_set": 15.0 * np.r_[e, 0.0], "thrust": np.zeros(1751)}

@@ -101,8 +101,7 @@ def test_an_empty_reading_is_not_taken_for_a_pulse_of_the_tachometer():
 
 @pytest.mark.parametrize(("age", "whole"), [(0.3, 0), (1.0, 0), (1.0, 1), (2.75, 2)])
 def test_a_row_holds_a_reading_from_earlier_rows(age, whole):
-    """Uneven rows against a model sampled every 0.25 ms: linear interpolation over 1 ms has an error of h^2 / 8 of the
-    curvature."""
+    """Uneven rows against a model sampled every 0.25 ms. The error of linear interpolation is h^2 / 8 of the curvature."""
     rows, rng = 1500, np.random.default_rng(5)
     fine = 4 * rng.integers(5, 60, rows - 1)
     speed = np.where(np.arange(rows) % 100 < 50, 3000.0, 5000.0)

@@ -269,8 +269,7 @@ def test_a_validation_record_alone_is_fitted():
 
 
 def test_an_effect_that_the_validation_record_refutes_is_not_in_the_model():
-    """The validation record is simulated with the base model as fitted to the other records, so the added effect is wrong
-    there."""
+    """The validation record comes from the base model as fitted to the others, so the added effect is wrong there."""
     campaign = rig(**{"sensor_drift.rate": 0.02})
     base = diagnose(replace(campaign, validation=None), some("sensor_drift")).base
     validation = campaign.validation
@@ -462,8 +461,7 @@ def test_a_command_at_rest_has_no_moves():
 
 
 def limited(pitches, seed=0) -> Campaign:
-    """A rig whose supply sags: speeds below its limit at any pitch, and 6000 rpm, above the limit, at these pitches [deg]
-    only."""
+    """A rig whose supply sags: low speeds at any pitch, and 6000 rpm, above the limit, only at these pitches [deg]."""
     rng, rows = np.random.default_rng(seed), round(1.0 / STEP)
     below = [(rng.uniform(2500.0, 4500.0), rng.uniform(-4.0, 9.0)) for _ in range(16)]
     above = [level for pitch in pitches for level in (*[(3500.0, pitch)] * 4, *[(6000.0, pitch)] * 2)]

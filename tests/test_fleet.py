@@ -1,5 +1,4 @@
-"""Several campaigns diagnosed at once: the result of each is that of a single diagnosis, in one table, on any kind of
-worker."""
+"""Several campaigns diagnosed at once: results equal those of single diagnoses, on any kind of worker, in one table."""
 
 import csv
 import json

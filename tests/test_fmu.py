@@ -1,5 +1,4 @@
-"""The Python FMU in fmpy: valid, reproducible, equal to the kernel to the bit, with states that can be kept and clear
-refusals."""
+"""The Python FMU in fmpy: valid, reproducible, equal to the kernel to the bit; kept states; clear refusals."""
 
 import ast
 import os
@@ -231,8 +230,7 @@ def test_without_inputs_the_plant_stays_at_rest(tmp_path):
 
 
 def test_instances_of_several_fmus_do_not_mix(fmus, tmp_path):
-    """Two plants and two controllers with the same names and different content, interleaved, beside this project's own
-    modules."""
+    """Two plants and two controllers of the same names, different content, interleaved, beside this project's modules."""
     slow = tmp_path / "slow.fmu"
     slow.write_bytes(python_fmu(BASE, {"tau_omega_1": 0.5, "c21": 0.7}))
     speed_only = tmp_path / "speed_only.fmu"

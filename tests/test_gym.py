@@ -1,5 +1,4 @@
-"""The rig as Gymnasium environments: vector equals single to the bit, FMU equals model, parameters are drawn from the
-posterior."""
+"""Gymnasium environments: vector equals single to the bit, FMU equals model, parameters are drawn from the posterior."""
 
 from importlib.util import find_spec
 

@@ -412,8 +412,7 @@ def test_a_log_of_names_alone_has_no_numbers(tmp_path, refused):
 
 
 def test_repeated_readings_of_one_conversion_count_once(tmp_path, vpp):
-    """80 conversions a second in 200 rows; noise of 50 digits. Readings frozen for half a second are left to the quality
-    gate."""
+    """80 conversions a second in 200 rows; noise of 50 digits. Readings frozen for 0.5 s are left to the quality gate."""
     rng, rows = np.random.default_rng(3), np.arange(4000)
     fresh = np.append(True, np.diff(rows * 80 // 200) > 0)
     speed, pitch = np.repeat(rng.integers(2000, 6000, 40), 100).astype(float), np.repeat(rng.uniform(-4.0, 9.0, 20), 200)

@@ -151,8 +151,7 @@ def test_a_special_case_ranks_before_the_wider_effect_that_fits_as_well():
 
 @pytest.mark.parametrize(("band", "lag", "name"), [(-0.5, -0.5, "band"), (-3.0, 0.5, "limits"), (-3.0, 2.0, "lag")])
 def test_the_order_of_effects_is_tried_again_beside_the_whole_set(monkeypatch, band, lag, name):
-    """The wider effect was first when it was alone. It is replaced if its special case fits as well, or another effect
-    better."""
+    """The wider effect, first when alone, is replaced if its special case fits as well, or another effect better."""
     wide = SimpleNamespace(name="limits", contains={"band": {}})
     problem = SimpleNamespace(model=SimpleNamespace(effects=[wide]))
     for other in ("wake", "band", "lag"):
@@ -290,8 +289,7 @@ def test_a_partial_explanation_must_not_increase_the_error_on_thirds(monkeypatch
 
 
 class Estimates:
-    """A judge of fits given by the rms of their errors in folds, scaled from one draw of noise, so that all comparisons are
-    significant."""
+    """A judge of fits given by the rms of their errors in folds, scaled from one noise: all differences are significant."""
 
     runs = ()
 
@@ -396,8 +394,7 @@ def test_an_error_that_decreases_in_every_block_has_the_least_p_value(losses, p)
 
 
 def test_rivals_come_from_the_round_that_added_the_effect():
-    """Alone a limit has 800 nats, in another form 790, and a wake 200; beside the limit a map has nearly the evidence of the
-    wake."""
+    """Alone: a limit 800 nats, in another form 790, a wake 200; beside the limit a map has nearly the evidence of the wake."""
 
     def tried(name, evidence, form=1.0):
         return SimpleNamespace(candidate=SimpleNamespace(name=name, form={f"{name}.form": form}), evidence=evidence, fit=True)

@@ -96,7 +96,8 @@ def test_plant_is_the_papers_equations_under_scipy():
 def test_the_order_of_two_lags_shows_if_the_inner_one_is_not_settled(channel):
     """From rest their order is not observable. With x and u the deviations of the inner and the outer lag from the command:
 
-    u(t) = u_0 exp(-t / tau_1) + x_0 tau_2 (exp(-t / tau_1) - exp(-t / tau_2)) / (tau_1 - tau_2)"""
+    u(t) = u_0 exp(-t / tau_1) + x_0 tau_2 (exp(-t / tau_1) - exp(-t / tau_2)) / (tau_1 - tau_2)
+    """
     rest, tau_1, tau_2 = {"omega_ref": 3000.0, "beta_ref": 2.0}, 0.2, 0.05
     simulation = Simulation(BASE, {f"tau_{channel}_1": tau_1, f"tau_{channel}_2": tau_2})
     level, x_0, u_0 = rest[f"{channel}_ref"], 1.5, -0.5

@@ -24,8 +24,7 @@ RNG = np.random.default_rng(20)
 
 
 def test_pure_error_has_its_level_on_noise_and_sees_what_repeats():
-    """1000 draws of two records: p-values of noise are uniform; a sine of half the noise's standard deviation is always
-    detected."""
+    """1000 draws: p-values of noise are uniform; a sine of half the noise's standard deviation is always detected."""
     from scipy.stats import f
 
     time, ps, seen = np.arange(600) * 0.05, [], []
@@ -153,7 +152,7 @@ def test_a_wrong_speed_is_a_lack_of_fit_though_the_thrust_is_right(monkeypatch, 
 TIME = np.arange(0.0, 60.0, 0.01)
 
 
-def left_of_holds(monkeypatch, std=1.0, verified=False, count=0.0):
+def fit_with_transients(monkeypatch, std=1.0, verified=False, count=0.0):
     """A fit whose residual is noise of 1 and a sine of 3 in the first half of each hold of 4 s: its power is 4.5 / 2 in all and
     none at rest. Thrust is read by a converter of `count` N; the sensor of the speed has the uncertainty `std`."""
     record = {"time": TIME, "omega_ref": np.floor(TIME / 4.0), "beta_ref": np.zeros(len(TIME)), "thrust": np.zeros(len(TIME))}
@@ -182,9 +181,8 @@ POWER = 0.5 * 0.5 * 3.0**2
     [(1.0, False, ("one",), True), (2.0, False, ("one",), False), (1.0, True, ("one",), False), (1.0, False, (), False)],
 )
 def test_a_speed_residual_that_is_absent_during_holds_is_not_noise(monkeypatch, std, verified, effects, asked):
-    """Not checked if the sensor's uncertainty explains all of it, if a repeat gives the noise, or if the model has no
-    effects."""
-    fit = left_of_holds(monkeypatch, std, verified)
+    """Not checked if the sensor's uncertainty explains it, if a repeat gives the noise, or if the model has no effects."""
+    fit = fit_with_transients(monkeypatch, std, verified)
     fit.effects = effects
     monkeypatch.setattr(lack_of_fit, "channel_rows", lambda fit, channel: [slice(0, len(TIME))])
     monkeypatch.setattr(lack_of_fit, "_followed_share", lambda fit, parts: 0.1)
@@ -194,7 +192,7 @@ def test_a_speed_residual_that_is_absent_during_holds_is_not_noise(monkeypatch, 
 @pytest.mark.parametrize(("count", "verified", "beyond"), [(0.0, False, POWER), (8.0, False, 0.0), (0.0, True, 0.0)])
 def test_a_thrust_residual_that_is_absent_during_holds_is_not_noise(monkeypatch, count, verified, beyond):
     """Beyond the least noise of rounding to counts: 8 N / 12^0.5 is more than all of it."""
-    share, size = lack_of_fit.transient_power_share(left_of_holds(monkeypatch, verified=verified, count=count), "thrust")
+    share, size = lack_of_fit.transient_power_share(fit_with_transients(monkeypatch, verified=verified, count=count), "thrust")
     assert share == pytest.approx(beyond / (1.0 + beyond), abs=0.05)
     assert size == pytest.approx(np.sqrt(beyond), abs=0.1)
 

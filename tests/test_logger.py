@@ -365,8 +365,7 @@ class Found:
 
 
 def test_the_logger_is_estimated_beside_effects_that_resemble_an_offset_too(monkeypatch):
-    """An inflow lag biases the offset: beside the drift alone it is 0, beside both -1 row, and then no third effect is
-    needed."""
+    """An inflow lag biases the offset: beside the drift alone it is 0, beside both -1 row, and a third effect is not needed."""
     beside, offsets = [], {("drift",): 0.0, ("drift", "inflow_lag"): -1.0}
     diagnoses = {0.0: Found(("drift", "inflow_lag", "row_clock"), 0.0), -1.0: Found(("drift", "inflow_lag"), -1.0)}
 

@@ -135,8 +135,9 @@ def test_sensitivities_with_all_effects_on_are_central_differences(without):
     """At even steps: with long uneven ones thresholds switch so often that no difference quotient is valid.
 
     A late reading interpolates linearly over each piece of a step. A delayed command that begins to act cuts a step in two, and
-    the place of the cut changes the interpolation error. A difference quotient in the delay includes the slope of that error, 2
-    % of the whole; the tangent, that of the exact response, does not. So each kind is tested without the other."""
+    the place of the cut changes the interpolation error. A difference quotient in the delay includes the slope of that error,
+    2 % of the whole; the tangent, that of the exact response, does not. So each kind is tested without the other.
+    """
     left = [e for e in OPTIONAL if not (e.name in LATE if without == "late readings" else e.delays)]
     model = plant(e.name for e in left)
     values = {name: value for name, value in {**PROBES, PITCH: 0.0413}.items() if name in model.values()}

@@ -15,8 +15,7 @@ RNG = np.random.default_rng(20)
 
 
 def test_a_filter_recovers_its_autoregression():
-    """An autoregression of two lags: its coefficients are found, and its residual is white with the power of the
-    innovations."""
+    """An autoregression of two lags: its coefficients are found; the residual is white with the innovations' power."""
     driving = 0.3 * RNG.standard_normal(40000)
     noise = np.zeros(40000)
     for k in range(2, 40000):

@@ -100,8 +100,7 @@ def test_the_same_seed_gives_the_same_plan(narrow):
 
 
 def test_it_beats_the_paper_s_plan(planned, narrow):
-    """Steps every 0.2 to 0.8 s on both channels reduce the error of tau_beta_1 to a third (notes); so does the weakest
-    direction."""
+    """Steps every 0.2 to 0.8 s on both channels cut the error of tau_beta_1 and of the weakest direction to a third (notes)."""
     assert planned.gain > 2.0
     assert planned.after.typical < 0.5 * planned.paper.typical
     taus = [planned.after.names.index(f"tau_beta_{k}") for k in (1, 2)]

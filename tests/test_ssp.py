@@ -1,5 +1,4 @@
-"""The closed loop as SSP: valid, within the subset that importers support, with its values; and run by the importers
-installed."""
+"""The closed loop as SSP: valid, within the subset that importers support, with its values; run by those installed."""
 
 import io
 import json

@@ -1,5 +1,4 @@
-"""Tuned gains are chosen only if no step settles later, overshoots or rings more: a constraint of the search, and a check after
-it."""
+"""Tuned gains are chosen only if no step settles later, overshoots or rings more, in the search and after it."""
 
 from dataclasses import replace
 
