@@ -267,8 +267,3 @@ def test_ranges_of_a_parameter_file_without_a_rig_come_from_its_scales():
     rig = rig_of(Scales(9000.0, 20.0, -4.0, 3.0), {})
     assert (rig.speed, rig.pitch, rig.thrust) == ((3000.0, 9000.0), (4.0, 24.0), (0.0, 3.0))
     assert rig.unknown == ("speed", "pitch")
-
-
-def test_ranges_from_the_scales_alone_count_as_unknown():
-    assert Rig().unknown == ("speed", "pitch")
-    assert replace(Rig(), origin={"speed": DECLARED}).unknown == ("pitch",)

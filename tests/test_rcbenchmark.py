@@ -203,10 +203,6 @@ def test_rows_after_a_stall_of_the_logger_can_be_kept(log):
     assert all(np.isfinite(record[name]).all() for name in ("thrust", "voltage", "current"))
 
 
-def test_uneven_rows_are_no_stall(log):
-    assert not log().late.any()
-
-
 def test_thrust_is_tared_by_the_rest(log):
     read = log()
     mean, spread, readings = read.tare()

@@ -114,7 +114,7 @@ def _of_models(title: str) -> dict:
         "map residuals": map_residuals(omega[:-1], beta[:-1], thrust[:-1] - 3, title),
         "loop": closed_loop({"dual": r, "speed only": {k: v for k, v in other.items() if k != "beta"}}, title),
         "two": two_records(("a", r["time"], r["thrust"]), ("b", other["time"], other["thrust"]), title, "thrust", "N"),
-        "change": parameter_change(names, [0.1, 0.3, 0.0], [0.2, 0.2, 0.8], [0.1, 0.1, 0.7], [0.3, np.nan, 0.9], title),
+        "parameters": parameter_change(names, [0.1, 0.3, 0.0], [0.2, 0.2, 0.8], [0.1, 0.1, 0.7], [0.3, np.nan, 0.9], title),
         "sections": residual_by_section(["1", "2"], [0.9, 0.8], [0.4, 0.5], 0.3, title),
         "autocorrelation": autocorrelation(lags, np.exp(-lags), 0.05, title),
         "cross-correlation": cross_correlation(lags, {"omega_ref": lags, "beta_ref": -lags}, 0.05, title),
