@@ -46,15 +46,6 @@ def noisy(inputs, seed=2, white=0.05):
     return inputs | {"thrust": inputs["thrust"] + white * np.random.default_rng(seed).standard_normal(len(inputs["thrust"]))}
 
 
-def test_python_is_c_to_the_bit():
-    inputs = noisy(driven(400, hold=100, sensor_gain__gain=0.9))
-    expected, model = ran(inputs), Simulation(TWIN)
-    model.start({name: column[0] for name, column in inputs.items()})
-    for k in range(300):
-        outputs = model.advance({name: column[k] for name, column in inputs.items()}, DT)
-        assert list(outputs.values()) == [column[k + 1] for column in expected.values()]
-
-
 def test_both_fmus_are_the_simulator_to_the_bit(tmp_path):
     inputs = noisy(driven(300, hold=100, sensor_gain__gain=0.9))
     expected, names = ran(inputs), [u.name for u in TWIN.inputs]

@@ -8,7 +8,6 @@ from identification.demo import example_folder
 from identification.fit.adjoint import AdjointProblem
 from identification.fit.problem import Prior, Problem
 from identification.fit.refine import BASE_PARAMETERS, METHODS, independent_readings, refine
-from identification.fit.tachometer import Tachometer
 from identification.static.static_map import fit_static_map
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.errors import CompilerMissing, SimulationFailed
@@ -153,15 +152,6 @@ def campaign():
     static = fit_static_map(campaign.static, BASE.values())
     prior = Prior(tuple(static.coefficients), np.array(list(static.coefficients.values())), static.covariance)
     return campaign.open_loop, BASE.values(AVERAGED | dict(static.coefficients)), prior
-
-
-def test_the_transpose_of_the_tachometer_is_its_adjoint(campaign):
-    record = campaign[0]
-    tachometer, rng = Tachometer(record), np.random.default_rng(3)
-    for _ in range(5):
-        speed, weights = rng.normal(size=len(record)), rng.normal(size=len(tachometer))
-        there, back = weights @ tachometer.shows(speed), tachometer.transpose(weights) @ speed
-        assert there == pytest.approx(back, rel=1e-11)
 
 
 @pytest.mark.parametrize("channels", [("thrust",), ("thrust", "omega")])

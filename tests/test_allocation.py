@@ -15,7 +15,7 @@ from identification.power.allocation import allocate
 from identification.power.fit import fit_power, steady_readings
 from identification.power.model import PowerModel
 from vpp_fmu.app.cli import main
-from vpp_fmu.campaign import StaticMap, read_static, write_static
+from vpp_fmu.campaign import StaticMap, write_static
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BASE, plant
@@ -238,11 +238,6 @@ def test_the_command_writes_table_header_and_report(tmp_path, capsys):
     told = subprocess.run([tmp_path / "pair"], check=True, capture_output=True, text=True).stdout.split()
     mean = [0.5 * (rows[20][n] + rows[21][n]) for n in ("omega", "beta")]
     np.testing.assert_allclose([float(x) for x in told], mean, rtol=1e-4)
-
-
-def test_optional_columns_of_the_static_map_are_kept(tmp_path):
-    path = write_static(OutputFolder(tmp_path), points())
-    np.testing.assert_allclose(read_static(path).further["power"], points().further["power"], rtol=1e-8)
 
 
 def test_a_plant_without_power_is_refused_and_nothing_is_written(tmp_path, refused):

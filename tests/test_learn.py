@@ -95,10 +95,5 @@ def test_the_pid_is_tuned_on_set_points_of_the_same_kind():
     assert np.diff(profile.time)[:-1].max() < 4.0 * 0.5 + 0.005
 
 
-def test_its_fmu_is_exported(learned, tmp_path):
-    assert main(["export", "--policy", str(learned / "policy.json"), "-o", str(tmp_path)]) == 0
-    assert (tmp_path / "VppPolicy.fmu").is_file()
-
-
 def test_a_missing_folder_is_refused_in_one_line(tmp_path, refused):
     refused("learn", tmp_path / "nowhere", "-o", tmp_path / "out")

@@ -30,11 +30,6 @@ def test_2000_compiled_steps_are_the_functions_to_the_bit(long_run):
     assert np.ptp(exact, axis=0).min() > 3.0
 
 
-def test_2000_generated_steps_are_the_functions_to_the_bit(long_run, no_compiler, recwarn):
-    commands, steps, exact = long_run
-    np.testing.assert_array_equal(Simulator(ALL_ON).simulate(PROBES, commands, steps), exact)
-
-
 @pytest.mark.parametrize("model", MODELS)
 def test_uneven_steps_are_the_functions_to_the_bit(model, request, recwarn):
     model, values = MODELS[model]

@@ -182,7 +182,6 @@ def test_json_has_the_contract_s_form():
     text = to_json(ParameterSet(plant(["pitch_delay"])).replaced({"tau_omega_1": 0.1}, {"tau_omega_1": 1 / 3}))
     found = json.loads(text)
     assert text.startswith('{\n  "format": "vpp-parameters/1",\n  "parameters": {\n    "')
-    assert found["parameters"]["tau_omega_1"] == {"value": 0.1, "std": 1 / 3, "unit": "s"}
     assert text.endswith("}\n")
     assert list(found) == ["format", "parameters", "effects", "source"]
     assert list(found["parameters"]) == [p.name for p in plant(["pitch_delay"]).parameters]
