@@ -48,7 +48,7 @@ def pytest_configure(config):
     for number in (signal.SIGINT, signal.SIGHUP):
         if signal.getsignal(number) is signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
-    config.option.loadscopereorder = False  # pytest-xdist would begin with the groups of most tests
+    config.option.loadscopereorder = False  # pytest-xdist would begin with the groups that have most tests
     config.addinivalue_line("markers", "sampled(name): side by side, a third of this parameter's values is drawn at random")
 
 
@@ -88,7 +88,7 @@ def pytest_runtest_makereport(item, call):
     """Count a failure in real time as skipped if the machine stalled during the test."""
     report = yield
     if report.failed and in_real_time(item):
-        # What a fixture of the whole file met in an earlier test fails again in the next one.
+        # A failed fixture of the whole file fails each later test, too: stalls since the file began count.
         begun = (item.parent if report.when == "setup" else item).stash[BEGUN]
         if stood := item.config.stash[STALLS].longest(since=begun):
             report.outcome = "skipped"
@@ -184,7 +184,7 @@ def no_compiler(monkeypatch):
     caches = compiler.compiler, simulator._say_once
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setattr(compiler.shutil, "which", lambda name: None)
-    monkeypatch.setattr(Model, "memo", property(lambda model: {}))  # what was compiled before must not serve
+    monkeypatch.setattr(Model, "memo", property(lambda model: {}))  # models compiled before must not be used
     monkeypatch.setattr(simulator, "_runner", simulator._runner.__wrapped__)
     for cached in caches:
         cached.cache_clear()

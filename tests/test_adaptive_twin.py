@@ -141,7 +141,7 @@ def test_a_known_model_error_is_not_taken_for_a_change():
     same = ran(inputs, {"steady": 0.1})
     assert not np.any(same["alarm"])
     std = same["std.sensor_gain.gain"]
-    assert std[-1] > 0.9 * std[rows // 3]  # the tenth visit tells no more than the third
+    assert std[-1] > 0.9 * std[rows // 3]  # the tenth visit adds no information to the third
     inputs["thrust"] = inputs["thrust"] * np.where(np.arange(rows) < rows // 2, 1.0, 0.9)
     changed = ran(inputs, {"steady": 0.1})
     assert not np.any(changed["alarm"][: rows // 2])
@@ -166,8 +166,8 @@ def test_only_lags_that_the_data_excite_are_forgotten():
     gain, (by_pitch, by_speed) = ADAPTED[0], ADAPTED[-2:]
     lags, gains = {}, {}
     for memory in (2.0, 20.0, 1e9):
-        shown = ran(inputs, {"memory": memory, "speed_error": 1e5})  # thrust alone tells
-        assert np.all(np.diff(shown[f"std.{by_pitch}"][16_000:]) < 1e-9)  # others that are learned tell of it, too
+        shown = ran(inputs, {"memory": memory, "speed_error": 1e5})  # learned from the thrust alone
+        assert np.all(np.diff(shown[f"std.{by_pitch}"][16_000:]) < 1e-9)  # other learned parameters inform it, too
         lags[memory], gains[memory] = shown[f"std.{by_speed}"][-1], shown[f"std.{gain}"][-1]
     assert 1.5 * lags[1e9] < lags[2.0] < TWIN.values()[f"change.{by_speed}"]
     assert lags[1e9] < lags[20.0] < lags[2.0]

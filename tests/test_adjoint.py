@@ -34,7 +34,7 @@ def is_the_tangents(model, values, inputs, steps, every=1):
     np.testing.assert_array_equal(shown, outputs)
     gradient = gradient[::every]
     wanted = np.einsum("rop,ro->p", tangents, cotangents)
-    summed = np.einsum("rop,ro->p", np.abs(tangents), np.abs(cotangents))  # what the sum rounds against
+    summed = np.einsum("rop,ro->p", np.abs(tangents), np.abs(cotangents))  # scale of the rounding error of the sum
     assert np.isfinite(gradient).all()
     off = np.abs(gradient - wanted) / np.where(summed > 0.0, summed, 1.0)
     assert off.max() < 1e-13, dict(zip(names, off, strict=True))

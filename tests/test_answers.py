@@ -168,7 +168,7 @@ def test_a_missing_or_additional_key_is_invalid(said):
         assert any(not schema.is_valid({k: v for k, v in found.items() if k != gone}) for gone in found)
 
 
-@pytest.mark.parametrize("name", sorted({*CALLS} - {"effects"}))  # whose answer is a list
+@pytest.mark.parametrize("name", sorted({*CALLS} - {"effects"}))  # its answer is a list
 def test_the_first_line_is_a_sentence(said, name):
     text = said.answers[name].text
     assert "\n" not in text

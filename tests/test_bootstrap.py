@@ -74,7 +74,7 @@ def test_intervals_cover_the_truth_where_white_ones_do_not():
         ours.append((low <= truth) & (truth <= high))
         refinement = fitted(seed, MEMORY)
         naive.append(np.abs(refinement.uncertainty.values - truth) <= 1.96 * white(refinement))
-    # Of 54 intervals 51 are expected to cover; those of one record hang together, so six records leave a wide margin.
+    # Of 54 intervals 51 are expected to cover; those of one record are correlated, so six records leave a wide margin.
     assert np.mean(ours) > 0.75
     assert np.mean(naive) < 0.5
 

@@ -135,7 +135,7 @@ def test_a_speed_without_its_usual_noise_is_frozen(noise, stuck):
     command = 1700.0 + 33.0 * (np.arange(rows) // 2000 % 2) + 1000.0 * (np.arange(rows) > 30_000)
     shown = np.repeat(command[::turn] + noise * np.random.default_rng(0).standard_normal(-(-rows // turn)), turn)[:rows]
     shown[9_000:11_900] = shown[9_000]
-    shown[10_000:11_900] += 0.0 if noise else 33.0  # quiet, it follows, once
+    shown[10_000:11_900] += 0.0 if noise else 33.0  # without noise it follows the command once
     columns = {"time": 1e-3 * np.arange(rows), "omega_ref": command, "beta_ref": np.zeros(rows), "omega": shown}
     columns["thrust"] = np.random.default_rng(1).standard_normal(rows)
     findings = screen(Record(columns, "open_loop.csv"))[1]

@@ -101,7 +101,7 @@ def test_readings_that_repeat_to_the_last_digit_have_the_noise_of_that_digit():
     assert noise.slow > 0.0
 
 
-def test_the_table_has_rows_enough_and_knows_its_verbs():
+def test_the_table_has_rows_of_every_size_and_verbs_that_exist():
     assert len(CASES) >= 25
     assert set(NEEDED) - {"check"} <= set(VERBS)
     assert {case.size for case in CASES.values()} == {"micro", "paper", "big"}

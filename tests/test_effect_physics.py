@@ -61,7 +61,7 @@ def filtered(numerator, denominator, signal, time):
     return gain * signal[0] + lsim((numerator, denominator), signal - signal[0], time)[1]
 
 
-# --- What holds for every form ---------------------------------------------------------------------------------------------
+# --- Properties of every form ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.sampled("effect")
@@ -256,7 +256,7 @@ def test_a_rate_limit_on_the_command_is_a_ramp_before_the_lags():
     """Two lags follow a ramp with its slope, later by the sum of their time constants; then they settle on the goal."""
     beta = run("pitch_rate_limit", {"rate": 2.0, "form": 3.0}, held((0, 0.04), (9, 12)))[2]
     t = np.arange(len(beta)) * STEP - 0.04
-    in_ramp = (t > 3.5) & (t < 4.4)  # what the lags remember of the start has fallen to a few parts in 1e5
+    in_ramp = (t > 3.5) & (t < 4.4)  # the transient of the lags has decayed to a few parts in 1e5
     np.testing.assert_allclose(beta[in_ramp], 2.0 * (t[in_ramp] - 0.374 - 0.207), rtol=0, atol=5e-4)
     command = np.where(t < 4.5, 2.0 * t, 9.0) * (t > 0)
     np.testing.assert_allclose(
@@ -354,7 +354,7 @@ def test_limits_cut_the_command_or_what_is_reached(name, values, u, low, high):
     shown = run(name, values | {"form": 2.0}, inputs)[column]
     free = steps_through(t, at, levels, lambda t: two_lags(t, inner, outer))
     np.testing.assert_allclose(shown[t < at[2]], np.clip(free, low, high)[t < at[2]], rtol=0, atol=1e-8 * max(map(abs, levels)))
-    # The outer lag leaves the limit when the inner one, which knows none, comes back below it.
+    # The outer lag leaves the limit when the inner one, which is not limited, returns below it.
     _, first, last = levels
     leaves = at[2] + inner * np.log((first - last) / (high - last))
     after = t > leaves

@@ -144,7 +144,7 @@ def test_strength_goes_from_least_to_full_size():
     assert full.truth() == {"pitch_backlash.half_gap": pytest.approx(0.06 * full.rig.size.span)}
 
 
-def test_a_campaign_is_what_its_factors_say_in_memory_and_as_a_folder(tmp_path):
+def test_a_campaign_has_its_factors_in_memory_and_as_a_folder(tmp_path):
     for flags in ((True, False, True, False), (False, True, False, True)):
         files = Files(15.0, *flags)
         rig = Rig(random_base(np.random.default_rng(0), 0.3), SIZES["micro"], 100.0)
@@ -214,7 +214,7 @@ ROW |= {"equal": {}, "evidence": 100.0, "behind": 7.0, "true_error": [0.2, 0.02]
     ("change", "said"),
     [
         ({}, {"hit"}),
-        ({"effects": ["pitch_backlash", "rotor_vibration"]}, {"hit"}),  # it is there, on every rig
+        ({"effects": ["pitch_backlash", "rotor_vibration"]}, {"hit"}),  # it is present on every rig
         ({"effects": ["pitch_backlash", "map_terms"]}, {"wrong"}),
         ({"effects": ["map_terms"]}, {"wrong"}),
         ({"effects": ["map_terms"], "family": {"map_terms": ["pitch_backlash"]}}, {"hit"}),

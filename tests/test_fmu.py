@@ -330,10 +330,10 @@ def test_a_state_begins_where_it_is_set(fmus, name):
     model, state = MODELS[name], CHOSEN[name].removeprefix("state.")
     simulation = Simulation(model, PROBES if name == "all_on" else {})
     inputs = {u.name: 0.4 * u.nominal for u in model.inputs if not u.clock}
-    inputs |= {u.name: u.start for u in model.inputs if u.clock}  # a log's rows, of which an FMU knows nothing
+    inputs |= {u.name: u.start for u in model.inputs if u.clock}  # the age of a log's row, which an FMU does not have
     outputs = [s.name for s in model.outputs]
     slave = Slave(fmus[name], initialised=False)
-    slave.set(**{CHOSEN[name]: 0.123})  # before the initialization mode, as the standard has it
+    slave.set(**{CHOSEN[name]: 0.123})  # before the initialization mode, as in the standard
     slave.enter(**inputs)
     exact = simulation.start(inputs, {state: 0.123})
     assert slave.get(*outputs, CHOSEN[name]) == [*exact.values(), 0.123]

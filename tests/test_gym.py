@@ -78,7 +78,7 @@ def test_each_environment_of_many_is_a_single_one_to_the_bit(way, fitted, reques
         for k in range(4):
             assert np.array_equal(found[k], np.array([each[k] for each in alone]))
     assert found[3].all()
-    begun = vector.step(actions)  # the next episode, whose draws are the generator's next ones
+    begun = vector.step(actions)  # the next episode continues the generator's draws
     assert not begun[1].any()
     assert not begun[3].any()
     assert np.array_equal(begun[0], np.array([env.reset()[0] for env in singles]))

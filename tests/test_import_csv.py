@@ -222,7 +222,7 @@ def test_a_proposal_writes_nothing_and_what_it_saves_imports_the_same(tmp_path, 
     assert "sure" in out
     assert not (tmp_path / "out").exists()
     vpp(path, "--propose", tmp_path / "mine.toml")
-    refused(path, "--propose", tmp_path / "mine.toml")  # it is there
+    refused(path, "--propose", tmp_path / "mine.toml")  # the file exists
     told = read_sections(tmp_path / "mine.toml")
     assert told["open_loop"]["columns"] == {
         "time": "Time (s):s",
@@ -523,7 +523,7 @@ def test_a_measured_speed_that_is_electrical_is_named_with_its_mapping(tmp_path,
 
 
 @pytest.mark.parametrize("header", ["eRPM", "Motor speed (erpm)"])
-def test_an_electrical_speed_beside_a_signal_asks_for_the_pole_pairs(tmp_path, vpp, refused, header):
+def test_an_electrical_speed_beside_a_signal_needs_the_pole_pairs(tmp_path, vpp, refused, header):
     log = stand()
     log[header] = 7.0 * log.pop("RPM")
     path = table(tmp_path / "log.csv", log)
@@ -590,7 +590,7 @@ def test_a_second_rotor_is_reported_and_imported_on_request(tmp_path, vpp, refus
     assert f"rotor {labels[0]} is taken, with rpm_cmd_{labels[0]}," in out
     assert f"--rotor {second} takes the other" in out
     vpp(path, "--yes", "--rotor", second, "-o", tmp_path / "b")
-    vpp(path, "--yes", "--map", f"thrust=thrust_{second}:N", "-o", tmp_path / "c")  # the rest goes with it
+    vpp(path, "--yes", "--map", f"thrust=thrust_{second}:N", "-o", tmp_path / "c")  # the other columns are of the same rotor
     for folder, gain in (("a", 1.0), ("b", 0.9), ("c", 0.9)):
         record = read_record(tmp_path / folder / "open_loop.csv")
         for name in names:
@@ -897,7 +897,7 @@ def test_a_servo_angle_is_the_pitch_command_and_a_constant_body_pitch_is_not(tmp
     assert "found xi_deg, an angle that moves" in err
 
 
-# What is said of the rows
+# Messages about the rows
 
 
 def test_rows_that_are_averages_are_detected_from_the_commands():
@@ -972,7 +972,7 @@ def test_the_comparison_of_the_zoo_detects_a_changed_value(tmp_path, capsys):
         assert good == (name == "right"), told
 
 
-# From a stranger's log to a report, in two commands
+# From a foreign log to a report in two commands
 
 LAGS = {"tau_omega_1": 0.15, "tau_omega_2": 0.05, "tau_beta_1": 0.3, "tau_beta_2": 0.1}
 RIG = replace(SIZES["15 N"], row=0.005, hold=(0.8, 1.6), section=8.0, noise=0.1, values=LAGS)

@@ -117,7 +117,7 @@ def test_an_effect_must_pass_every_rule():
     ):
         (reason,) = refusals(**good | change)
         assert word in reason
-    assert refusals(**good | {"gain": {"thrust": -0.4, "omega": 30.0}}) == []  # what a parameter that tells nothing costs
+    assert refusals(**good | {"gain": {"thrust": -0.4, "omega": 30.0}}) == []  # the cost of a parameter without effect
 
 
 def record(**columns):
@@ -312,7 +312,7 @@ def estimate(name: str, **others):
 @pytest.mark.parametrize(
     ("found", "agreed", "again", "chosen"),
     [
-        (0.09, 0.08, 0.05, "agreed"),  # what the map tells goes first
+        (0.09, 0.08, 0.05, "agreed"),  # the estimate that agrees with the map has priority
         (0.09, 0.12, 0.05, "found"),  # unless it predicts worse
         (0.11, 0.12, 0.10, "again"),  # as identified only where the present model is better
         (0.11, 0.12, 0.13, "found"),
@@ -532,7 +532,7 @@ def test_a_dead_band_in_a_closed_loop_is_found(half_width, start):
     searcher = Searcher([Experiment([Fitted("flown", record)], independent(15.0))], names, None, values, LIBRARY)
     (candidate,) = candidates([e for e in LIBRARY if e.name == "pitch_command_deadband"], [record])
     seen = Screening(searcher.fit([], {}, [], values), searcher.start, LIBRARY, biased=False).at(candidate)
-    assert np.std(shown(seen.values[name]) - shown(half_width)) < 0.05  # no more than the noise tells them apart
+    assert np.std(shown(seen.values[name]) - shown(half_width)) < 0.05  # less than the noise
     found = searcher.fit(["pitch_command_deadband"], {}, [name], {**values, name: start})
     low, high = found.thresholds[name]
     assert low - 1e-3 < half_width < high + 1e-3
@@ -681,7 +681,7 @@ def test_prior_knowledge_is_widened_by_its_disagreement_with_the_records(away, f
     ("ahead", "leaves", "elsewhere", "refuted", "looks", "shipped"),
     [
         (9.0, False, False, "", ["base"], "term beside base"),
-        (9.0, False, True, "", ["base"], "term beside base"),  # what explains all may be at either place
+        (9.0, False, True, "", ["base"], "term beside base"),  # a term that explains everything may be at either place
         (4.0, False, False, "", ["base", "known"], "term beside known"),  # as much evidence as the effects of the list have
         (9.0, True, False, "", ["base", "known"], "term beside known"),
         (9.0, True, True, "", ["base", "known"], "present"),

@@ -156,7 +156,7 @@ def fit_with_transients(monkeypatch, std=1.0, verified=False, count=0.0):
     """A fit whose residual is noise of 1 and a sine of 3 in the first half of each hold of 4 s: its power is 4.5 / 2 in all and
     none at rest. Thrust is read by a converter of `count` N; the sensor of the speed has the uncertainty `std`."""
     record = {"time": TIME, "omega_ref": np.floor(TIME / 4.0), "beta_ref": np.zeros(len(TIME)), "thrust": np.zeros(len(TIME))}
-    # Noise of the means over 0.05 s is 1 too: that is what is below 10 Hz.
+    # The noise of means over 0.05 s, which is that below 10 Hz, is 1 too.
     noise = [RNG.standard_normal(len(TIME)), RNG.standard_normal(len(TIME) // 5).repeat(5)]
     speed, thrust = (np.where(TIME % 4.0 < 2.0, 3.0 * np.sin(2.0 * np.pi * TIME), 0.0) + each for each in noise)
     sensor = SimpleNamespace(rows=np.arange(len(TIME)), measured=np.zeros(len(TIME)), std=std, shows=lambda omega: omega)

@@ -36,7 +36,7 @@ from vpp_fmu.parameters import ParameterSet, read_parameters
 from vpp_fmu.record import write_record
 
 NOISE = 0.05  # N
-GAIN = 0.06  # N.s/deg, of the pitch rate on the thrust: what the term is
+GAIN = 0.06  # N.s/deg: the hidden term, from pitch rate to thrust
 FEW = tuple(e for e in LIBRARY if e.off is None or e.name in ("pitch_command_deadband", "sensor_lag"))
 
 

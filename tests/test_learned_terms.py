@@ -101,7 +101,7 @@ def test_off_is_the_model_without_it_to_the_bit(term, dt):
     model, effect = model_of(term)
     inputs, steps = random_steps(300, 20), np.full(299, dt)
     without = simulator(BASE).simulate({}, inputs, steps)
-    if effect.largest_step < dt:  # the plant alone is exact at any step, and so is split as its effects ask for
+    if effect.largest_step < dt:  # split into the steps that the effect needs; the plant alone is exact at any step
         wanted = int(np.ceil(dt / effect.largest_step - 1e-9))
         fine = {n: np.repeat(c, wanted)[: 299 * wanted + 1] for n, c in inputs.items()}
         without = simulator(BASE).simulate({}, fine, np.full(299 * wanted, dt / wanted))[::wanted]

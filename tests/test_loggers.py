@@ -104,7 +104,7 @@ def test_readings_are_means_over_the_row():
     [
         (Encoder(), 100.0, 0.0),
         (Telemetry(0.03, 0.04), 1000.0, 0.0305),  # a new value is seen within a row of 1 ms
-        (Telemetry(0.02, 0.0071), 25.0, 0.02355),  # rows take, at any time, what comes every 7.1 ms
+        (Telemetry(0.02, 0.0071), 25.0, 0.02355),  # values come every 7.1 ms, at any time within a row
     ],
 )
 def test_a_speed_is_behind_its_thrust_by_filter_and_hold(sensor, rate, delay):
@@ -144,7 +144,7 @@ def test_the_hold_out_record_is_the_true_model_read_by_the_true_logger(number):
     assert np.std((force - record["thrust"])[known]) < 0.03 * rig.noise.std
     new = known & (np.diff(record["omega"], prepend=0.0) != 0.0)
     rate = np.gradient(speed)[new] * rig.rate
-    assert abs(np.polyfit(rate, (record["omega"] - speed)[new], 1)[0]) < 0.003  # s; how old a held value is goes with speed
+    assert abs(np.polyfit(rate, (record["omega"] - speed)[new], 1)[0]) < 0.003  # s; a held value's age depends on speed
 
 
 def test_cases_are_balanced_and_depend_on_their_number_alone():

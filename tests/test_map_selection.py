@@ -86,7 +86,7 @@ def test_the_table_has_the_best_of_each_size_and_the_papers():
     assert all(row[4] > 0 for row in rows)
 
 
-def test_a_shift_of_pitch_asks_for_other_terms():
+def test_a_shift_of_the_pitch_scale_needs_other_terms():
     """A polynomial in degrees, rewritten with the paper's origin of -5 deg, has a term in the speed alone, (1, 0)."""
     degrees = {**SCALES, "beta_offset": 0.0}
     static = campaign(0.002, values=[-0.2, -0.2, 0.4, 0.3, -0.1], scales=degrees)

@@ -155,7 +155,7 @@ def test_the_loop_is_stable_up_to_its_gain_margin(at_rest):
     assert ringing(gains, point, factor=1.07 * found.gain) > 1.05
 
 
-def test_operating_points_hold_the_thrust_they_stand_for():
+def test_operating_points_hold_their_thrust():
     objective = an_objective(DUAL)
     points = operating_points(objective, objective.gains)
     assert [round(p.thrust, 9) for p in points] == [3.0, 5.0, 7.0, 9.0, 11.0, 9.0, 7.0, 5.0, 3.0]

@@ -37,7 +37,7 @@ def test_at_fitted_places_the_model_error_is_scaled_by_the_degrees_of_freedom(vi
     unseen, fitted = (model_error(*records, VALUES, 9, noise=0.0) for records in (([], [visits]), ([visits], [])))
     assert fitted.freedom == unseen.freedom - 9
     assert (fitted.steady / unseen.steady) ** 2 == pytest.approx(unseen.freedom / fitted.freedom)
-    assert model_error([visits], [], VALUES, 400, noise=0.0) is None  # more parameters than places: it tells nothing
+    assert model_error([visits], [], VALUES, 400, noise=0.0) is None  # more parameters than places: no information
 
 
 def test_steady_points_lose_the_degrees_of_freedom_of_their_map():

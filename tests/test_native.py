@@ -192,7 +192,7 @@ def test_compiled_models_are_cached(own_cache, monkeypatch):
     assert len(kept) == 1
     Simulator(plant(["pitch_delay"]))
     assert len(list(own_cache.iterdir())) == 2
-    monkeypatch.setattr(subprocess, "run", None)  # whoever compiles again fails
+    monkeypatch.setattr(subprocess, "run", None)  # compiling again would fail
     np.testing.assert_array_equal(Simulator(BASE).simulate({}, inputs, steps), first)
 
 
@@ -206,7 +206,7 @@ def test_a_user_defined_effect_with_the_name_of_a_traced_one_is_traced_anew(own_
 
     own = [replace(e, step=squared, declared=None) if e.name == name else e for e in LIBRARY]
     np.testing.assert_allclose(Simulator(plant([name], own)).simulate(values, inputs, steps)[:, 0], 1.2 * theirs[:, 0])
-    monkeypatch.setattr(simulators, "trace", None)  # whoever traces again fails
+    monkeypatch.setattr(simulators, "trace", None)  # tracing again would fail
     np.testing.assert_array_equal(Simulator(plant([name])).simulate(values, inputs, steps), theirs)
 
 

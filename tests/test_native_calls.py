@@ -14,7 +14,7 @@ from fuzz import fuzz, fuzzer
 from vpp_fmu.fmu import FmuInstance
 from vpp_fmu.kernel.controller import CONTROLLER
 
-# What has no compiler is skipped with that module.
+# Without a compiler all is skipped together with that module.
 MODELS, OUTPUTS, each_fmu = test_native_fmu.MODELS, test_native_fmu.OUTPUTS, test_native_fmu.each_fmu
 fmu_files, fmus = test_native_fmu.fmu_files, test_native_fmu.fmus
 
@@ -114,7 +114,7 @@ def test_calls_are_taken_in_the_order_of_the_standard(fmus, state):
         raw("fmi2FreeInstance")
 
 
-def test_no_instance_without_what_the_standard_asks_for(fmus):
+def test_no_instance_without_the_arguments_that_the_standard_requires(fmus):
     raw = Raw(fmus["plain"])
     for bad, word in (({"guid": b"{0}"}, "found {0}, expected {"), ({"kind": 0}, "co-simulation"), ({"name": b""}, "name")):
         assert raw.instantiate(**bad) is None

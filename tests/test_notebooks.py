@@ -85,7 +85,7 @@ def test_an_effect_of_ones_own(tmp_path):
         assert abs(value - truth) < 5.0 * std
         assert std < 0.1 * truth
     assert float(start) == pytest.approx(values[0], rel=1e-6)
-    share, time_constant = values  # a step of thrust: at once all but the share, which comes with its time constant
+    share, time_constant = values  # a step of thrust: immediate but for the share, which follows with its time constant
     assert before < stepped < crept
     shown, whole = 1.0 + share * (1.0 - 2.718281828 ** (-1.0 / time_constant)), 1.0 + share
     whole_step, seen_step = (crept - before) / whole, stepped - before

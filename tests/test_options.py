@@ -55,7 +55,7 @@ def test_a_number_out_of_range_is_refused_in_one_line(verb, refused):
         assert word in said
 
 
-def test_the_words_of_a_range():
+def test_a_refusal_names_the_allowed_range():
     assert real(0.0, 5.0, "s", above=True)("5") == 5.0
     assert whole(2, 100, also=(0,))("0") == 0
     assert isinstance(whole(0, 10)("7"), int)

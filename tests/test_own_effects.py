@@ -53,7 +53,7 @@ def test_an_effect_that_breaks_an_invariant_is_refused(name, tmp_path, capsys):
     assert main(["check-effect", str(path)]) == 2
     said = capsys.readouterr()
     assert said.err.count("\n") == 1
-    if name == "declares itself":  # it is refused as it is read
+    if name == "declares itself":  # it is refused when it is read
         assert said.err.startswith(f"vpp check-effect: {path}: EFFECT: found tau = 0.5, outside 0 to 0.3, expected")
     else:
         assert re.search(rf"  {name} +NO ", said.out)

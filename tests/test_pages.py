@@ -178,7 +178,7 @@ def test_nothing_overlaps_is_cut_off_or_empty_and_all_can_be_read(pages, browser
     for seen in (light, dark):
         assert seen["text"] > 4.5
         assert seen["labels"] > 4.5
-        assert seen["lines"] > 1.5  # what is faint on purpose is still there
+        assert seen["lines"] > 1.5  # faint lines are still visible
     assert browser.problems == []
 
 

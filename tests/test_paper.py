@@ -62,7 +62,7 @@ def test_the_papers_numbers_are_consistent():
     assert {n: NUMBERS[f"dual.{n}"].value for n in DUAL} == DUAL
 
 
-def test_every_number_of_the_paper_has_a_row_that_says_why(quick):
+def test_every_number_of_the_paper_has_a_row_with_an_explanation(quick):
     assert list(quick.rows) == list(NUMBERS)
     for name, row in quick.rows.items():
         assert row["value"] == NUMBERS[name].value
@@ -179,7 +179,7 @@ def test_the_lag_beside_the_assumed_one_is_the_rigs_own_of_that_name(quick):
     assert quick.rows["assumed"]["model"] == 0.05
 
 
-def test_a_row_of_the_setup_says_as_the_paper_only_where_the_rig_has_the_papers_value(quick):
+def test_a_row_of_the_setup_reads_as_the_paper_only_if_the_rig_has_the_papers_value(quick):
     files = quick.campaign
     at = np.argmax(np.diff(files.steps[0]["omega_ref"]) != 0.0) + 1
     read = {

@@ -98,7 +98,7 @@ def test_an_interval_reaches_other_optima_that_the_data_leave_open(readings):
     own = np.sqrt(2.0 * found.cost / 19.0 / 20.0) / abs(np.sin(float(found.value[0])))
     uncertainty = Uncertainty(("p",), found.value, np.array([[own**2]]), np.ones(1))
     mirrored = replace(found, value=-found.value)
-    worse = replace(mirrored, value=-2.0 * found.value, costs=(found.cost + 3.0,))  # 1.92 is what 95 % allow
+    worse = replace(mirrored, value=-2.0 * found.value, costs=(found.cost + 3.0,))  # 95 % allow 1.92
     for others in ((mirrored,), (mirrored, worse)):
         told = profiled(level, found, uncertainty, others)
         assert told.intervals[0, 0] == pytest.approx(-float(found.value[0]))
@@ -131,7 +131,7 @@ def test_a_parameter_on_its_bound_is_excluded_from_the_intervals_of_others(readi
     variance = 2.0 * found.cost / (len(found.residual) - 2)
     uncertainty = Uncertainty(("p", "q"), found.value, np.diag([variance / 20.0, 0.0]), np.ones(2))
     half = NORMAL_95 * np.sqrt(variance / 20.0)
-    # Upwards q stays on 0; downwards it would have to be more than 0 to help, which costs more than it brings.
+    # Upwards q stays at 0; downwards only q > 0 would help, which costs more than it gains.
     assert profiled(plane, found, uncertainty).intervals[0] == pytest.approx([1.0 - half, 1.0 + half], rel=0.01)
 
 

@@ -163,7 +163,7 @@ def test_the_kind_of_signal_is_recognised_by_its_unit_or_its_values(log, header,
     assert read.span == RANGES[kind]
 
 
-# What is no measurement
+# Readings that are left out
 
 
 def test_repeated_thrust_counts_once(log):
@@ -534,7 +534,7 @@ def test_a_map_of_another_log_reaches_down_to_where_this_one_turns(tmp_path, vpp
     assert record["omega_ref"][record["omega_ref"] > 0.0].min() == pytest.approx(expected, rel=2e-3)
 
 
-def test_a_servo_in_use_asks_for_the_pitch(tmp_path, vpp, refused):
+def test_a_servo_in_use_needs_a_pitch(tmp_path, vpp, refused):
     t = truth()
     headers = HEADERS | {"servo": "Servo 1"}
     path = write(tmp_path / "log.csv", t | {"servo": np.where(t["time"] < 5.0, 1200.0, 1700.0)}, headers)
@@ -603,7 +603,7 @@ def test_real_logs_are_cleaned(path, start, offset):
 
 
 @real
-def test_the_row_behind_a_real_stall_is_older_than_it_says():
+def test_the_row_behind_a_real_stall_is_older_than_its_time():
     """90 ms after a step up the speed in that row is still changing; in the last row that is emptied it has settled."""
     log = read_log(SECOND)
     steps = np.flatnonzero(np.diff(log.signal) > 0) + 1

@@ -22,13 +22,13 @@ def test_the_readme_is_short():
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_is_one_that_there_is(command):
+def test_every_command_parses(command):
     verb, *options = shlex.split(command, comments=True)
     parser_of(verb)[0].parse_args(options)
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_every_link_leads_somewhere(page):
+def test_every_link_has_a_target(page):
     for link in re.findall(r"\]\((?!http)([^)#]+)\)", (ROOT / page).read_text()):
         assert ((ROOT / page).parent / link).exists(), link
 
@@ -64,7 +64,7 @@ def test_demo_does_the_whole_job(script, tmp_path, printed, monkeypatch):
     said = printed("demo", "-o", tmp_path)
     before, after = map(float, re.search(r"FMU in fmpy: ([\d.]+) → ([\d.]+) N", said).groups())
     floor = float(re.search(r"noise ([\d.]+) N", said)[1])
-    assert floor < after < before < 2 * floor  # the example's model lacks something, but not more than the noise itself
+    assert floor < after < before < 2 * floor  # what the example's model lacks is about as large as the noise
     for name in (
         *("parameters.json", "parameters.ssv", "parameters_base.json", "identification.json", "diagnosis.json", "report.html"),
         *("VppPlant.fmu", "VppPlant_base.fmu", "VppController.fmu", "VppLoop.ssp", "gains.json", "run_dual.csv"),

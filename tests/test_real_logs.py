@@ -28,7 +28,7 @@ def stand(path, day: int, columns=("Zeit [ms]", "Soll [rpm]", "Ist [rpm]", "Schu
     time = np.arange(0.0, SECONDS, 0.001)
     command = rng.uniform(2500.0, 5800.0, 40)[(time / 0.5).astype(int)]
     speed = lfilter([0.0, 1.0 - LEFT], [1.0, -LEFT], command, zi=command[:1])[0]
-    turn = 60.0 / speed  # the pulse came half a revolution ago in the mean, and tells of the whole one before
+    turn = 60.0 / speed  # the pulse came half a revolution ago on average, with the mean of the whole one before
     covered = np.cumsum(speed) * 0.001
     mean = (np.interp(time - 0.5 * turn, time, covered) - np.interp(time - 1.5 * turn, time, covered)) / turn
     thrust = (1.0 + 0.02 * day) * 10.0 * (speed / 6000.0) ** 2 + rng.normal(0.0, NOISE, len(time))

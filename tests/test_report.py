@@ -196,7 +196,7 @@ class Markup(HTMLParser):
 
 def test_page_loads_nothing_from_outside():
     html = page().html()
-    own = html.replace("http://www.w3.org/2000/svg", "")  # a name, which nobody fetches
+    own = html.replace("http://www.w3.org/2000/svg", "")  # a name, which is not fetched
     assert "http:" not in own
     assert "https:" not in own
     assert not re.search(r"@import|@font-face|url\((?!#)|fetch\(|XMLHttpRequest|import\(", own)
@@ -295,7 +295,7 @@ def test_every_axis_names_its_quantity_and_unit(name):
             axes.append(value)
     assert len(axes) >= 2
     for axis in axes:
-        if axis.get("type") == "category":  # its names say what they are
+        if axis.get("type") == "category":  # its labels are names
             continue
         assert re.search(r"\w.*\[.+\]$", axis["title"]["text"].replace("<br>", " "))
 
@@ -446,7 +446,7 @@ def test_one_legend_entry_a_line_and_one_for_the_band_over_all_panels():
     assert len({t.yaxis for t in fig.data}) == 2
 
 
-def test_candidates_are_ranked_and_say_at_which_gate_they_failed():
+def test_candidates_are_ranked_and_show_the_gate_at_which_they_failed():
     fig = FIGURES["evidence"]
     assert fig.layout.yaxis.categoryarray[-1] == "pitch command deadband"  # plotly draws the last on top
     assert fig.layout.yaxis.categoryarray[0] == "sensor gain"

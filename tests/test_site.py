@@ -21,13 +21,13 @@ QUICK = ("reference/files.md", "how-to/learn-in-your-own-loop.md")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_is_one_that_there_is(command):
+def test_every_command_parses(command):
     verb, *options = shlex.split(re.split(r" (?:\|\|?|>) ", command)[0], comments=True)
     parser_of(verb)[0].parse_args(options)
 
 
 @pytest.mark.parametrize("name", [found.name for found in PAGES])
-def test_every_block_is_run_or_says_why_not(name):
+def test_every_block_is_run_or_has_a_reason_why_not(name):
     found = page(name)
     typed = [block for block in found.blocks if block.typed or block.file]
     to_run = [block for block in typed if not block.skipped]
@@ -40,7 +40,7 @@ def test_every_block_is_run_or_says_why_not(name):
 
 
 @pytest.mark.parametrize("name", QUICK)
-def test_a_page_does_what_it_says(name, tmp_path):
+def test_the_commands_of_a_page_print_what_it_shows(name, tmp_path):
     run(page(name), tmp_path, {})
 
 
@@ -52,7 +52,7 @@ def test_a_page_with_wrong_output_fails(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", [found.name for found in PAGES])
-def test_every_link_leads_somewhere(name):
+def test_every_link_has_a_target(name):
     """The build checks anchors, and treats warnings as errors."""
     made = {*verbs.pages(), verbs.INDEX, "reference/api.md", "reference/effects.md"}
     folder = included.DOCS / Path(name).parent

@@ -75,7 +75,7 @@ def connected(system):
     return {(c.startElement, c.startConnector, c.endElement, c.endConnector) for c in system.connections}
 
 
-def test_the_flat_one_is_the_same_without_connectors_of_its_own(parts, tmp_path):
+def test_the_flat_ssp_is_the_same_without_connectors_of_the_system(parts, tmp_path):
     path = tmp_path / "loop.flat.ssp"
     path.write_bytes(loop_ssp(parts, {}, 10.0, connectors=False))
     system = read_ssd(str(path)).system
@@ -113,7 +113,7 @@ def test_no_algebraic_loop_at_the_start(loop):
     order = list(TopologicalSorter(initial_graph(loop)).static_order())  # CycleError where there is one
     assert order.index(("VppController", "omega_ref")) < order.index(("VppPlant", "thrust"))
     assert order.index(("VppPlant", "thrust")) < order.index((None, "thrust"))
-    with pytest.raises(CycleError):  # as it would be, did the controller's outputs start from its inputs
+    with pytest.raises(CycleError):  # if the controller's outputs started from its inputs
         TopologicalSorter(initial_graph(loop) | {("VppController", "omega_ref"): {("VppController", "thrust")}}).prepare()
 
 

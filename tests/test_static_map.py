@@ -84,7 +84,7 @@ def test_coefficients_that_a_grid_does_not_identify_are_named(speeds, pitches, n
         spread, samples = np.full(len(omega), 10.0 * noise), np.full(len(omega), 100.0)
         fits.append(fit_static_map(StaticMap(omega, beta, omega, thrust, spread, samples, "made up"), SCALES))
     assert {name for fit in fits for name in fit.not_identifiable} == not_identifiable
-    # The map at the points themselves is told whatever the grid: right on average, and known as well as it scatters.
+    # The map at the points themselves is known for any grid: without bias, and with the uncertainty of its scatter.
     shown = np.array([design(omega, beta, SCALES) @ list(fit.coefficients.values()) for fit in fits]) * SCALES["thrust_scale"]
     uncertainty = np.sqrt(np.mean([fit.uncertainty(omega, beta, SCALES) ** 2 for fit in fits], axis=0))
     np.testing.assert_allclose(shown.mean(axis=0), truth, atol=4.0 * noise / np.sqrt(len(fits)))
@@ -184,7 +184,7 @@ def test_steady_points_identify_the_map_and_an_effect_of_the_map():
     std = np.sqrt(np.diag(told.covariance))
     assert np.all(np.abs(told.mean - [*KNOWN, BENT]) < 4.0 * std)
     alone = told_beside(free=())
-    assert np.max(np.abs(alone.mean - KNOWN) / std[:5]) > 30.0  # by itself the polynomial has taken up the stall
+    assert np.max(np.abs(alone.mean - KNOWN) / std[:5]) > 30.0  # the polynomial alone has absorbed the stall
 
 
 @pytest.mark.parametrize(
@@ -235,7 +235,7 @@ def test_steady_points_of_raw_samples():
     np.testing.assert_array_equal(found.omega_ref, [3000.0, 4000.0])
     np.testing.assert_array_equal(found.beta_ref, [0.0, 5.0])
     np.testing.assert_array_equal(found.omega, [3007.0, 4007.0])
-    # White noise: each reading counts, as far as eight hundred of them tell; all stretches have one colour.
+    # White noise: each reading counts, within the precision of eight hundred; all stretches have the same colour.
     assert found.samples[0] / found.samples[1] == pytest.approx(498 / 299)
     assert 0.6 * 498 < found.samples[0] <= 498
     rest = thrust[300:800]

@@ -122,7 +122,7 @@ def test_without_a_map_the_lags_are_those_of_the_normalised_thrust():
     fit = fit_steps([record], VALUES).runs[0].fits["thrust"].plain
     assert (fit.slow, fit.fast) == pytest.approx((0.2, 0.08), abs=1e-6)
     bent = fit_steps([run("omega", 2000, 6000, 7, shown=False)], VALUES).runs[0].fits["thrust"].plain
-    assert bent.slow + bent.fast > 1.05 * 0.225  # thrust goes with the square of the speed: upwards it comes late
+    assert bent.slow + bent.fast > 1.05 * 0.225  # thrust is proportional to the square of the speed: upwards it is later
 
 
 def test_offset_and_gain_of_a_run_do_not_touch_its_lags():

@@ -67,7 +67,7 @@ sys.exit(cli.main(["identify"]))
 def test_workers_end_with_the_process_that_started_them(number, to_all):
     ended = signalled([sys.executable, "-c", SPREAD], number, lambda process: len(group(process.pid)) == 4, to_all)
     assert ended.left == ()
-    if number == signal.SIGKILL:  # nothing was asked of the command itself: its workers noticed
+    if number == signal.SIGKILL:  # the command itself can't react: its workers noticed
         assert ended.code == -signal.SIGKILL
     else:
         assert ended.code == 128 + number

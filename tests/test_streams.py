@@ -69,7 +69,7 @@ def test_characters_that_a_terminal_cannot_show_are_replaced(here):
         assert b"?" in out + said
 
 
-def test_a_full_standard_output_is_told_after_the_results_are_written(here):
+def test_a_full_standard_output_is_reported_after_the_results_are_written(here):
     code, _, said = run(simulate(here), ">/dev/full")
     assert code == 2
     assert said.count(b"\n") == 1
@@ -113,11 +113,11 @@ def test_results_are_written_before_anything_is_printed(here, monkeypatch, tmp_p
 
 
 @pytest.mark.parametrize("verb", ["cosim", "check-effect", "simulate", "diagnose", "plan", "tune", "export"])
-def test_help_says_whose_code_is_run(verb):
+def test_help_warns_of_code_by_other_authors(verb):
     assert "its author's code" in " ".join(parser_of(verb)[0].format_help().split())
 
 
-def test_help_of_the_rig_says_so_too(capsys):
+def test_help_of_the_rig_warns_of_code_by_other_authors(capsys):
     for word in ("run", "replay"):
         with pytest.raises(SystemExit):
             main(["hil", word, "--help"])

@@ -69,7 +69,7 @@ def test_every_reader_refuses_damaged_json_in_the_same_words(reader, what, tmp_p
 
 @pytest.mark.parametrize("found", [[], 3, "text", None, True])
 @pytest.mark.parametrize("reader", READERS)
-def test_every_reader_of_json_wants_an_object(reader, found, tmp_path):
+def test_every_reader_of_json_refuses_other_types_than_objects(reader, found, tmp_path):
     (tmp_path / "x.json").write_text(json.dumps(found))
     assert "an object in braces" in refusal_of(READERS[reader], tmp_path / "x.json")
 

@@ -75,7 +75,7 @@ def test_a_response_that_never_comes_back_does_not_ring(thrust):
     assert step.ringing == 0.0
 
 
-def test_gains_that_cost_less_and_settle_later_are_not_handed_out(example, monkeypatch):
+def test_gains_that_cost_less_and_settle_later_are_not_chosen(example, monkeypatch):
     """The search is replaced by one that returns such gains, so that only the verdict can reject them."""
     task, settings = example
     objective = task.objective(settings)

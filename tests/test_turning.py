@@ -34,7 +34,7 @@ def line(phase, speed=SPEED, amplitude=0.05):
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.9])
-def test_a_vibration_of_any_phase_is_found_and_its_size_told(rho):
+def test_a_vibration_of_any_phase_is_found_with_its_size(rho):
     rng = np.random.default_rng(1)
     found = rotor_order_test(fit_of([line(phase) + noise(rng, rho) for phase in (0.3, 2.4)]))
     assert found.p < 1e-6

@@ -128,5 +128,5 @@ def test_an_error_shared_by_both_records_is_not_averaged_out(records):
 def test_the_bootstrap_draws_the_same_blocks_from_repeated_records(records):
     short = records[0].part(slice(0, None, 3))
     once, twice = (bootstrap(fit(part), 60, seed=1) for part in ([short], [short, short]))
-    # Drawn apart it would be 0.71; sixty samples know a deviation to 9 %, the nine hang together.
+    # With separate draws it would be 0.71; sixty samples give a deviation to 9 %, and the nine are correlated.
     assert np.median(twice.std / once.std) == pytest.approx(1.0, abs=0.2)

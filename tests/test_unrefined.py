@@ -113,7 +113,7 @@ def test_a_pitch_that_never_moved_is_named_whatever_the_steady_points_are():
     assert found.not_identifiable["c21"] == "the data identify only its combination with c20"
     assert found.not_identifiable["c12"] == "the data identify only its combination with c11"
     assert any(line.startswith("not identifiable from these data: c21 (stays at ") for line in not_identifiable(found))
-    # The same record beside a whole grid: the map is then told, the pitch's lags are still not.
+    # The same record beside a whole grid: the map is identifiable, the pitch's lags are not.
     whole_grid = gridded(np.linspace(0.35, 1.0, 5), np.linspace(-5.0, 10.0, 5))
     found = identify(campaign("micro", recorded("wwx", (4.0, 4.0)), whole_grid), starts=1)
     assert set(found.not_identifiable) == {"tau_beta_1", "tau_beta_2"}
@@ -163,7 +163,7 @@ def test_a_page_without_a_record_has_values_and_no_prediction():
 def test_means_of_runs_scatter_as_their_covariance_says():
     """With and without scatter between runs in excess of their own uncertainty."""
     rng = np.random.default_rng(0)
-    # Excess scatter is never negative: where there is none, what chance shows of it makes the answer too wide.
+    # Excess scatter is never negative: if there is none, its estimate by chance makes the answer too wide.
     for between, most in ((np.zeros((2, 2)), 1.5), (np.array([[4.0, 1.0], [1.0, 2.0]]), 1.2)):
         means, told = [], []
         for _ in range(1000):
