@@ -1,4 +1,4 @@
-"""A native FMU's C text run on 64-bit ARM, emulated: what a Raspberry Pi computes."""
+"""Run the C text of a native FMU on emulated 64-bit ARM, the processor of a Raspberry Pi."""
 
 import shutil
 import subprocess
@@ -41,7 +41,7 @@ int main(void) {
 
 
 def missing() -> str:
-    """What this machine lacks to run it; empty: nothing."""
+    """What this machine lacks to run it; empty if nothing."""
     if not find_spec("ziglang"):
         return "ziglang is not installed (the extra 'cross')"
     return "" if shutil.which("qemu-aarch64") and LIBRARY.exists() else "no qemu-aarch64 with its C library"

@@ -1,4 +1,4 @@
-"""FMUs that must be refused, made from a good one: what is wrong with each, and what must be said of it."""
+"""FMUs that must be refused, made from a good one: the fault of each, and the words of its refusal."""
 
 import io
 import zipfile
@@ -18,7 +18,7 @@ Files = dict[str, bytes]
 
 
 def _with(**changed: bytes | str | None) -> Callable[[Files], Files]:
-    """The good FMU's files with some of them exchanged; None: left out."""
+    """Exchange some files of the good FMU; None removes one."""
 
     def made(files: Files) -> Files:
         found = {**files, **{name: text for name, text in changed.items() if text is not None}}
@@ -37,7 +37,7 @@ def _described(old: str, new: str) -> Callable[[Files], Files]:
 
 
 def _only(part: str, name: str) -> Callable[[Files], Files]:
-    """The good FMU's files with its binaries under another name."""
+    """Give the binaries of the good FMU another name."""
     return lambda files: {k.replace(part, name) if k.startswith("binaries/") else k: v for k, v in files.items()}
 
 
@@ -46,7 +46,7 @@ def _library(content: bytes) -> Callable[[Files], Files]:
 
 
 def _module(change: Callable[[bytes], bytes | None]) -> Callable[[Files], Files]:
-    """The good FMU's files with another name of its module."""
+    """Give the module of the good FMU another name."""
     return lambda files: _with(**{SLAVE: change(files[SLAVE])})(files)
 
 
@@ -73,7 +73,7 @@ CHANGED: Mapping[str, tuple[Callable[[Files], Files], tuple[str, ...]]] = {
     "bomb of zeros": (_with(**{f"resources/{k}.bin": ZEROS for k in range(128)}), ("times its size unpacked", "200 times")),
     "20 001 files": (_with(**{f"resources/{k}": "" for k in range(20_001)}), ("files, expected 20000 at most",)),
 }
-"""By what is wrong: how to make it of the good FMU's files, and the words that the one line must hold."""
+"""By fault: how to make it from the files of the good FMU, and the words that the refusal must have."""
 
 
 def _declared(size: int, name: str = DESCRIPTION) -> Callable[[zipfile.ZipFile], None]:
@@ -93,11 +93,11 @@ FORGED: Mapping[str, tuple[Callable[[zipfile.ZipFile], None], tuple[str, ...]]] 
     "smaller than it is": (_declared(10, "resources/large.bin"), ("a broken archive",)),
     "encrypted": (_flagged, ("encrypted", "modelDescription.xml")),
 }
-"""The same for what only the archive's directory says."""
+"""The same for faults in the directory of the archive."""
 
 
 def bad_fmus(good: Path, folder: Path) -> dict[str, tuple[Path, tuple[str, ...]]]:
-    """(path, words that the one line must hold) of each, by what is wrong."""
+    """(path, words that the refusal must have) by fault."""
     with zipfile.ZipFile(good) as archive:
         files = {name: archive.read(name) for name in archive.namelist()}
     incompressible = bytes(range(256)) * 4096

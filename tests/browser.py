@@ -1,6 +1,6 @@
-"""A headless Chromium: pages as a reader has them, at any width, light or dark.
+"""A headless Chromium that shows pages as a reader sees them: at any width, light or dark.
 
-It is driven over its debugging pipe, by the protocol of chromedevtools.github.io/devtools-protocol.
+It is controlled through its debugging pipe, by the protocol of chromedevtools.github.io/devtools-protocol.
 
 `python -m tests.browser PAGE.html ... -o DIR` saves a picture of each page: light, dark, and on a phone.
 """
@@ -26,7 +26,7 @@ LOOKS = {"light": (1100, False), "dark": (1100, True), "phone": (400, False)}
 """(width in CSS pixels, dark) of the pictures."""
 
 PATIENCE = 30.0
-"""s that a page may take on a busy machine."""
+"""Longest time [s] that a page may take on a busy machine."""
 
 _FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--remote-debugging-pipe", "--no-first-run")
 
@@ -44,7 +44,7 @@ def browser(profile: Path) -> Iterator["Browser"]:
 
 
 class Browser:
-    """One tab. Messages are JSON that a NUL ends, on descriptors 3 (to the browser) and 4 (from it)."""
+    """One tab. Messages are JSON, ended by a NUL, on descriptors 3 (to the browser) and 4 (from it)."""
 
     def __init__(self, profile: Path):
         to_browser, self._out = os.pipe()
@@ -86,18 +86,18 @@ class Browser:
         return answer["result"]
 
     def window(self, width: int, height: int, dark: bool = False) -> None:
-        """The page's size in CSS pixels, and its colours."""
+        """Set the page's size in CSS pixels, and its colours."""
         self.ask("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600)
         self.scheme(dark)
 
     def open(self, address: str) -> None:
-        """Go there, and wait until it is loaded; `problems` then lists errors of its scripts and refusals of the browser."""
+        """Open an address, wait until it is loaded, and collect errors of its scripts and refusals in `problems`."""
         self.problems = []
         self.ask("Page.navigate", url=address)
         self._until(lambda told: told.get("method") == "Page.loadEventFired")
 
     def show(self, page: Path, width: int, height: int, dark: bool) -> None:
-        """Opens a page of a file."""
+        """Open the page of a file."""
         self.window(width, height, dark)
         self.open(page.resolve().as_uri())
         self.run("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
@@ -108,7 +108,7 @@ class Browser:
         self.ask("Emulation.setEmulatedMedia", features=[scheme])
 
     def drag(self, start: float, end: float, y: float) -> None:
-        """The mouse pressed at one place of the window, moved, and let go at another, all in pixels."""
+        """Press the mouse at one place of the window, move it and release it at another, all in pixels."""
         for kind, x in (("mousePressed", start), ("mouseMoved", end), ("mouseReleased", end), ("mouseMoved", end - 5)):
             button = "none" if x == end - 5 else "left"
             self.ask(
@@ -116,14 +116,14 @@ class Browser:
             )
 
     def run(self, script: str):
-        """The value of an expression in the page, waited for if it is a promise."""
+        """The value of an expression in the page; a promise is awaited."""
         answer = self.ask("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
         if "exceptionDetails" in answer:
             raise RuntimeError(answer["exceptionDetails"]["exception"].get("description"))
         return answer["result"].get("value")
 
     def wait_for(self, expression: str):
-        """Until an expression of JavaScript is true; its value."""
+        """Wait until an expression of JavaScript is true; its value."""
         end = time.monotonic() + PATIENCE
         while not (value := self.run(expression)):
             assert time.monotonic() < end, f"{expression} is still {value}: {self.run('document.body.innerText')[:600]}"
@@ -131,7 +131,7 @@ class Browser:
         return value
 
     def press(self, selector: str) -> float:
-        """The mouse on an element's middle, pressed and released; when that began [s, monotonic]."""
+        """Click the middle of an element; the time at which the click began [s, monotonic]."""
         box = f"(() => {{ const b = document.querySelector({selector!r}).getBoundingClientRect(); "
         x, y = self.run(f"{box} return [b.x + b.width / 2, b.y + b.height / 2]; }})()")
         began = time.monotonic()

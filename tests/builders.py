@@ -6,9 +6,11 @@ from functools import cache
 
 import fmpy
 import numpy as np
+import pytest
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackAllocateMemoryTYPE, fmi2CallbackFreeMemoryTYPE, fmi2CallbackFunctions
 from fmpy.fmi2 import fmi2CallbackLoggerTYPE as Logger
 
+from vpp_fmu.errors import BadInput
 from vpp_fmu.export import native_fmu
 from vpp_fmu.fmu import Fmu
 from vpp_fmu.invariants import random_steps, reference, slopes
@@ -25,6 +27,15 @@ FAST_PITCH = {"tau_beta_2": 0.05}
 """The paper tunes its controllers on the fine-tuned set with a faster pitch actuator (section 4.2)."""
 
 
+def refusal(call, *arguments) -> str:
+    """The message of the BadInput that a call must raise, in one line."""
+    with pytest.raises(BadInput) as refused:
+        call(*arguments)
+    message = str(refused.value)
+    assert "\n" not in message
+    return message
+
+
 def named(effect: Effect, values: Mapping[str, float]) -> dict[str, float]:
     """An effect's values under their full names."""
     return {effect.full(name): value for name, value in values.items()}
@@ -36,7 +47,7 @@ MODELS = {"plain": (BASE, {}), "all_on": (ALL_ON, PROBES), "controller": (CONTRO
 
 @cache
 def native(name: str, version: str = "2.0") -> bytes:
-    """The native FMU of one of MODELS, compiled once a process: with every effect that takes seconds."""
+    """The native FMU of one of MODELS, compiled once in a process; with every effect that takes seconds."""
     return native_fmu(*MODELS[name], version=version)
 
 
@@ -44,7 +55,7 @@ _simulators: dict[tuple, Simulator] = {}
 
 
 def simulator(model: Model, wrt: tuple[str, ...] = ()) -> Simulator:
-    """The model's simulator, made once; a model is known by its effects' names."""
+    """The simulator of a model, built once; models are distinguished by the names of their effects."""
     key = model.name, tuple(e.name for e in model.effects), wrt
     if key not in _simulators:
         _simulators[key] = Simulator(model, wrt)
@@ -80,7 +91,7 @@ TWO_DELAYS = plant(["pitch_delay", "test_speed_delay"], (*LIBRARY, speed_delay()
 
 
 class Slave:
-    """A bare fmpy slave that keeps what the FMU logs. Value references go by name."""
+    """An fmpy slave that keeps what the FMU logs and takes variables by name."""
 
     def __init__(self, fmu: Fmu, initialised: bool = True):
         self.messages: list[str] = []
@@ -100,12 +111,17 @@ class Slave:
         if initialised:
             self.initialise()
 
-    def initialise(self, **values: float) -> "Slave":
-        """Through the initialisation with these variables set in it."""
+    def enter(self, **values: float) -> "Slave":
+        """Enter the initialization mode and set these variables in it."""
         self.time = 0.0
         self.fmi.setupExperiment(startTime=0.0)
         self.fmi.enterInitializationMode()
         self.set(**values)
+        return self
+
+    def initialise(self, **values: float) -> "Slave":
+        """The same, and leave the initialization mode."""
+        self.enter(**values)
         self.fmi.exitInitializationMode()
         return self
 
@@ -128,23 +144,23 @@ class Slave:
         return [found[name] for name in names]
 
     def step(self, inputs: Mapping[str, float], dt: float, *names: str) -> list[float]:
-        """Hold inputs for a step from where the last one ended; values of variables at its end."""
+        """Hold inputs for a step from the end of the last one; values of variables at its end."""
         self.set(**inputs)
         self.fmi.doStep(self.time, dt)
         self.time += dt
         return self.get(*names)
 
     def kept(self):
-        """The instance's state, and the time that goes with it."""
+        """The state of the instance and its time."""
         return self.fmi.getFMUstate(), self.time
 
     def restore(self, kept) -> None:
-        """Back to what was kept."""
+        """Return to a kept state."""
         state, self.time = kept
         self.fmi.setFMUstate(state)
 
     def free(self) -> None:
-        """Let the instance go."""
+        """Free the instance."""
         self.freed = True
         self.fmi.freeInstance()
 

@@ -1,4 +1,4 @@
-"""FMUs and long runs, each made once a session; which tests share a worker, and which are drawn."""
+"""FMUs and long runs that are made once in a session; which tests share a worker; which parameters are sampled."""
 
 import os
 import random
@@ -15,6 +15,7 @@ from builders import ALL_ON, FAST_PITCH, PROBES, random_steps, reference
 
 from tests.hil.quick_vpp import shorten_waits
 from tests.stalls import Stalls
+from vpp_fmu.app.cli import main
 from vpp_fmu.export import python_fmu
 from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.controller import CONTROLLER
@@ -32,33 +33,33 @@ LONGEST_FIRST = (
     *("real time", "long run", "test_diagnose", "test_readme", "test_paper", "test_api", "test_blind_study", "test_notebooks"),
     *("test_day", "test_own_rig", "test_check", "test_learned", "test_rounding", "test_hil_campaign", "test_learned_terms"),
 )
-"""Groups that take longest. Side by side they go first, so that none of them is still at work when all others are done."""
+"""Groups that take longest. They start first, so that none of them is still running when all others are done."""
 
 IN_VIRTUAL_TIME = ("test_day", "test_hil_campaign")
-"""Files of the rig in which nothing waits for a clock."""
+"""Files of the rig whose clock is simulated."""
 
 
 SHARE = 1.0 / 3.0
-"""Of the values of a `sampled` parameter where tests run side by side. A file that runs alone tries them all."""
+"""Share of the values of a `sampled` parameter that run with several workers. Without workers all values run."""
 
 
 def pytest_configure(config):
-    """A run in the background ignores these signals, and so would every process that a test starts and stops."""
+    """Restore signals that a background run ignores: every process that a test starts would ignore them, too."""
     for number in (signal.SIGINT, signal.SIGHUP):
         if signal.getsignal(number) is signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
-    config.option.loadscopereorder = False  # pytest-xdist would begin with the groups of most tests
+    config.option.loadscopereorder = False  # pytest-xdist would begin with the groups that have most tests
     config.addinivalue_line("markers", "sampled(name): side by side, a third of this parameter's values is drawn at random")
 
 
 def in_real_time(item):
-    """Whether a test must not share the machine with another one of its kind."""
+    """Whether a test runs in real time, so that no other one of its kind may run beside it."""
     stem = item.path.stem
     return stem == "test_stopping" or (item.path.parent.name == "hil" and stem not in IN_VIRTUAL_TIME)
 
 
 def is_drawn(item):
-    """Whether the draw of this run, the same in each worker, contains the item's value of its `sampled` parameter."""
+    """Whether this run's sample of a `sampled` parameter, the same in each worker, includes the item's value."""
     mark, run = item.get_closest_marker("sampled"), os.environ.get("PYTEST_XDIST_TESTRUNUID")
     if not mark or not run:
         return True
@@ -72,7 +73,7 @@ BEGUN = pytest.StashKey[float]()
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item):
-    """From here on the machine is watched."""
+    """Watch the machine for stalls from here on."""
     if in_real_time(item):
         stash = item.config.stash
         if STALLS not in stash:
@@ -84,10 +85,10 @@ def pytest_runtest_setup(item):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item, call):
-    """A test in real time that failed while the machine stood still says nothing, and counts as skipped for that reason."""
+    """Count a failure in real time as skipped if the machine stalled during the test."""
     report = yield
     if report.failed and in_real_time(item):
-        # What a fixture of the whole file met in an earlier test fails again in the next one.
+        # A failed fixture of the whole file fails each later test, too: stalls since the file began count.
         begun = (item.parent if report.when == "setup" else item).stash[BEGUN]
         if stood := item.config.stash[STALLS].longest(since=begun):
             report.outcome = "skipped"
@@ -101,7 +102,7 @@ def pytest_runtest_makereport(item, call):
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
 def pytest_collection_modifyitems(items):
-    """Where tests run side by side, those in real time run one after the other; the rest of a file stays together, too."""
+    """With several workers, tests in real time run one after the other, and the other tests of a file share a worker."""
     groups = {}
     for item in filter(is_drawn, items):
         group = "real time" if in_real_time(item) else "long run" if item.path.stem in SHARED else item.path.stem
@@ -138,26 +139,52 @@ def fmus(fmu_files):
 
 @pytest.fixture(scope="session")
 def long_run():
-    """2000 steps of 4 ms with every effect at its probe: (commands, step lengths, the functions' own outputs)."""
+    """2000 steps of 4 ms with every effect at its probe: (commands, step lengths, outputs of the functions in Python)."""
     commands, steps = random_steps(2001, 100, seed=10_000, model=ALL_ON), np.full(2000, 0.004)
     return commands, steps, reference(ALL_ON, PROBES, commands, steps)
 
 
 @pytest.fixture(scope="module")
 def short_waits():
-    """Runs on the emulated rig begin sooner, in a whole file."""
+    """Runs on the emulated rig wait less before they begin, in a whole file."""
     with pytest.MonkeyPatch.context() as patch:
         shorten_waits(patch.setattr)
         yield
 
 
 @pytest.fixture
+def printed(capsys):
+    """Run `vpp`, which must succeed, and return its standard output."""
+
+    def run(*words):
+        capsys.readouterr()
+        assert main([*map(str, words)]) == 0
+        return capsys.readouterr().out
+
+    return run
+
+
+@pytest.fixture
+def refused(capsys):
+    """Run `vpp`, which must end with exit code 2 and one line on standard error, and return that line."""
+
+    def run(*words):
+        capsys.readouterr()
+        assert main([*map(str, words)]) == 2
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        return said
+
+    return run
+
+
+@pytest.fixture
 def no_compiler(monkeypatch):
-    """A machine without a C compiler, on which nothing has been said about it yet."""
+    """A machine without a C compiler, before the first warning of it."""
     caches = compiler.compiler, simulator._say_once
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setattr(compiler.shutil, "which", lambda name: None)
-    monkeypatch.setattr(Model, "memo", property(lambda model: {}))  # what was compiled before must not serve
+    monkeypatch.setattr(Model, "memo", property(lambda model: {}))  # models compiled before must not be used
     monkeypatch.setattr(simulator, "_runner", simulator._runner.__wrapped__)
     for cached in caches:
         cached.cache_clear()
@@ -167,7 +194,7 @@ def no_compiler(monkeypatch):
 
 
 def pytest_terminal_summary(terminalreporter):
-    """One line of what was not run, and why."""
+    """Print in one line which tests were not run, and why."""
     reasons = {report.longrepr[2].removeprefix("Skipped: ") for report in terminalreporter.stats.get("skipped", ())}
     drawn = ["two thirds of the effects and of the rigs in tests of each (a file that runs alone tries all)"]
     side_by_side = bool(terminalreporter.config.getoption("numprocesses", None))
@@ -175,13 +202,13 @@ def pytest_terminal_summary(terminalreporter):
 
 
 def pytest_sessionfinish(session, exitstatus):
-    """Keep the verdict for the end."""
+    """Keep the exit code for the end."""
     session.config.verdict = int(exitstatus)
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_unconfigure(config):
-    """Leave without tearing the interpreter down: pythonfmu's wrapper crashes in that where many FMUs were loaded."""
+    """Exit without finalising the interpreter: pythonfmu's wrapper crashes in that after many FMUs were loaded."""
     remove_scratch()
     sys.stdout.flush()
     sys.stderr.flush()

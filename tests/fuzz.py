@@ -12,11 +12,11 @@ SOURCE = Path(__file__).parent / "interop" / "fuzz.c"
 FLAGS = ("-std=c99", "-w", "-O1", "-ffp-contract=off")
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 CPU_SECONDS = 60.0, 0.01
-"""What a run may take at most, and each of its calls besides: whatever takes longer never ends."""
+"""Limits of CPU time of a run, and of each of its calls in addition: a run that exceeds them hangs."""
 
 
 def fuzzer(folder: Path, model: Model, values: Mapping[str, float], version: str) -> tuple[Path, bool]:
-    """The program for a model's FMU of this version of FMI, and whether sanitizers watch: not every compiler has them."""
+    """(program for a model's FMU of this version of FMI, whether sanitizers are compiled in: not every compiler has them)."""
     name = f"{model.name}{len(model.effects)}_{version[0]}"
     (folder / f"{name}.c").write_text(c_text(model, model.values(values), "{}", version) + SOURCE.read_text())
     build = [compiler(), *FLAGS, f"-DVERSION={version[0]}", f"{name}.c", "-o", name, "-lm"]
@@ -27,7 +27,7 @@ def fuzzer(folder: Path, model: Model, values: Mapping[str, float], version: str
 
 
 def fuzz(program: Path, seed: int, calls: int) -> subprocess.CompletedProcess:
-    """What came of `calls` random calls: exit code 0, and what was done; or why it ended."""
+    """Run `calls` random calls: exit code 0 and a summary of the calls, or the reason of the failure."""
     once, each = CPU_SECONDS
     limited = ["sh", "-c", 'ulimit -t "$0"; exec "$@"', f"{once + each * calls:.0f}"]
     return subprocess.run([*limited, str(program), str(seed), str(calls)], check=False, capture_output=True, text=True)

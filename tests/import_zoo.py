@@ -1,7 +1,6 @@
-"""Logs as strangers write them: one truth in many formats, by a writer that knows nothing of the importer.
+"""Logs in the formats of other people: the same data written in many ways, by code that shares nothing with the importer.
 
-Each format says which words its user types and how exactly its digits hold the truth, or what must be said of why it can't be
-read.
+Each format has the options that its user types and the tolerance that its digits allow, or the reason of its refusal.
 """
 
 import datetime
@@ -14,17 +13,17 @@ from pathlib import Path
 import numpy as np
 
 ROWS, STEP = 400, 0.01
-"""Rows of the truth, and s between them."""
+"""Rows of the data, and s between them."""
 
 G, TURN = 9.80665, np.pi / 30.0
 """m/s^2; rad/s in a rpm."""
 
 START = datetime.datetime(2024, 5, 31, 23, 59, 58, 250000)
-"""What a calendar says at time 0: a month ends two seconds later."""
+"""Date of time 0: a month ends two seconds later."""
 
 
 def truth() -> dict[str, np.ndarray]:
-    """A log in a record's units, each (ROWS,): commands that are held, readings with noise, a voltage that sags."""
+    """A log in a record's units, each (ROWS,): held commands, noisy readings, a voltage that sags."""
     rng = np.random.default_rng(16)
     time = np.round(STEP * np.arange(ROWS), 6)
     omega_ref = np.repeat(rng.integers(2000, 6000, 8).astype(float), 50)
@@ -35,11 +34,15 @@ def truth() -> dict[str, np.ndarray]:
     return {"time": time, "omega_ref": omega_ref, "beta_ref": beta_ref, "omega": omega, "thrust": thrust, "voltage": voltage}
 
 
+UNITS = {"time": "s", "omega_ref": "rpm", "beta_ref": "deg", "omega": "rpm", "thrust": "N", "voltage": "V"}
+"""Units of the columns of the data."""
+
+
 @dataclass(frozen=True)
 class Format:
-    """A way to write the truth. `write(path, truth)`; `words`: what its user types behind the file's name; `time` and `rest`:
-    how far off time [s] and the other columns (relative) may be, by the digits that are written; `refused`: what must stand in
-    the one line that says why not, "" where the log must come in; `said`: what must stand in the output."""
+    """A way to write the data. `write(path, truth)`; `words`: options behind the file's name; `time` and `rest`: tolerances of
+    time [s] and of the other columns (relative), from the digits written; `refused`: words of the refusal, "" if the log must
+    be imported; `said`: words that the output must have."""
 
     name: str
     file: str
@@ -49,27 +52,12 @@ class Format:
     rest: float = 1e-8
     refused: str = ""
     said: Sequence[str] = ()
-    columns: Sequence[str] = ("time", "omega_ref", "beta_ref", "omega", "thrust", "voltage")
+    columns: Sequence[str] = tuple(UNITS)
     keep: Callable[[int], np.ndarray] = field(default=lambda rows: np.ones(rows, bool))
 
 
-PLAIN = {
-    "time": "time",
-    "omega_ref": "omega_ref",
-    "beta_ref": "beta_ref",
-    "omega": "omega",
-    "thrust": "thrust",
-    "voltage": "voltage",
-}
-OWN = (
-    "--map",
-    "time=time:s",
-    "omega_ref=omega_ref:rpm",
-    "beta_ref=beta_ref:deg",
-    "omega=omega:rpm",
-    "thrust=thrust:N",
-    "voltage=voltage:V",
-)
+PLAIN = {name: name for name in UNITS}
+OWN = ("--map", *(f"{name}={name}:{unit}" for name, unit in UNITS.items()))
 TOLD = {
     "time": "t (s)",
     "omega_ref": "speed cmd (rpm)",
@@ -98,7 +86,7 @@ def text(
     pack: bool = False,
     title: Callable[[str], str] = lambda row: row,
 ):
-    """A writer of text. `factors`: from a record's unit to the file's; `cells`: how a quantity is written, else as a number."""
+    """A writer of text. `factors`: from a record's unit to the file's; `cells`: how quantities are written, else as numbers."""
     names, factors, cells = TOLD if names is None else names, factors or {}, cells or {}
 
     def write(path: Path, t: Mapping[str, np.ndarray]) -> None:
@@ -120,7 +108,7 @@ def text(
 
 
 def stamped(form: str, cut: int = 6, hours: float = 0.0, spell: Callable[[str], str] = lambda s: s) -> Callable[[float], str]:
-    """A time as a calendar writes it, to so many digits of a second."""
+    """A time of a calendar, to so many digits of a second."""
 
     def cell(seconds: float) -> str:
         moment = START + datetime.timedelta(hours=hours, microseconds=round(1e6 * seconds))
@@ -218,7 +206,7 @@ def _without(row: int, by: str) -> Callable[[list[str]], list[str]]:
 
 
 def _clock_back(t):
-    """Three rows whose stamp is 4 ms before the row in front of them."""
+    """Three rows whose stamp is 4 ms before that of the row in front."""
     time = t["time"].copy()
     time[[80, 180, 280]] = time[[79, 179, 279]] - 0.004
     return t | {"time": time}
@@ -235,13 +223,13 @@ def _holes(t):
 
 
 def _named(form: str, units: Mapping[str, str] | None = None) -> dict[str, Callable[[float], str]]:
-    """Cells that hold their name in front, and perhaps a unit behind."""
+    """Cells with their name in front, and perhaps a unit behind."""
     return {name: lambda value, name=name: form.format(name, value, (units or {}).get(name)) for name in PLAIN}
 
 
 def _texts() -> list[Format]:
     told = [name.split(" (")[0] for name in TOLD.values()]
-    units = [name.split(" (")[1][:-1] for name in TOLD.values()]
+    units = list(UNITS.values())
     bare = dict(zip(TOLD, told, strict=True))
     comma = {"delimiter": ";", "decimal": ","}
     german = {"time": "Zeit [s]", "omega_ref": "Solldrehzahl [U/min]", "beta_ref": "Soll-Pitch [°]"}
@@ -288,7 +276,7 @@ def _texts() -> list[Format]:
             "no names",
             "log.csv",
             text(dict.fromkeys(PLAIN, "")),
-            ("--map", *(f"{n}={k}:{u}" for k, (n, u) in enumerate(zip(PLAIN, units, strict=True), 1))),
+            ("--map", *(f"{n}={k}:{u}" for k, (n, u) in enumerate(UNITS.items(), 1))),
         ),
         Format(
             "names once more",
@@ -329,7 +317,7 @@ def _texts() -> list[Format]:
             text(
                 dict.fromkeys(PLAIN, ""),
                 delimiter=" ",
-                cells=_named("{}: {:.10g} {}", dict(zip(PLAIN, ("s", "rpm", "deg", "rpm", "N", "V"), strict=True))),
+                cells=_named("{}: {:.10g} {}", UNITS),
             ),
         ),
         Format(
@@ -543,13 +531,13 @@ def _refused() -> list[Format]:
 
 
 def formats() -> list[Format]:
-    """The whole zoo."""
+    """All formats."""
     return [*_texts(), *_clocks(), *containers(), *_refused()]
 
 
 def came_out(format: Format, folder: Path, run: Callable[[list[str]], tuple[int, str, str]]) -> tuple[bool, str]:
-    """Write a format into a new folder, import it and read the record with the csv module: (whether it is as it must be, what
-    came out in words). `run`: the command line, which returns its exit code, output and errors."""
+    """Write a format into a new folder, import it and read the record with the csv module: (whether it is right, the result in
+    words). `run`: the command line, which returns its exit code, output and errors."""
     t, path = truth(), folder / format.file
     format.write(path, t)
     code, out, err = run(["import", "csv", str(path), *format.words, "-o", str(folder / "out")])

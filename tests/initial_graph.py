@@ -1,4 +1,4 @@
-"""What an importer must know before what to start an SSP, as OMSimulator works it out; a cycle here is an algebraic loop."""
+"""The order in which an importer must compute the initial values of an SSP; a cycle is an algebraic loop."""
 
 import io
 import zipfile
@@ -9,7 +9,7 @@ from vpp_fmu.ssp import SSD
 
 
 def initial_graph(loop: Mapping[str, bytes]) -> dict[tuple, set]:
-    """What must be known before what at t = 0, from the XMLs alone: node -> nodes it needs; a node is (component, variable)."""
+    """Dependencies at t = 0, from the XML files alone: node -> nodes that it needs; a node is (component, variable)."""
     root = ElementTree.fromstring(loop["SystemStructure.ssd"])
     needs = {}
     for c in root.iter(f"{{{SSD}}}Connection"):

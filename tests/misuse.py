@@ -1,13 +1,13 @@
-"""One table of calls out of order or with bad arguments, for both flavours: what each must come back with.
+"""A table of calls out of order or with bad arguments, and the required answer of both flavours.
 
-    python tests/misuse.py FMU...       prints a line of JSON a case, from a process that may die of it
+python tests/misuse.py FMU... prints a line of JSON for each case, from a process that may crash
 
-What must come back is the standard's (FMI 2.0.4, sections 2.1.3, 2.1.7 and 4.2.4). A refusal is fmi2Error from the native
-flavour and fmi2Fatal from the Python one, since pythonfmu's binary has no other answer to an exception; the instance must
-live on in both: values can be read, and are finite; a reset makes a fresh one. What pythonfmu's binary answers without asking
-the slave is not in the table: null pointers and callbacks (it reads them), a wrong GUID (it takes any), set-up at the wrong
-time (it notes the start time and hands it over later), log categories that are unknown, derivatives and pending steps
-(fmi2Error, as natively).
+The required answers are those of the standard (FMI 2.0.4, sections 2.1.3, 2.1.7 and 4.2.4). A refusal is fmi2Error from the
+native flavour and fmi2Fatal from the Python one, since pythonfmu's binary has no other answer to an exception. In both the
+instance must survive: its values can be read and are finite, and a reset makes a fresh one. The table omits what pythonfmu's
+binary answers without asking the slave: null pointers and callbacks (it reads them), a wrong GUID (it accepts any), set-up at
+the wrong time (it stores the start time for later), unknown log categories, derivatives and pending steps (fmi2Error, as
+natively).
 """
 
 import ctypes
@@ -99,7 +99,7 @@ class Host:
         return self.call("SetFMUstate", self.states[name])
 
     def through_bytes(self, change: Callable[[bytes], bytes] = bytes):
-        """The kept state as bytes, changed, and from them again."""
+        """Serialise the kept state, change the bytes, and deserialise them."""
         size = ctypes.c_size_t()
         self.call("SerializedFMUstateSize", self.states["kept"], ctypes.byref(size))
         data = (ctypes.c_char * size.value)()
@@ -114,7 +114,7 @@ class Host:
 
 @dataclass(frozen=True)
 class Case:
-    """`way`: calls that must be taken. `call`: the one in question, on `fmu`. `words`: what must be said of it."""
+    """`way`: calls that must be accepted first. `call`: the call under test, on `fmu`. `words`: words of the refusal."""
 
     name: str
     way: Sequence[Callable[[Host], int]]
@@ -167,12 +167,28 @@ CASES = (
     Case("NaN as an input", RUN, lambda h: h.set("Real", omega_ref=NAN), REFUSED, "omega_ref: found nan"),
     Case("infinity as an input", RUN, lambda h: h.set("Real", beta_ref=-INF), REFUSED, "beta_ref: found -inf"),
     Case("NaN before the initialisation", (), lambda h: h.set("Real", omega_ref=NAN), REFUSED, "expected a finite number"),
-    Case("set an output", INIT, lambda h: h.set("Real", thrust=1.0), REFUSED, "found a value, expected none: it is computed"),
     Case(
-        "set a state while running", RUN, lambda h: h.set("Real", ("state.omega_inner", 1.0)), REFUSED, "before: it is computed"
+        "set an output",
+        INIT,
+        lambda h: h.set("Real", thrust=1.0),
+        REFUSED,
+        "VppPlant: thrust: found a value, expected none: it is computed",
+    ),
+    Case(
+        "set a state while running",
+        RUN,
+        lambda h: h.set("Real", ("state.omega_inner", 1.0)),
+        REFUSED,
+        "state.omega_inner: found a value after initialisation, expected it before: it is computed",
     ),
     Case("set a state before", (), lambda h: h.set("Real", ("state.omega_inner", 1.0)), TAKEN),
-    Case("set a fixed parameter while running", RUN, lambda h: h.set("Real", c20=0.3), REFUSED, "before: it is fixed"),
+    Case(
+        "set a fixed parameter while running",
+        RUN,
+        lambda h: h.set("Real", c20=0.3),
+        REFUSED,
+        "c20: found a value after initialisation, expected it before: it is fixed",
+    ),
     Case("set a parameter before", (), lambda h: h.set("Real", c20=0.3), TAKEN),
     Case("NaN as a parameter", INIT, lambda h: h.set("Real", c20=NAN), REFUSED, "c20: found nan"),
     Case("tune a gain while running", RUN, lambda h: h.set("Real", kp_omega=2.0), TAKEN, "", "controller"),
@@ -292,7 +308,7 @@ CASES = (
 
 
 def run(case: Case, folder: Path) -> dict:
-    """What came of a case, and whether the instance lived on."""
+    """The result of a case, and whether the instance survived."""
     host = Host(folder)
     problem = next((f"call {i} on the way was refused" for i, call in enumerate(case.way) if call(host)), "")
     host.said.clear()
@@ -310,14 +326,14 @@ def run(case: Case, folder: Path) -> dict:
 
 
 def outcomes(fmus: Mapping[str, Path]) -> list[dict]:
-    """What came of each case on FMUs by name, in order; shorter than CASES where the process died."""
+    """Results of all cases on FMUs by name, in order; fewer than CASES if the process crashed."""
     named = [f"{name}={path}" for name, path in fmus.items()]
     done = subprocess.run([sys.executable, __file__, *named], check=False, capture_output=True, text=True)
     return [json.loads(line) for line in done.stdout.splitlines()]
 
 
 def verdict(case: Case, native: dict, python: dict) -> str:
-    """What is wrong with a case's two outcomes; nothing if they are as they must be."""
+    """What is wrong with the two results of a case; empty if nothing."""
     for flavour, found in (("native", native), ("python", python)):
         if found["problem"]:
             return f"{flavour}: {found['problem']}"
@@ -331,7 +347,7 @@ def verdict(case: Case, native: dict, python: dict) -> str:
 
 
 def main(fmus: Sequence[str]) -> None:
-    """Each case on the FMU of its name among `name=path`."""
+    """Run each case on its FMU among `name=path`."""
     with tempfile.TemporaryDirectory() as work:
         folders = {}
         for name, path in (text.split("=", 1) for text in fmus):

@@ -1,4 +1,4 @@
-"""The README's effect of one's own, as its reader would write it."""
+"""The README's user-defined effect, in a file as its reader would write it."""
 
 from vpp_fmu import Effect, Parameter, State
 

@@ -1,4 +1,4 @@
-"""A command in a process group of its own, a signal to it in the middle, and what is left of the group."""
+"""Start a command in a process group of its own, signal it at work, and list the processes of the group that survive."""
 
 import os
 import signal
@@ -9,15 +9,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 VPP = (sys.executable, "-c", "import sys; from vpp_fmu.app.cli import main; sys.exit(main())")
-"""The command `vpp`, whatever is installed."""
+"""The command `vpp` of this checkout, whichever is installed."""
 
 PATIENCE = 60.0
-"""s that a busy machine may take."""
+"""Longest wait [s] on a busy machine."""
 
 
 @dataclass(frozen=True)
 class Ended:
-    """`code` as the system tells it (negative: killed); `error`: standard error; `seconds` from the signal to the end of all;
+    """`code`: exit code (negative: killed by a signal); `error`: standard error; `seconds` from the signal until all ended;
     `left`: processes of the group that are still there after PATIENCE."""
 
     code: int
@@ -43,7 +43,7 @@ def signalled(words: Sequence[str], number: int, ready, to_all: bool = False, **
 
 
 def group(leader: int) -> tuple[int, ...]:
-    """Processes of the group that live."""
+    """Living processes of the group."""
     found = []
     for pid in filter(str.isdigit, os.listdir("/proc")):
         try:
@@ -57,7 +57,7 @@ def group(leader: int) -> tuple[int, ...]:
 
 
 def cpu_seconds(pid: int) -> float:
-    """Of a process, its own."""
+    """CPU time of a process without its children."""
     with open(f"/proc/{pid}/stat", encoding="utf-8", errors="replace") as file:
         return sum(map(int, file.read().rpartition(")")[2].split()[11:13])) / os.sysconf("SC_CLK_TCK")
 

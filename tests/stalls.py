@@ -1,11 +1,11 @@
-"""When this machine stood still: the part of time in which none of its programs ran, whatever their priority.
+"""Detect stalls of this machine: times in which no program ran on a core, whatever its priority.
 
-A virtual machine's host may take a core away for tens of milliseconds (`steal` in /proc/stat). A rig in real time can't tell
-that from a board that is silent or a supervisor that is gone, and takes its rotor down as it should: a test of anything else
-says nothing then, whatever it says, and is skipped where it fails.
+The host of a virtual machine may take a core away for tens of milliseconds (`steal` in /proc/stat). A rig in real time can't
+distinguish that from a silent board or a lost supervisor, and shuts its rotor down as it should. The result of any other test
+is then meaningless, so a failure counts as skipped.
 
-Run as a script, with the descriptor of a file to write to: one thread a core, above every loop in real time, writes down when
-it was woken late.
+Run as a script, with the descriptor of a file to write to: one thread a core, with a priority above every loop in real time,
+logs when it was woken late.
 """
 
 import contextlib
@@ -17,18 +17,18 @@ import threading
 import time
 
 PERIOD = 0.004
-"""s between two looks: the loop's."""
+"""s between two wake-ups: the period of the control loop."""
 
 LONG = 0.01
-"""s: a fifth of the patience that loop, board and supervisor have with each other (0.05 s): each of them may be met by one."""
+"""s: a fifth of the time-out that loop, board and supervisor have for each other (0.05 s). One stall may hit each of them."""
 
 
 MISSED = 0.1
-"""s within one: the share of a second's ticks that a loop may miss, which many short ones take, too."""
+"""s within a second: the share of ticks that a loop may miss, which many short stalls reach, too."""
 
 
 def watch(core: int, out: int) -> None:
-    """Write a line `start end` [s, monotonic] for each time a core stood still, without end."""
+    """Write a line `start end` [s, monotonic] for each stall of a core, without end."""
     with contextlib.suppress(OSError):
         os.sched_setaffinity(0, {core})
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(95))
@@ -42,7 +42,7 @@ def watch(core: int, out: int) -> None:
 
 
 class Stalls:
-    """The watch while tests run, on every core that this process may use."""
+    """The watch during the tests, on every core that this process may use."""
 
     def __init__(self):
         self._file = tempfile.TemporaryFile(mode="ab+", buffering=0)  # noqa: SIM115 (open as long as the watch)
@@ -52,8 +52,8 @@ class Stalls:
         self._process.wait()  # it leaves the watch to its child: to the tests, no process of theirs is alive
 
     def longest(self, since: float) -> float:
-        """s, 0 without any: the longest time that a core stood still since a time on the monotonic clock, at once or, where
-        that is MISSED or more, in short ones within a second."""
+        """Longest stall [s] of a core since a time on the monotonic clock, 0 without any: a single one or, if they reach
+        MISSED, the sum of short ones within a second."""
         self._file.seek(0)
         spans = [tuple(map(float, line.split())) for line in self._file.read().splitlines()]
         late = [(start, end - start) for start, end in spans if end > since]
@@ -62,7 +62,7 @@ class Stalls:
         return max(alone, together) if together >= MISSED else alone
 
     def close(self) -> None:
-        """No more watch."""
+        """End the watch."""
         self._process.stdin.close()
         self._file.close()
 

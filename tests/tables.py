@@ -1,4 +1,4 @@
-"""Tables of tests/README.md, each between two comments, written there by the command that prints it."""
+"""Tables of tests/README.md: each is between two comments, and the command that prints it also writes it there."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -9,7 +9,7 @@ PAGE = ROOT / "tests" / "README.md"
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence]) -> str:
-    """Lines of Markdown."""
+    """A table in Markdown."""
     lines = [columns, ["---"] * len(columns), *rows]
     return "".join(f"| {' | '.join('-' if cell is None else str(cell) for cell in line)} |\n" for line in lines)
 
@@ -20,7 +20,7 @@ def stored(name: str, page: str | None = None) -> str:
 
 
 def written(name: str, content: str, page: str) -> str:
-    """The page with this table in the place of the one of that name. KeyError: there is none."""
+    """The page with the table of that name replaced. KeyError: there is none."""
     found = _place(name, page)
     return page[: found.start(2)] + content + page[found.end(2) :]
 
@@ -33,7 +33,7 @@ def _place(name: str, page: str) -> re.Match:
 
 
 def add_write(parser) -> None:
-    """The option that `show` takes."""
+    """Add the option that `show` takes."""
     parser.add_argument("--write", action="store_true", help="put the table into tests/README.md, too")
 
 

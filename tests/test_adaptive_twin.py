@@ -1,4 +1,4 @@
-"""The adaptive twin as a model: bit for bit in Python and C, exact where it must be, learning what closed forms say."""
+"""The adaptive twin as a model: the same bits in Python and C, and estimates that agree with closed forms."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ TWIN = twin(PLANT, ADAPTED)
 
 
 def driven(rows, seed=1, hold=250, **changed):
-    """Commands in steps, and the readings of the plant with `changed` parameters, without noise."""
+    """Commands in steps, and noise-free readings of the plant with `changed` parameters."""
     rng = np.random.default_rng(seed)
     count = -(-rows // hold)
     told = {
@@ -44,15 +44,6 @@ def ran(inputs, values=None, model=TWIN):
 
 def noisy(inputs, seed=2, white=0.05):
     return inputs | {"thrust": inputs["thrust"] + white * np.random.default_rng(seed).standard_normal(len(inputs["thrust"]))}
-
-
-def test_python_is_c_to_the_bit():
-    inputs = noisy(driven(400, hold=100, sensor_gain__gain=0.9))
-    expected, model = ran(inputs), Simulation(TWIN)
-    model.start({name: column[0] for name, column in inputs.items()})
-    for k in range(300):
-        outputs = model.advance({name: column[k] for name, column in inputs.items()}, DT)
-        assert list(outputs.values()) == [column[k + 1] for column in expected.values()]
 
 
 def test_both_fmus_are_the_simulator_to_the_bit(tmp_path):
@@ -82,7 +73,7 @@ def test_a_stepper_is_the_simulator_to_the_bit():
         assert one.step(given[k], DT) == [column[k + 1] for column in expected.values()]
 
 
-def test_without_a_compiler_it_is_the_same_more_slowly(monkeypatch):
+def test_without_a_compiler_the_stepper_gives_the_same_bits(monkeypatch):
     def missing(model):
         raise CompilerMissing("none")
 
@@ -98,8 +89,8 @@ def test_without_a_compiler_it_is_the_same_more_slowly(monkeypatch):
         assert compiled.step(row, DT) == interpreted.step(row, DT)
 
 
-def test_beside_its_own_plant_it_is_that_plant():
-    """Without noise the innovation is 0 to the bit, and nothing is learned but how well things are known."""
+def test_beside_an_identical_plant_the_innovation_is_zero():
+    """Without noise the innovation is 0 to the bit, and only the uncertainties change."""
     shown = ran(driven(3000))
     assert not np.any(shown["residual"])
     assert not np.any(shown["alarm"])
@@ -108,10 +99,12 @@ def test_beside_its_own_plant_it_is_that_plant():
         assert np.all(np.diff(shown[f"std.{name}"][1:]) < 1e-3 * shown[f"std.{name}"][1])
 
 
-def test_one_parameter_at_rest_is_learned_as_bayes_has_it():
-    """At a place: reading = offset + error there + white noise, whose mean of n is known to var / n; the rest is a share.
+def test_one_parameter_at_rest_has_the_bayesian_posterior():
+    """At one place: reading = offset + model error there + white noise, whose mean of n has variance var / n.
 
-    The error there is that of the four nodes around, at 3/4 of speed and 3/5 of pitch, and what is between them."""
+    The model error there is interpolated from the four nodes around, at 3/4 of speed and 3/5 of pitch, plus the error between
+    nodes.
+    """
     model, rows = twin(PLANT, ["sensor_drift.offset"]), 5000
     at = {"omega_ref": np.full(rows, 4500.0), "beta_ref": np.full(rows, 4.0)}
     told = Simulation(PLANT).start({name: column[0] for name, column in at.items()})
@@ -135,9 +128,9 @@ def test_shares_of_the_nodes_are_linear_interpolation():
     assert weights(NUMBERS, 0.1, 1.3) == [0.0, 0.0, 0.0, 1.0] + 8 * [0.0]  # beyond, the nearest one's
 
 
-def test_an_error_that_was_there_before_is_none_of_a_change():
-    """Back at the two places where the model has always been off, the twin learns nothing; at the same places with a thrust
-    that has changed by a plausible share it alarms."""
+def test_a_known_model_error_is_not_taken_for_a_change():
+    """On return to two places with a constant model error the twin learns nothing. If the thrust there changes by a plausible
+    share, it raises an alarm."""
     rows, hold = 30_000, 1500
     at = np.arange(rows) // hold % 2
     told = {"omega_ref": np.choose(at, (3500.0, 5000.0)), "beta_ref": np.choose(at, (2.0, 6.0))}
@@ -148,23 +141,24 @@ def test_an_error_that_was_there_before_is_none_of_a_change():
     same = ran(inputs, {"steady": 0.1})
     assert not np.any(same["alarm"])
     std = same["std.sensor_gain.gain"]
-    assert std[-1] > 0.9 * std[rows // 3]  # the tenth visit tells no more than the third
+    assert std[-1] > 0.9 * std[rows // 3]  # the tenth visit adds no information to the third
     inputs["thrust"] = inputs["thrust"] * np.where(np.arange(rows) < rows // 2, 1.0, 0.9)
     changed = ran(inputs, {"steady": 0.1})
     assert not np.any(changed["alarm"][: rows // 2])
     assert np.any(changed["alarm"][rows // 2 :])
 
 
-def test_a_set_point_that_stands_teaches_one_visit_and_no_more():
+def test_a_constant_set_point_counts_as_one_visit():
     shown = ran(noisy({name: np.repeat(column[:1], 60_000) for name, column in driven(2).items()}))
     first, last = (shown["std.sensor_gain.gain"][k] for k in (5000, -1))
     assert last == pytest.approx(first, rel=0.05)
     assert shown["changes"][-1] == 0
 
 
-def test_a_lag_is_forgotten_as_far_as_it_shows_and_what_is_watched_is_not():
-    """Pitch moves for a minute and stands for four, while speed goes on: of the pitch's lag what is known stays, whatever the
-    memory; of the speed's lag a shorter one keeps less, and never more than a plausible change; the gain knows of none."""
+def test_only_lags_that_the_data_excite_are_forgotten():
+    """Pitch moves for a minute and is then constant for four, while speed moves on. The uncertainty of the pitch's lag does not
+    increase, whatever the memory. That of the speed's lag increases with a shorter memory, at most to a plausible change. The
+    gain is not affected."""
     inputs = driven(75_000)
     still = np.where(np.arange(75_000) < 15_000, inputs["beta_ref"], 3.0)
     inputs["thrust"] = Simulator(PLANT).simulate({}, inputs | {"beta_ref": still}, np.full(74_999, DT))[:, 0]
@@ -172,8 +166,8 @@ def test_a_lag_is_forgotten_as_far_as_it_shows_and_what_is_watched_is_not():
     gain, (by_pitch, by_speed) = ADAPTED[0], ADAPTED[-2:]
     lags, gains = {}, {}
     for memory in (2.0, 20.0, 1e9):
-        shown = ran(inputs, {"memory": memory, "speed_error": 1e5})  # thrust alone tells
-        assert np.all(np.diff(shown[f"std.{by_pitch}"][16_000:]) < 1e-9)  # others that are learned tell of it, too
+        shown = ran(inputs, {"memory": memory, "speed_error": 1e5})  # learned from the thrust alone
+        assert np.all(np.diff(shown[f"std.{by_pitch}"][16_000:]) < 1e-9)  # other learned parameters inform it, too
         lags[memory], gains[memory] = shown[f"std.{by_speed}"][-1], shown[f"std.{gain}"][-1]
     assert 1.5 * lags[1e9] < lags[2.0] < TWIN.values()[f"change.{by_speed}"]
     assert lags[1e9] < lags[20.0] < lags[2.0]
@@ -183,7 +177,7 @@ def test_a_lag_is_forgotten_as_far_as_it_shows_and_what_is_watched_is_not():
 @pytest.mark.parametrize(
     ("name", "before", "after"), [("sensor_gain.gain", 1.0, 0.85), ("pitch_offset.offset", 0.0, 2.0)], ids=["gain", "pitch"]
 )
-def test_a_change_is_found_named_and_followed(name, before, after):
+def test_a_change_of_a_parameter_is_detected_and_tracked(name, before, after):
     rows, at = 45_000, 22_500
     same, other = driven(rows, hold=625), driven(rows, hold=625, **{name.replace(".", "__"): after})
     changed = {q: np.where(np.arange(rows) < at, same[q], other[q]) for q in same}
@@ -196,7 +190,7 @@ def test_a_change_is_found_named_and_followed(name, before, after):
     assert shown[f"adapted.{name}"][-1] == pytest.approx(after, abs=0.15 * abs(after - before))
 
 
-def test_what_no_parameter_explains_stops_it_and_nothing_of_it_is_learned():
+def test_an_unexplained_change_stops_the_learning_and_restores_the_parameters():
     rows, at = 30_000, 15_000
     inputs = noisy(driven(rows))
     shaken = 1.5 * np.sin(2.0 * np.pi * 9.0 * DT * np.arange(rows)) * (np.arange(rows) >= at)
@@ -217,7 +211,7 @@ def test_what_no_parameter_explains_stops_it_and_nothing_of_it_is_learned():
     assert (seen["alarm"][-1], seen["learning"][-1]) == (0.0, 1.0)
 
 
-def test_bounds_hold():
+def test_adapted_parameters_stay_within_their_bounds():
     shown = ran(driven(6000, sensor_gain__gain=0.7), {"sensor_gain.gain": 1.29})
     assert np.all(shown["adapted.sensor_gain.gain"][1:] <= 1.3)
     assert np.all(shown["adapted.sensor_gain.gain"][1:] >= 0.7)
@@ -226,7 +220,7 @@ def test_bounds_hold():
 @pytest.mark.sampled("effect")
 @pytest.mark.parametrize("effect", OPTIONAL, ids=lambda e: e.name)
 def test_every_effects_plant_has_a_twin_that_starts_settled(effect):
-    """Also commands that are held back, rows that are late, and forms that want short steps."""
+    """Also with delayed commands, late rows, and forms that need short steps."""
     wider = plant({*BROUGHT, effect.name})
     values = {effect.full(name): value for name, value in effect.probe.items()}
     model = twin(wider, DAILY)
@@ -241,7 +235,7 @@ def test_every_effects_plant_has_a_twin_that_starts_settled(effect):
     assert np.isfinite(list(one.states.values())).all()
 
 
-def test_who_is_watched_and_at_what_threshold():
+def test_watched_parameters_and_the_alarm_threshold():
     assert watched(PLANT, ADAPTED) == DAILY
     assert threshold(0.01, 7, DT) == pytest.approx(np.log(7 * 3600.0 * 100.0 / DT))
     with pytest.raises(KeyError):

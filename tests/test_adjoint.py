@@ -1,4 +1,4 @@
-"""Reverse mode: the forward tangents' own numbers, at a price that does not know how many parameters there are."""
+"""Reverse mode: the gradient equals that of the forward tangents, at a cost independent of the number of parameters."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,6 @@ from identification.demo import example_folder
 from identification.fit.adjoint import AdjointProblem
 from identification.fit.problem import Prior, Problem
 from identification.fit.refine import BASE_PARAMETERS, METHODS, independent_readings, refine
-from identification.fit.tachometer import Tachometer
 from identification.static.static_map import fit_static_map
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.errors import CompilerMissing, SimulationFailed
@@ -27,7 +26,7 @@ UNEVEN = np.random.default_rng(4).choice([1e-4, 0.0013, 0.004, 0.0047, 0.031], R
 
 
 def is_the_tangents(model, values, inputs, steps, every=1):
-    """The gradient in `every` so manyth parameter is the product of tangents and random cotangents, to rounding."""
+    """The gradient in every `every`-th parameter is the product of tangents and random cotangents, to rounding."""
     names = tuple(p.name for p in model.parameters)[::every]
     outputs, tangents = simulator(model, names).sensitivities(values, inputs, steps)
     cotangents = np.random.default_rng(7).normal(size=outputs.shape) / np.abs(outputs).max(axis=0)
@@ -35,7 +34,7 @@ def is_the_tangents(model, values, inputs, steps, every=1):
     np.testing.assert_array_equal(shown, outputs)
     gradient = gradient[::every]
     wanted = np.einsum("rop,ro->p", tangents, cotangents)
-    summed = np.einsum("rop,ro->p", np.abs(tangents), np.abs(cotangents))  # what the sum rounds against
+    summed = np.einsum("rop,ro->p", np.abs(tangents), np.abs(cotangents))  # scale of the rounding error of the sum
     assert np.isfinite(gradient).all()
     off = np.abs(gradient - wanted) / np.where(summed > 0.0, summed, 1.0)
     assert off.max() < 1e-13, dict(zip(names, off, strict=True))
@@ -67,7 +66,7 @@ def test_gradient_in_a_delay_on_and_off_the_grid(delay, hold):
     ids=["all on", "two delays"],
 )
 def test_gradient_at_uneven_steps(model, values, every):
-    """With all effects on each fifth, as all tangents at once take most of a minute to compile."""
+    """With all effects, only each fifth parameter: all tangents at once take most of a minute to compile."""
     is_the_tangents(model, values, random_steps(ROWS, 60, model=model), UNEVEN, every)
 
 
@@ -80,7 +79,7 @@ def test_gradient_of_a_sampled_law(step):
 
 
 def every_operation():
-    """A model whose one step uses every operation, of prepared constants and of what moves."""
+    """A model whose step uses every operation, on prepared constants and on varying values."""
 
     def step(ops, s, x, p, dt):
         y = 0.3 * x.y + sum(getattr(ops, name)(0.4 + p.a * p.b) + getattr(ops, name)(0.5 + 0.1 * s.u * x.y) for name in CALLS)
@@ -105,16 +104,7 @@ def test_gradient_of_every_operation_is_the_central_difference():
         assert shown == pytest.approx(np.sum(weights * numeric), rel=1e-8)
 
 
-def test_gradient_in_a_coefficient_is_its_term_of_the_map():
-    """Thrust is linear in c20 and c12: 15 N w^2 and 15 N w b^2, whatever the rest."""
-    inputs, steps = random_steps(ROWS, 150), np.full(ROWS - 1, 0.004)
-    weights = np.random.default_rng(0).normal(size=(ROWS, 3)) * [1.0, 0.0, 0.0]
-    outputs, gradient = Adjoint(BASE, ("c12", "c20")).gradient({}, inputs, steps, weights)
-    w, b = outputs[:, 1] / 6000.0, (outputs[:, 2] + 5.0) / 15.0
-    assert gradient == pytest.approx([np.sum(weights[:, 0] * 15.0 * term) for term in (w * b**2, w**2)], rel=1e-12)
-
-
-def test_a_tape_can_be_gone_back_over_again_and_is_linear_in_rows():
+def test_a_tape_can_be_pulled_back_repeatedly_and_grows_linearly_with_rows():
     adjoint, steps = Adjoint(ALL_ON), np.full(2 * ROWS, 0.004)
     inputs = random_steps(2 * ROWS + 1, 150, model=ALL_ON)
     tape = adjoint.record(PROBES, inputs, steps)
@@ -126,13 +116,13 @@ def test_a_tape_can_be_gone_back_over_again_and_is_linear_in_rows():
 
 
 def operations(text, name):
-    """Statements of a C function."""
+    """Number of statements of a C function."""
     return text.split(f" {name}(")[1].split("\n}\n")[0].count(";")
 
 
 @pytest.mark.parametrize("model", [BASE, ALL_ON])
-def test_cost_does_not_know_how_many_parameters_there_are(model):
-    """There and back costs a few times the step itself (theory: at most five); tangents cost that for a few parameters."""
+def test_the_cost_of_the_gradient_does_not_depend_on_the_number_of_parameters(model):
+    """Forward and back costs a few times the step itself (theory: at most five). Tangents cost that for a few parameters."""
     names = [p.name for p in model.parameters]
     plain, back = c_source(trace(model)), c_adjoints(trace(model))
     once = operations(plain, "step")
@@ -143,12 +133,12 @@ def test_cost_does_not_know_how_many_parameters_there_are(model):
     assert model is BASE or both < operations(c_source(trace(model, names)), "step") / 2
 
 
-def test_without_a_compiler_it_is_said(no_compiler):
+def test_without_a_compiler_the_adjoint_is_refused(no_compiler):
     with pytest.raises(CompilerMissing, match="adjoint"):
         Adjoint(BASE)
 
 
-def test_wrong_names_and_lengths():
+def test_wrong_names_and_lengths_are_refused():
     with pytest.raises(KeyError, match="c99"):
         Adjoint(BASE, ["c99"])
     with pytest.raises(SimulationFailed, match="steps: found 8, expected 9"):
@@ -164,18 +154,9 @@ def campaign():
     return campaign.open_loop, BASE.values(AVERAGED | dict(static.coefficients)), prior
 
 
-def test_tachometer_s_transpose(campaign):
-    record = campaign[0]
-    tachometer, rng = Tachometer(record), np.random.default_rng(3)
-    for _ in range(5):
-        speed, weights = rng.normal(size=len(record)), rng.normal(size=len(tachometer))
-        there, back = weights @ tachometer.shows(speed), tachometer.transpose(weights) @ speed
-        assert there == pytest.approx(back, rel=1e-11)
-
-
 @pytest.mark.parametrize("channels", [("thrust",), ("thrust", "omega")])
-def test_slope_of_the_cost_is_the_residual_s(channels, campaign):
-    """Half a second of thrust is missing, as a rig may lose it."""
+def test_the_slope_of_the_cost_is_that_of_the_residual(channels, campaign):
+    """Half a second of thrust is missing, as on a rig that loses readings."""
     record, values, prior = campaign
     thrust = record["thrust"].copy()
     thrust[1000:1125] = np.nan
@@ -191,7 +172,7 @@ def test_slope_of_the_cost_is_the_residual_s(channels, campaign):
         np.testing.assert_allclose(gradient, jacobian.T @ residual, rtol=1e-10)
 
 
-def test_it_ends_where_levenberg_marquardt_does(campaign):
+def test_the_adjoint_fit_has_the_minimum_of_levenberg_marquardt(campaign):
     record, values, prior = campaign
     experiments = independent_readings([record], values)
     problems = [kind(BASE, experiments, values, BASE_PARAMETERS, prior) for kind in (Problem, AdjointProblem)]
@@ -204,7 +185,7 @@ def test_it_ends_where_levenberg_marquardt_does(campaign):
     np.testing.assert_allclose(found.jacobian, wanted.jacobian, atol=1e-3 * np.abs(wanted.jacobian).max())
 
 
-def test_it_can_be_chosen():
+def test_refine_accepts_the_adjoint_method():
     """A plant with a pitch delay, which the adjoint must move too."""
     model, truth = plant(["pitch_delay"]), {PITCH: 0.0331, "tau_beta_1": 0.3, "tau_beta_2": 0.15, "c11": 0.1}
     inputs, steps = random_steps(5001, 250, model=model), np.full(5000, 0.004)

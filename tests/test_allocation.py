@@ -15,7 +15,7 @@ from identification.power.allocation import allocate
 from identification.power.fit import fit_power, steady_readings
 from identification.power.model import PowerModel
 from vpp_fmu.app.cli import main
-from vpp_fmu.campaign import StaticMap, read_static, write_static
+from vpp_fmu.campaign import StaticMap, write_static
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BASE, plant
@@ -66,7 +66,7 @@ def test_the_best_pitch_is_that_of_the_closed_form_within_the_limits_of_speed():
     assert np.all(found.power <= np.where(np.isfinite(found.fixed), found.fixed, np.inf) * (1.0 + 1e-6))
 
 
-def test_the_terms_are_found_and_their_errors_are_those_of_independent_maps():
+def test_the_power_terms_are_selected_and_their_errors_match_the_scatter():
     fits = [model(points(noise=3.0, seed=k)) for k in range(60)]
     own = [f for f in fits if f.names == ("power_map.p30", "power_map.p32")]
     assert len(own) > 0.7 * len(fits)  # a spurious term passes the BIC with probability 0.04 each, by chance
@@ -76,16 +76,16 @@ def test_the_terms_are_found_and_their_errors_are_those_of_independent_maps():
     assert np.std(errors) == pytest.approx(1.0, abs=3.0 / np.sqrt(2.0 * len(own)))
 
 
-def test_the_band_of_the_least_power_is_that_of_repeated_measurements():
-    """By the envelope theorem; here from maps of other noise, each with its own best pairs."""
+def test_the_uncertainty_of_the_least_power_is_the_scatter_of_repeated_measurements():
+    """The uncertainty is that of the envelope theorem; here maps with independent noise have their own best pairs."""
     least = [allocate(pitch_only(), model(points(3.0, k)), count=5) for k in range(25)]
     spread = np.std([f.power for f in least], axis=0, ddof=1)
     told = np.mean([f.power_std for f in least], axis=0)
     assert np.all(np.abs(np.log(spread / told)) < np.log(2.0))  # 25 draws: 15 % of one standard error
 
 
-def test_a_weight_buys_reserve_with_power():
-    """Power that hardly grows with pitch asks for the greatest pitch, from which pitch adds no thrust."""
+def test_a_weight_trades_power_for_thrust_reserve():
+    """Where power hardly grows with pitch, the least power is at the greatest pitch, where pitch has no reserve of thrust."""
     power = model(points(power=lambda w, b: P30 * w**3 * (1.0 + b**2)))
     frugal, agile = (allocate(pitch_only(), power, weight) for weight in (0.0, 0.7))
     assert np.all(agile.power >= frugal.power * (1.0 - 1e-9))
@@ -122,7 +122,7 @@ def test_a_fixed_pitch_has_a_map_of_speed():
 
 
 @pytest.mark.parametrize("broken", [[], {"parameters": {"power_map.p30": {}}, "covariance": [[1.0, 2.0]]}, {"parameters": 3}])
-def test_a_broken_covariance_is_refused_and_a_whole_one_is_used(tmp_path, broken):
+def test_an_invalid_covariance_is_refused(tmp_path, broken):
     found = fitted(points(noise=3.0))
     plant_of = found.added_to(pitch_only())
     path = tmp_path / "identification.json"
@@ -149,7 +149,7 @@ def electrical(w, b):
 
 
 def test_the_motor_is_found_with_the_error_of_the_cramer_rao_bound():
-    """Of torque and power together, and its 95 % intervals have the truth."""
+    """From torque and power together; its 95 % intervals cover the truth."""
     exact = fitted(points(torque=torque, power=electrical))
     assert exact.effects == ("torque_map", "motor")
     assert exact.values[-3:] == pytest.approx([FRICTION, LOSS, IDLE], rel=1e-5)
@@ -176,8 +176,8 @@ def test_the_plant_with_torque_and_power_has_the_thrust_of_the_plant_without_to_
 
 
 @pytest.mark.parametrize("torque", [False, True])
-def test_power_in_a_record_is_enough(tmp_path, capsys, torque):
-    """Rows in motion: the rotor's acceleration takes power, too, which is not the map's. Torque beside it gives no motor."""
+def test_the_power_map_is_identified_from_a_record_alone(tmp_path, printed, torque):
+    """In motion the acceleration of the rotor takes power, which the map excludes. Torque beside it identifies no motor."""
     rng, time = np.random.default_rng(0), np.arange(0.0, 60.0, 0.02)
     moves = {"omega_ref": rng.uniform(2500.0, 5800.0, 60), "beta_ref": rng.uniform(-2.0, 10.0, 60)}
     columns = {"time": time} | {name: np.repeat(levels, 50) for name, levels in moves.items()}
@@ -192,8 +192,7 @@ def test_power_in_a_record_is_enough(tmp_path, capsys, torque):
     if torque:
         noisy["torque"] = 0.8 * noisy["power"] / (shown.omega * 2.0 * np.pi / 60.0)
     write_record(OutputFolder(tmp_path / "campaign"), "open_loop.csv", Record(columns | noisy, "made"))
-    assert main(["identify", str(tmp_path / "campaign"), "--starts", "1", "-o", str(tmp_path / "out")]) == 0
-    assert ("no_motor" in capsys.readouterr().out) == torque
+    assert ("no_motor" in printed("identify", tmp_path / "campaign", "--starts", "1", "-o", tmp_path / "out")) == torque
     found = read_parameters(tmp_path / "out" / "parameters.json", plant)
     at = np.array([3000.0, 4500.0, 5500.0]), np.array([0.0, 5.0, 9.0])
     told, wanted = PowerModel.of(found), PowerModel.of(truth)
@@ -208,7 +207,7 @@ def test_power_in_a_record_is_enough(tmp_path, capsys, torque):
         ({"power": lambda w, b: w**3, "torque": lambda w, b: 1000.0 * w**2}, "torque in N.m, power in W"),
     ],
 )
-def test_what_cannot_be_power_is_refused(further, said):
+def test_impossible_power_or_torque_is_refused(further, said):
     with pytest.raises(BadInput, match=said):
         fitted(points(**further))
 
@@ -241,29 +240,22 @@ def test_the_command_writes_table_header_and_report(tmp_path, capsys):
     np.testing.assert_allclose([float(x) for x in told], mean, rtol=1e-4)
 
 
-def test_optional_columns_of_the_static_map_are_kept(tmp_path):
-    path = write_static(OutputFolder(tmp_path), points())
-    np.testing.assert_allclose(read_static(path).further["power"], points().further["power"], rtol=1e-8)
-
-
-def test_a_plant_without_power_is_refused_and_nothing_is_written(tmp_path, capsys):
+def test_a_plant_without_power_is_refused_and_nothing_is_written(tmp_path, refused):
     (tmp_path / "parameters.json").write_text(to_json(pitch_only()))
-    words = ["allocate", "--parameters", str(tmp_path / "parameters.json"), "-o", str(tmp_path / "out")]
-    assert main(words) == 2
-    assert "torque_map or power_map" in capsys.readouterr().err
+    said = refused("allocate", "--parameters", tmp_path / "parameters.json", "-o", tmp_path / "out")
+    assert "torque_map or power_map" in said
     assert not (tmp_path / "out").exists()
 
 
-def test_a_campaign_whose_power_contradicts_itself_is_identified_without_it(tmp_path, capsys):
+def test_a_campaign_with_contradictory_power_is_identified_without_power(tmp_path, printed):
     further = {"power": lambda w, b: w**3, "torque": lambda w, b: 1000.0 * w**2}
     write_static(OutputFolder(tmp_path / "campaign"), points(**further))
-    assert main(["identify", str(tmp_path / "campaign"), "-o", str(tmp_path / "out")]) == 0
-    assert "warning power: static.csv, torque, power" in capsys.readouterr().out
+    assert "warning power: static.csv, torque, power" in printed("identify", tmp_path / "campaign", "-o", tmp_path / "out")
     assert json.loads((tmp_path / "out" / "parameters.json").read_text())["effects"] == []
 
 
-def test_the_plant_is_an_fmu_with_power_and_the_loop_rests_on_the_best_pair(tmp_path):
-    """Both flavours. The table of the controller is wrong by 5 % in speed: pitch is at its best all the same."""
+def test_the_exported_loop_settles_on_the_pair_of_least_power(tmp_path):
+    """In both flavours. The speeds in the controller's table are wrong by 5 %; the pitch is still the best one."""
     words = parameters(tmp_path, points(torque=torque, power=electrical))
     assert main([*words, str(tmp_path / "pairs")]) == 0
     gains = json.loads((tmp_path / "pairs" / "gains.json").read_text())
@@ -288,8 +280,8 @@ def test_the_plant_is_an_fmu_with_power_and_the_loop_rests_on_the_best_pair(tmp_
     assert float(last["omega"]) == pytest.approx(np.interp(6.0, best.thrust, best.omega), rel=0.02)
 
 
-def test_the_law_of_the_best_pairs_is_tuned_for_an_objective(tmp_path, capsys):
-    """No step settles later than under the gains of `vpp allocate`, and the loop keeps the limit on sensitivity."""
+def test_the_allocated_law_is_tuned_for_an_objective(tmp_path, capsys, refused):
+    """No step settles later than with the gains of `vpp allocate`, and the loop keeps the limit on sensitivity."""
     words = parameters(tmp_path, points())
     (tmp_path / "profile.csv").write_text("time,thrust_set\n0,3\n1,6\n4,6\n")
     common = [*words[1:3], "--profile", str(tmp_path / "profile.csv"), "-o", str(tmp_path / "tuned")]
@@ -301,15 +293,13 @@ def test_the_law_of_the_best_pairs_is_tuned_for_an_objective(tmp_path, capsys):
     assert gains["pair_beta_8"]["value"] == pytest.approx(best.beta[-1], abs=0.01)
     assert told["fmu_difference_thrust"] == 0.0
     assert "both actuators on the best pairs" in capsys.readouterr().out
-    assert main(["tune", *common, "--objective", "fast"]) == 2
-    assert "power or agility" in capsys.readouterr().err
+    assert "power or agility" in refused("tune", *common, "--objective", "fast")
     (tmp_path / "parameters.json").write_text(to_json(pitch_only()))
-    assert main(["tune", *common, "--objective", "power"]) == 2
-    assert "torque_map or power_map" in capsys.readouterr().err
+    assert "torque_map or power_map" in refused("tune", *common, "--objective", "power")
 
 
 def hovering(merit, diameter=0.28, density=1.2):
-    """Torque over w and b of the plant of `pitch_only`, whose rotor has this figure of merit where it lifts."""
+    """Torque over w and b of the plant of `pitch_only`, for a rotor with this figure of merit."""
 
     def torque_of(w, b):
         lift = np.maximum(15.0 * C21 * w**2 * b, 0.05)
@@ -319,7 +309,7 @@ def hovering(merit, diameter=0.28, density=1.2):
 
 
 @pytest.mark.parametrize("declared", [{"diameter": 0.28}, {"diameter": 0.3, "air_density": 1.0}, {}])
-def test_the_figure_of_merit_is_ideal_over_real_power_of_a_declared_rotor(tmp_path, declared, capsys):
+def test_the_figure_of_merit_is_ideal_over_real_power_of_a_declared_rotor(tmp_path, declared):
     """Momentum theory: T sqrt(T / (2 rho A)) over torque times speed."""
     density = declared.get("air_density", 1.2)
     folder = OutputFolder(tmp_path / "campaign")
@@ -336,13 +326,11 @@ def test_the_figure_of_merit_is_ideal_over_real_power_of_a_declared_rotor(tmp_pa
         assert main(["allocate", "--parameters", str(tmp_path / "out"), "--points", "5", "-o", str(tmp_path / "pairs")]) == 0
 
 
-def test_a_rotor_better_than_an_ideal_one_is_a_matter_of_units(tmp_path, capsys):
+def test_torque_of_a_rotor_better_than_an_ideal_one_is_not_used(tmp_path, printed, refused):
     folder = OutputFolder(tmp_path / "campaign")
     write_static(folder, points(torque=hovering(1.4)))
     folder.write("rig.json", json.dumps({"format": "vpp-rig/1", "rotor": {"diameter": 0.28}}))
-    assert main(["identify", str(tmp_path / "campaign"), "-o", str(tmp_path / "out")]) == 0
-    assert "figure of merit" in capsys.readouterr().out
+    assert "figure of merit" in printed("identify", tmp_path / "campaign", "-o", tmp_path / "out")
     assert "torque" not in {y.name for y in read_parameters(tmp_path / "out" / "parameters.json", plant).model.outputs}
     folder.write("rig.json", json.dumps({"format": "vpp-rig/1", "rotor": {"air_density": 1.2}}))
-    assert main(["identify", str(tmp_path / "campaign"), "-o", str(tmp_path / "other")]) == 2
-    assert "rotor, diameter" in capsys.readouterr().err
+    assert "rotor, diameter" in refused("identify", tmp_path / "campaign", "-o", tmp_path / "other")

@@ -1,4 +1,4 @@
-"""What each verb answers: one object for --json, valid by its schema; a sentence first; --quiet and --verbose."""
+"""The answer of each verb: one JSON object that its schema describes, a sentence in the first line, --quiet and --verbose."""
 
 import io
 import json
@@ -60,7 +60,7 @@ CALLS = {
     "paper": ("paper", "--quick", "-o", "paper"),
     "demo": ("demo", "-o", "demo"),
 }
-"""Words by schema, in an order in which each finds the files of those before."""
+"""Words by schema, in an order in which each call finds the files of earlier ones."""
 
 SAME = {
     "check": "checked/check.json",
@@ -80,7 +80,7 @@ SAME = {
     "twin": "day/day.json",
     "paper": "paper/paper.json",
 }
-"""Files that hold the same object."""
+"""Files with the same object."""
 
 
 def given(folder):
@@ -96,7 +96,7 @@ def given(folder):
 
 
 class Said:
-    """All calls of CALLS, once: exit code, standard output and error, and the answer."""
+    """All calls of CALLS, run once: exit code, standard output and error, and the answer."""
 
     def __init__(self, folder):
         self.folder, self.calls, self.answers = folder, {}, {}
@@ -149,7 +149,7 @@ def test_json_is_one_object_that_its_schema_describes(said, name):
 
 
 @pytest.mark.parametrize("name", SCHEMAS)
-def test_a_schema_is_one_and_a_call_shows_it(name):
+def test_every_schema_is_valid_and_has_a_call(name):
     Draft202012Validator.check_schema(SCHEMAS[name])
     assert name in {call.partition(",")[0] for call in CALLS}
     assert SCHEMAS[name]["title"].startswith(f"vpp {name.replace('-', ' ') if name != 'check-effect' else name}: ")
@@ -160,15 +160,15 @@ def test_every_verb_has_a_schema_but_the_one_that_prints_a_script():
     assert set(VERBS) - own == {"completion"}
 
 
-def test_an_object_that_lacks_a_key_is_invalid(said):
-    """The schemas say something."""
+def test_a_missing_or_additional_key_is_invalid(said):
+    """The schemas are not empty."""
     for name, (_, out, _) in said.calls.items():
         found, schema = json.loads(out), Draft202012Validator(SCHEMAS[name.partition(",")[0]])
         assert not schema.is_valid(found | {"another": 1})
         assert any(not schema.is_valid({k: v for k, v in found.items() if k != gone}) for gone in found)
 
 
-@pytest.mark.parametrize("name", sorted({*CALLS} - {"effects"}))  # whose answer is a list
+@pytest.mark.parametrize("name", sorted({*CALLS} - {"effects"}))  # its answer is a list
 def test_the_first_line_is_a_sentence(said, name):
     text = said.answers[name].text
     assert "\n" not in text
@@ -201,7 +201,7 @@ NUMBERS = {
 
 
 @pytest.mark.parametrize("name", NUMBERS)
-def test_the_first_line_has_the_object_s_number_in_three_digits(said, name):
+def test_the_first_line_shows_the_number_of_the_json_object(said, name):
     found = json.loads(said.calls[name][1])
     for key in NUMBERS[name]:
         found = found[key]
@@ -209,7 +209,7 @@ def test_the_first_line_has_the_object_s_number_in_three_digits(said, name):
     assert any(x == pytest.approx(found, rel=6e-3) for x in shown)
 
 
-def test_the_rig_s_lines_say_the_loop_and_the_log(said):
+def test_the_answers_of_rig_verbs_report_the_loop_and_the_log(said):
     assert "settled after" in said.answers["hil-run"].text
     assert "0 lost" in said.answers["hil-campaign"].text
     assert "open_loop.csv: 2000 rows over 8.00 s, thrust 5.90 to 6.10 N" in said.answers["import-csv"].text
@@ -227,7 +227,7 @@ def test_an_error_with_json_is_one_line_and_no_object(words, tmp_path, monkeypat
     assert "found no such file, expected a file that exists" in found.err
 
 
-def test_findings_that_forbid_a_fit_are_the_object_and_the_error(said, monkeypatch, capsys):
+def test_findings_that_forbid_a_fit_are_in_the_json_and_in_the_error(said, monkeypatch, capsys):
     monkeypatch.chdir(said.folder)
     (said.folder / "bad").mkdir()
     rows = [f"{0.004 * k:.3f},4000,5,{7.0}" for k in range(2000)]
@@ -278,17 +278,15 @@ def test_verbose_adds_the_notes_of_the_figures(said, monkeypatch, capsys):
     assert "written to again" in shown[0]
 
 
-def test_quiet_and_verbose_are_refused_together(capsys):
-    assert main(["cache", "--quiet", "--verbose"]) == 2
-    assert "not allowed with" in capsys.readouterr().err
+def test_quiet_and_verbose_are_refused_together(refused):
+    assert "not allowed with" in refused("cache", "--quiet", "--verbose")
 
 
-def test_a_script_for_a_shell_is_no_object(capsys):
-    assert main(["completion", "bash", "--json"]) == 2
-    assert "unrecognized arguments: --json" in capsys.readouterr().err
+def test_completion_has_no_json_form(refused):
+    assert "unrecognized arguments: --json" in refused("completion", "bash", "--json")
 
 
-def test_the_levels_are_options_of_every_verb_and_of_its_parts():
+def test_every_verb_and_subverb_has_the_options_quiet_and_verbose():
     for verb in VERBS:
         parser = parser_of(verb)[0]
         below = [p for a in parser._actions if isinstance(a.choices, dict) for p in a.choices.values()]
@@ -300,7 +298,7 @@ OPTIONAL = [e for e in LIBRARY if e.off is not None]
 
 
 @pytest.mark.parametrize("effect", OPTIONAL, ids=lambda e: e.name)
-def test_an_effect_says_its_own_sizes_with_their_units(effect):
+def test_the_sentence_of_an_effect_has_its_sizes_with_units(effect):
     fields = [name for _, name, _, _ in string.Formatter().parse(effect.says) if name]
     assert effect.says
     assert set(fields) <= {p.name for p in effect.parameters}

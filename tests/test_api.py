@@ -1,14 +1,17 @@
-"""`import vpp_fmu as vpp`: every public name has an example that runs, results show and save themselves, frames go and come."""
+"""`import vpp_fmu as vpp`: every public name has an example that runs; results can be shown and saved; frames are converted
+both ways."""
 
 import doctest
 import inspect
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from builders import refusal
 
 import vpp_fmu as vpp
 from vpp_fmu import frames
@@ -17,7 +20,7 @@ from vpp_fmu.errors import BadInput, ExtraMissing
 from vpp_fmu.record import Record
 
 CLASSES_OF_DATA = ("Effect", "Parameter", "State", "Rig", "BadInput", "VppError")
-"""Documented by what takes them; the rest has an example of its own."""
+"""Documented by the functions that take them; every other name has an example."""
 
 EXAMPLES = [name for name in vpp.__all__ if name not in CLASSES_OF_DATA]
 
@@ -59,7 +62,7 @@ def test_the_import_is_lazy():
     assert found.stdout.strip() == "[]"
 
 
-def test_what_is_not_there_is_said():
+def test_an_unknown_public_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'identifi'"):
         _ = vpp.identifi
 
@@ -117,7 +120,7 @@ def test_a_loop_of_fmus_is_the_loop_of_their_parameters(identified, tmp_path):
     assert by_kernel.to_dict()["steps"][0]["after"] == 8.0
 
 
-def test_a_plan_knows_what_is_known(identified, tmp_path):
+def test_a_plan_uses_the_given_knowledge(identified, tmp_path):
     blind = vpp.plan(identified, seconds=20)
     told = vpp.plan(identified, seconds=20, knowledge=identified)
     assert blind.to_dict()["before"] is None
@@ -151,10 +154,8 @@ def test_a_plan_knows_what_is_known(identified, tmp_path):
         (lambda found: vpp.plan(found, seconds=0.1), "seconds"),
     ],
 )
-def test_bad_arguments_are_one_line(call, says, identified):
-    with pytest.raises(BadInput, match=says) as refused:
-        call(identified)
-    assert "\n" not in str(refused.value)
+def test_bad_arguments_are_refused_in_one_line(call, says, identified):
+    assert re.search(says, refusal(call, identified))
 
 
 RECORD = Record(
@@ -182,14 +183,14 @@ def test_a_frame_of_pandas_may_have_its_time_as_index():
     np.testing.assert_array_equal(Record.from_frame(RECORD.to_pandas().set_index("time")).time, RECORD.time)
 
 
-def test_an_xarray_tells_units():
+def test_an_xarray_has_units():
     pytest.importorskip("xarray")
     found = RECORD.to_xarray()
     assert (found["thrust"].attrs["units"], found["time"].attrs["units"]) == ("N", "s")
 
 
 @pytest.mark.parametrize("name", ["pandas", "polars", "xarray"])
-def test_what_is_not_installed_is_one_line(name, monkeypatch):
+def test_a_missing_frame_library_is_refused_in_one_line(name, monkeypatch):
     monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(ExtraMissing, match=f"^{name}: found no library, .* Try: pip install {name}") as said:
         getattr(RECORD, f"to_{name}")()

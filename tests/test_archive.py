@@ -1,4 +1,4 @@
-"""Real archives: what is no FMI 2.0 co-simulation FMU, or too much of one, is one line, and nothing of any FMU stays."""
+"""Archives that are no FMI 2.0 co-simulation FMU, or too large, are refused in one line, and no FMU leaves files behind."""
 
 import contextlib
 import os
@@ -34,7 +34,7 @@ def temporary(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("what", [*CHANGED, *FORGED, *MORE])
-def test_it_is_refused_in_one_line_and_nothing_stays(bad, temporary, what):
+def test_a_bad_archive_is_refused_in_one_line_and_leaves_no_files(bad, temporary, what):
     path, words = bad[what]
     before = Path.cwd()
     with pytest.raises(BadInput) as refused, contextlib.closing(FmuPlant(path)) as plant:
@@ -47,7 +47,7 @@ def test_it_is_refused_in_one_line_and_nothing_stays(bad, temporary, what):
     assert Path.cwd() == before
 
 
-def test_an_fmu_has_one_folder_that_goes_when_it_is_closed(fmu_files, temporary):
+def test_closing_an_fmu_removes_its_folder(fmu_files, temporary):
     with contextlib.closing(Fmu(fmu_files["plain"])) as fmu:
         assert [temporary / name for name in os.listdir(temporary)] == [fmu.folder]
         with zipfile.ZipFile(fmu_files["plain"]) as archive:
@@ -57,7 +57,7 @@ def test_an_fmu_has_one_folder_that_goes_when_it_is_closed(fmu_files, temporary)
     assert os.listdir(temporary) == []
 
 
-def test_a_role_that_an_fmu_does_not_have_leaves_nothing(fmu_files, temporary):
+def test_an_fmu_without_the_required_variables_leaves_no_files(fmu_files, temporary):
     with pytest.raises(BadInput, match="no such input"):
         FmuController(fmu_files["plain"])
     with pytest.raises(BadInput, match="no such parameter"):
@@ -65,7 +65,7 @@ def test_a_role_that_an_fmu_does_not_have_leaves_nothing(fmu_files, temporary):
     assert os.listdir(temporary) == []
 
 
-def test_fmpys_own_simulation_leaves_nothing(fmu_files, temporary, bad):
+def test_a_simulation_in_fmpy_leaves_no_files(fmu_files, temporary, bad):
     columns = {"time": [0.0, 0.004, 0.008], "omega_ref": [4000.0] * 3, "beta_ref": [5.0] * 3}
     record = Record({name: np.array(values) for name, values in columns.items()}, "test")
     assert len(simulate_in_fmpy(fmu_files["plain"], record)) == 3
@@ -75,7 +75,7 @@ def test_fmpys_own_simulation_leaves_nothing(fmu_files, temporary, bad):
     assert os.listdir(temporary) == []
 
 
-def test_bounds_leave_room_for_what_is_exported(fmu_files):
+def test_exported_fmus_are_far_below_the_limits_of_size(fmu_files):
     for path in fmu_files.values():
         with zipfile.ZipFile(path) as archive:
             size = sum(entry.file_size for entry in archive.infolist())

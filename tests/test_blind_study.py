@@ -1,4 +1,4 @@
-"""Facts of the blind study that must hold: the right name where there is one, none where there is none, on rigs of any size."""
+"""Facts of the blind study that must hold: hidden effects are named and no others, on rigs of any size."""
 
 from studies import scores
 from studies.cases import WHOLE, draw
@@ -15,7 +15,7 @@ LIKE = {"noise": "white", "level": 1.0, "strength": 1.0, "locked": True} | WHOLE
 
 
 def studied(kind, *hidden, size="paper", rate=100, seconds=40.0, **like):
-    """The outcome of a case of full size, with every file but those in `like`."""
+    """The outcome of a case of full size, with all files except those in `like`."""
     case = draw(0, kind, SHORT, hidden, size=size, rate=rate, seconds=seconds, **(LIKE | like))
     return outcome(case, library=SOME)
 

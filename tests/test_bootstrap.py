@@ -1,4 +1,4 @@
-"""The block bootstrap against theory: known truth, known colour of the residual."""
+"""The block bootstrap against theory, with known parameters and known colour of the residual."""
 
 from functools import cache
 
@@ -12,12 +12,12 @@ from identification.fit.refine import BASE_PARAMETERS, refine
 from vpp_fmu.kernel.plant import AVERAGED, BASE, plant
 
 SECTION = 8.0
-"""Seconds of each part of a record: enough for all nine parameters, and quick."""
+"""Seconds of each part of a record: enough for all nine parameters, yet quick."""
 
 COUNT = 100
 
 CALM, MEMORY = 0.05, 0.1
-"""Noise that is small enough for linear theory, N, and what it remembers, s."""
+"""Noise [N] small enough for linear theory, and its correlation time [s]."""
 
 
 @cache
@@ -43,7 +43,7 @@ def theory(refinement, memory: float) -> np.ndarray:
 
 
 def white(refinement) -> np.ndarray:
-    """Standard deviations if the residual is thought white."""
+    """Standard deviations under the assumption of white residuals."""
     return refinement.uncertainty.std / refinement.uncertainty.inflation
 
 
@@ -51,7 +51,7 @@ RECORDS = range(6)
 
 
 @pytest.mark.parametrize("memory", [0.0, MEMORY])
-def test_std_is_what_the_estimates_scatter_by(memory):
+def test_the_bootstrap_std_is_the_theoretical_scatter_of_the_estimates(memory):
     ratio = np.array([resampled(seed, memory).std / theory(fitted(seed, memory), memory) for seed in RECORDS])
     # The lowest band of a spectrum has twelve ordinates or a few more, an amplitude from them a standard deviation of 14 %, and
     # a hundred samples 7 %: 16 % for a record, 6.5 % for the mean of six, judged at three times that.
@@ -74,7 +74,7 @@ def test_intervals_cover_the_truth_where_white_ones_do_not():
         ours.append((low <= truth) & (truth <= high))
         refinement = fitted(seed, MEMORY)
         naive.append(np.abs(refinement.uncertainty.values - truth) <= 1.96 * white(refinement))
-    # Of 54 intervals 51 are expected to cover; those of one record hang together, so six records leave a wide margin.
+    # Of 54 intervals 51 are expected to cover; those of one record are correlated, so six records leave a wide margin.
     assert np.mean(ours) > 0.75
     assert np.mean(naive) < 0.5
 
@@ -130,7 +130,7 @@ def test_both_channels_of_two_records_are_drawn_each_from_its_own():
     assert np.all(samples.std > 0)
 
 
-def test_the_models_effects_travel_by_name():
+def test_the_bootstrap_includes_the_effects_of_the_model():
     rng = np.random.default_rng(0)
     record = measured(commands(rng, SECTION), rng, CALM)
     names = [*BASE_PARAMETERS, "pitch_delay.delay"]

@@ -3,9 +3,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from builders import refusal
 
 from vpp_fmu.campaign import read_campaign, read_static, read_steps
-from vpp_fmu.errors import BadInput
 from vpp_fmu.record import RecordWarning
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -24,10 +24,7 @@ def filled(folder, **texts):
 
 
 def failure(read, path):
-    with pytest.raises(BadInput) as error:
-        read(path)
-    message = str(error.value)
-    assert "\n" not in message
+    message = refusal(read, path)
     assert ": found " in message
     assert ", expected " in message
     return message
@@ -70,7 +67,7 @@ def test_any_one_file_may_be_missing(tmp_path, name):
     assert getattr(campaign, name) in (None, ())
 
 
-def test_a_column_without_a_value_is_none(tmp_path):
+def test_a_column_without_a_value_is_dropped(tmp_path):
     blind = "\n".join(
         line.replace(",4001,", ",,").replace(",4000,7", ",,7").replace(",3999,", ",,") for line in RECORD.splitlines()
     )
@@ -93,7 +90,7 @@ def test_other_files_do_not_matter(tmp_path):
     assert read_campaign(filled(tmp_path, **ALL)).missing == ()
 
 
-def test_no_folder_no_campaign(tmp_path):
+def test_a_path_that_is_no_campaign_folder_is_refused(tmp_path):
     missing = failure(read_campaign, tmp_path / "none")
     assert missing.startswith(f"{tmp_path / 'none'}: campaign folder: found no such folder, expected a folder with any of ")
     (tmp_path / "file.csv").write_text(RECORD)
@@ -109,14 +106,14 @@ def test_no_folder_no_campaign(tmp_path):
     )
 
 
-def test_a_file_must_not_stand_there_twice(tmp_path):
+def test_a_file_that_is_there_plain_and_gzipped_is_refused(tmp_path):
     filled(tmp_path, open_loop=RECORD)
     (tmp_path / "open_loop.csv.gz").write_bytes(gzip.compress(RECORD.encode()))
     message = failure(read_campaign, tmp_path)
     assert message == f"{tmp_path}: open_loop.csv: found open_loop.csv and open_loop.csv.gz, expected only one of them"
 
 
-def test_a_folder_in_a_file_s_place(tmp_path):
+def test_a_folder_in_the_place_of_a_file_is_refused(tmp_path):
     (tmp_path / "static.csv").mkdir()
     assert "static.csv: file: found a folder, expected a file" in failure(read_campaign, tmp_path)
 
@@ -127,8 +124,6 @@ def test_a_folder_in_a_file_s_place(tmp_path):
     [
         ("thrust", "force", "column thrust: found only time, omega_ref, beta_ref, omega, force, expected a header with"),
         (",7.1\n", ",nan\n", "thrust, line 3: found 'nan', expected a finite number or an empty cell"),
-        ("0.004", "0.04", "time, line 4: found 0.008 after 0.04 (time goes back)"),
-        ("7.1", "7.1e5", "thrust, line 3: found 710000, expected -100000 to 100000 N"),
     ],
 )
 def test_records_are_checked(tmp_path, name, old, new, message):
@@ -146,13 +141,13 @@ def test_records_are_checked(tmp_path, name, old, new, message):
         ("7.1\n", "7.1\n0.012,4e3,6,,7\n", "row 4 of the data: found 4 rows in all, expected 3 rows as in "),
     ],
 )
-def test_a_repeat_must_repeat(tmp_path, old, new, message):
+def test_a_repeat_with_other_commands_is_refused(tmp_path, old, new, message):
     assert old in REPEAT
     filled(tmp_path, open_loop=RECORD, repeat=REPEAT.replace(old, new))
     assert failure(read_campaign, tmp_path) == f"{tmp_path / 'repeat.csv'}: {message}{tmp_path / 'open_loop.csv'}"
 
 
-def test_a_repeat_to_the_nanosecond_is_one(tmp_path):
+def test_times_of_a_repeat_may_differ_by_a_nanosecond(tmp_path):
     campaign = read_campaign(filled(tmp_path, open_loop=RECORD, repeat=REPEAT.replace("0.004", "0.0040000000001")))
     assert len(campaign.repeat) == 3
 
@@ -215,5 +210,6 @@ def test_the_rigs(rig):
     assert campaign.missing == ()
     assert campaign.static.thrust.shape == (100,)
     assert [len(run) for run in campaign.steps] == [750] * 40
-    assert all(set(run.steps.tolist()) == {0.004} for run in campaign.steps)
-    assert (len(campaign.open_loop), len(campaign.repeat), len(campaign.validation)) == (22_500, 22_500, 15_000)
+    records = campaign.open_loop, campaign.repeat, campaign.validation
+    assert all(set(record.steps.tolist()) == {0.004} for record in (*records, *campaign.steps))
+    assert [len(record) for record in records] == [22_500, 22_500, 15_000]

@@ -1,4 +1,4 @@
-"""Commands: within a rig's range and slews, whatever the rig; and what a rig.json alone declares."""
+"""Commands stay within the range and the slews of any rig; and the declarations of a rig.json."""
 
 import json
 from dataclasses import replace
@@ -25,7 +25,7 @@ def test_no_command_leaves_its_range_or_slew_on_random_rigs():
     assert all(count.checked[name] > 25 for name in names)
 
 
-def test_the_study_sees_a_command_outside_and_a_slew_exceeded():
+def test_the_study_counts_commands_outside_the_range_and_the_slew():
     count, rig = Count(), Rig(speed_slew=1000.0)
     count.add("good", rig, np.array([[2000.0, 10.0], [2010.0, -5.0]]), 0.01)
     count.add("bad", rig, np.array([[2000.0, 10.0], [2010.1, -5.0], [6000.1, 10.0001]]), 0.01)
@@ -52,7 +52,7 @@ def test_a_step_becomes_a_ramp_of_the_slews_slope_in_whole_tenths():
         ((4321.0987, 4321.09870001), 5000.0, 4321.0987),
     ],
 )
-def test_commands_are_rounded_to_what_their_range_can_tell_apart(speed, wanted, told):
+def test_commands_are_rounded_to_a_resolution_that_suits_their_range(speed, wanted, told):
     assert commanded(Rig(speed=speed), np.array([[wanted, 0.0]]), 0.004)[0, 0] == told
 
 
@@ -81,7 +81,7 @@ def moves(column):
     return np.flatnonzero(np.diff(column))
 
 
-def test_the_discriminating_experiment_asks_the_papers_rig_all_it_did():
+def test_the_discriminating_experiment_of_the_papers_rig():
     found = discriminating_experiment(Rig())
     assert found.time[-1] == pytest.approx(96.0, abs=0.1)
     assert found.period == 0.004
@@ -107,7 +107,7 @@ def test_a_slow_rig_gets_a_long_experiment_and_a_fast_one_more_moves(unit, secon
     assert holds[1] / holds[0] == pytest.approx(unit / 0.5, rel=0.5)
 
 
-def test_what_stands_is_not_moved_and_the_other_is_asked_everything():
+def test_a_fixed_channel_is_not_moved_and_the_other_gets_all_moves():
     fixed = discriminating_experiment(Rig(pitch=(4.0, 4.0)))
     assert set(fixed["beta_ref"]) == {4.0}
     sizes = np.unique(np.round(np.abs(np.diff(fixed["omega_ref"])), 1))
@@ -152,14 +152,14 @@ def test_a_rig_json_alone_declares_a_rig(tmp_path):
             declared_rig(declared(tmp_path / "less.json", **less))
 
 
-def test_a_rig_json_goes_before_what_was_measured_and_leaves_the_models_scales(tmp_path):
+def test_a_rig_json_overrides_measured_ranges_and_keeps_the_scales(tmp_path):
     measured = replace(Rig(), origin={"speed": "the campaign", "pitch": "the campaign"})
     rig = declared_rig(declared(tmp_path / "rig.json", speed=RANGES["speed"], scales={"omega_scale": 30000}), measured)
     assert (rig.speed, rig.pitch, rig.scales) == ((6660.0, 20000.0), measured.pitch, measured.scales)
     assert rig.origin == {"speed": DECLARED, "pitch": "the campaign"}
 
 
-def test_a_rig_json_tells_the_time_scale_of_a_rig_that_was_measured(tmp_path):
+def test_a_rig_json_overrides_the_time_scale_of_a_measured_rig(tmp_path):
     path = declared(tmp_path / "rig.json", scales={"time_scale": 2.0, "omega_scale": 30000})
     assert declared_rig(path, Rig()).scales == replace(Rig().scales, time_scale=2.0)
 
@@ -184,12 +184,12 @@ def test_a_range_in_another_unit_is_refused(tmp_path, name, unit, own):
         ({"speed": {"min": 0, "max": 1, "mean": 1}}, "speed, mean: found an unknown field"),
     ],
 )
-def test_what_no_rig_has_is_refused_with_its_field(tmp_path, entries, said):
+def test_impossible_values_in_a_rig_json_are_refused_with_their_field(tmp_path, entries, said):
     with pytest.raises(BadInput, match=said):
         read_rig(declared(tmp_path / "rig.json", **entries))
 
 
-def test_a_range_of_one_value_and_a_negative_offset_are_a_rigs(tmp_path):
+def test_a_range_of_one_value_and_a_negative_offset_are_valid(tmp_path):
     found = read_rig(declared(tmp_path / "rig.json", pitch={"min": 4, "max": 4}, scales={"beta_offset": -1000}))
     assert found == {"pitch": (4.0, 4.0), "scales": {"beta_offset": -1000.0}}
 
@@ -207,7 +207,7 @@ def test_round_numbers_are_the_next_up_and_the_nearest_by_ratio(power):
 
 
 def grid(speed, pitch, thrust):
-    """Steady points at the ends of these ranges, each often enough to be no outlier."""
+    """Steady points at the ends of these ranges, repeated so that none is an outlier."""
     columns = {"omega_ref": speed, "beta_ref": pitch, "thrust": thrust}
     return {name: np.repeat(np.array(ends, float), 50) for name, ends in columns.items()}
 
@@ -227,7 +227,7 @@ PAPERS_RANGES = (2000.0, 6000.0), (-10.0, 10.0), (0.0, 14.0)
     ],
 )
 def test_a_rig_keeps_the_papers_scales_up_to_twice_its_size_and_down_to_half(k, inside, beyond):
-    """Speed 6000 rpm, thrust 15 N of either sign; pitch half of its 15 deg beyond the scale's ends of -5 and 10 deg."""
+    """Speed 6000 rpm, thrust 15 N of either sign; pitch half of its 15 deg beyond the ends of the scale, -5 and 10 deg."""
     ranges = [[*PAPERS_RANGES[:k], ends, *PAPERS_RANGES[k + 1 :]] for ends in (inside, beyond)]
     near, far = (infer_rig([], grid(*own), {}) for own in ranges)
     assert (near.scales, near.origin["scales"]) == (Scales(), "the paper's, whose size it has")
@@ -245,7 +245,7 @@ def test_the_scales_of_another_size_are_round_and_0_a_quarter_up_the_pitch():
     assert (fixed.scales.beta_scale, fixed.scales.beta_offset) == (15.0, -22.5)
 
 
-def test_what_is_declared_goes_before_what_records_and_points_show():
+def test_declared_ranges_override_measured_ones():
     record = Record({"time": np.arange(3.0), "omega_ref": np.array([0.0, 7000.0, 0.0]), "beta_ref": np.zeros(3)}, "a record")
     points = grid(*PAPERS_RANGES)
     both = infer_rig([record], points, {"pitch": (-9.0, 9.0), "scales": {"thrust_scale": 20.0}})
@@ -263,12 +263,7 @@ def test_what_is_declared_goes_before_what_records_and_points_show():
     assert infer_rig([], points, {}).origin["scales"] == papers
 
 
-def test_a_parameter_file_without_a_rig_speaks_of_what_its_scales_span():
+def test_ranges_of_a_parameter_file_without_a_rig_come_from_its_scales():
     rig = rig_of(Scales(9000.0, 20.0, -4.0, 3.0), {})
     assert (rig.speed, rig.pitch, rig.thrust) == ((3000.0, 9000.0), (4.0, 24.0), (0.0, 3.0))
     assert rig.unknown == ("speed", "pitch")
-
-
-def test_what_only_the_models_scales_span_is_not_known():
-    assert Rig().unknown == ("speed", "pitch")
-    assert replace(Rig(), origin={"speed": DECLARED}).unknown == ("pitch",)

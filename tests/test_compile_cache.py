@@ -1,4 +1,4 @@
-"""The cache of compiled models: what is damaged, foreign or too much in it, and compilers that fail."""
+"""The cache of compiled models: damaged, foreign or too many libraries, and compilers that fail."""
 
 import os
 import shutil
@@ -38,7 +38,7 @@ def folder(monkeypatch, tmp_path):
 
 
 def twice(source=SOURCE, **environment):
-    """A fresh process: the dynamic loader keeps what this one has loaded, whatever becomes of the file."""
+    """Run in a fresh process: the dynamic loader of this one keeps libraries that it has loaded, even if the file changes."""
     command = [sys.executable, "-c", TWICE, source]
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])} | environment
     return subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
@@ -84,7 +84,7 @@ def test_a_library_that_cannot_be_trusted_is_built_again(folder, built, damage):
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root gives files away")
-def test_what_another_user_owns_is_not_loaded(folder, tmp_path):
+def test_a_library_of_another_user_is_not_loaded(folder, tmp_path):
     twice()
     library, mark = only(folder), tmp_path / "loaded"
     evil = f'#include <stdio.h>\n__attribute__((constructor)) static void run(void) {{ fclose(fopen("{mark}", "w")); }}\n'
@@ -102,7 +102,7 @@ def test_what_another_user_owns_is_not_loaded(folder, tmp_path):
     assert library.stat().st_mtime_ns == before
 
 
-def test_a_folder_that_others_may_write_is_closed_to_them(folder):
+def test_a_folder_that_others_may_write_is_made_private(folder):
     folder.mkdir()
     folder.chmod(0o777)
     assert twice().stdout == "42.0\n"
@@ -118,7 +118,7 @@ def test_a_relative_folder_is_not_taken(folder, tmp_path, monkeypatch):
     assert not (tmp_path / "there").exists()
 
 
-def test_the_least_recently_used_go(folder, monkeypatch):
+def test_the_least_recently_used_libraries_are_removed(folder, monkeypatch):
     sources = [SOURCE + f"/* {k} */\n" for k in range(4)]
     for k, source in enumerate(sources[:3]):
         compiled(source)
@@ -136,7 +136,7 @@ def test_the_least_recently_used_go(folder, monkeypatch):
     assert left.isdisjoint({second, third})
 
 
-def test_the_verb_shows_and_clears(folder, capsys):
+def test_the_verb_shows_and_clears_the_cache(folder, capsys):
     compiled(SOURCE)
     assert main(["cache"]) == 0
     size = only(folder).stat().st_size / 2**20
@@ -146,7 +146,7 @@ def test_the_verb_shows_and_clears(folder, capsys):
 
 
 @pytest.mark.parametrize("failing", ["false", "no headers", "no output", "no program"])
-def test_a_compiler_that_fails_is_a_missing_one_and_that_is_said_once(failing, folder, tmp_path):
+def test_a_failing_compiler_is_reported_once_and_treated_as_missing(failing, folder, tmp_path):
     cc = tmp_path / "cc"
     lines = {
         "false": "exit 1",
@@ -170,8 +170,8 @@ def test_a_compiler_that_fails_is_a_missing_one_and_that_is_said_once(failing, f
         assert word in done.stderr
 
 
-def test_every_model_says_the_same_of_a_compiler_that_fails(folder, tmp_path, monkeypatch):
-    """Once a process: what is said is kept by its words."""
+def test_the_message_of_a_failing_compiler_is_the_same_for_every_model(folder, tmp_path, monkeypatch):
+    """The warning is given once in a process for each text."""
     cc = tmp_path / "cc"
     cc.write_text('#!/bin/sh\nwc -l model.c | sed "s/ .*//; s/.*/model.c:&:1: error: broken/" >&2; exit 1\n')
     cc.chmod(0o755)

@@ -1,4 +1,4 @@
-"""The dual PID against the paper's formulas written down anew, and what its limits do."""
+"""The dual PID against an independent implementation of the paper's formulas, and its behaviour at limits."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ ONLY_I = dict.fromkeys(("kp_omega", "kd_omega", "kp_beta", "kd_beta"), 0.0)
 
 
 def papers_pid(e, dt, t_filter, kp, ki, kd):
-    """Section 3.3: trapezoidal sum, filtered difference; nothing before the first sample. Normalised."""
+    """Section 3.3, normalised: trapezoidal sum and filtered difference, both zero at the first sample."""
     commands, integral, derivative = [], 0.0, 0.0
     for k in range(len(e)):
         if k > 0:
@@ -52,11 +52,6 @@ def test_without_saturation_it_is_the_papers_law(t_filter, sample_time):
     assert shown.max(axis=0) == pytest.approx(shown.max(axis=0).clip([0.0, -45.0], [29999.0, 44.9]))
 
 
-def test_first_sample_is_the_proportional_part_alone():
-    first = commands({**WIDE, **DUAL}, {"thrust_set": [3.0, 3.0], "thrust": [1.5, 1.5]}, [0.004])[0]
-    assert first == pytest.approx([6000.0 * 9.82 * 0.1, 15.0 * 9.0 * 0.1 - 5.0], rel=1e-13)
-
-
 @pytest.mark.parametrize("t_filter", [0.0, 1e-6, 0.001, 0.004])
 def test_a_filter_faster_than_the_sample_is_no_filter(t_filter):
     inputs = errors(201)
@@ -72,7 +67,7 @@ def test_published_gains_are_the_papers():
 
 
 def held_within(moves, low, high):
-    """An integral that stands still at its limits."""
+    """An integral that is clamped at its limits."""
     held = [0.0]
     for move in moves:
         held.append(min(max(held[-1] + move, low), high))
@@ -81,7 +76,7 @@ def held_within(moves, low, high):
 
 @pytest.mark.parametrize(("ki_omega", "ki_beta", "free"), [(5.0, 50.0, 0), (50.0, 0.5, 1)])
 def test_one_channel_saturates_and_the_other_goes_on(ki_omega, ki_beta, free):
-    """4 s of error up, 3 s down: the free channel is the plain integral of all of it, the other one runs limit to limit."""
+    """4 s of positive error, 3 s of negative: the free channel is the plain integral, the other one reaches both limits."""
     limits = {**WIDE, "omega_min": 2000.0, "omega_max": 6000.0} if free == 1 else WIDE
     e = np.r_[np.full(1000, 0.1), np.full(750, -0.1)]
     inputs = {"thrust_set": 15.0 * np.r_[e, 0.0], "thrust": np.zeros(1751)}
@@ -102,7 +97,7 @@ def test_one_channel_saturates_and_the_other_goes_on(ki_omega, ki_beta, free):
 
 
 def test_a_saturated_integral_may_still_move_inwards():
-    """The derivative alone presses the command to its limits, up and down, while the error calls for less thrust."""
+    """The derivative alone drives the command to its limits, up and down, while the error demands less thrust."""
     e = np.r_[np.full(100, 0.1), -0.1, np.tile([-0.08, -0.09], 20)]
     controller = Simulation(CONTROLLER, {**WIDE, **ONLY_I, "ki_omega": 10.0, "kd_omega": 10.0, "t_filter": 0.0})
     shown = []
@@ -130,8 +125,8 @@ def test_both_channels_leave_their_limits_at_once_when_the_error_turns(sign, sec
 
 
 @pytest.mark.parametrize("gains", [DUAL, SPEED_ONLY])
-def test_how_long_a_goal_was_out_of_reach_does_not_show_afterwards(gains):
-    """With the plant in the loop: 20 N, more than it has, for 6 s or for 30 s, then 6 N."""
+def test_the_duration_of_an_unreachable_set_point_does_not_affect_the_recovery(gains):
+    """With the plant in the loop: 20 N, which is out of reach, for 6 s or for 30 s, then 6 N."""
 
     def released_after(seconds):
         plant, controller = Simulation(BASE, {"tau_beta_2": 0.05}), Simulation(CONTROLLER, gains)
@@ -147,8 +142,8 @@ def test_how_long_a_goal_was_out_of_reach_does_not_show_afterwards(gains):
 
 @pytest.mark.parametrize("gains", [DUAL, SPEED_ONLY])
 @pytest.mark.parametrize("wanted", [14.8, 15.0, 15.5, 16.0, 20.0])
-def test_a_goal_out_of_reach_gets_all_that_the_limits_allow(wanted, gains):
-    """14.67 N is the most that the plant has, at 6000 rpm and 10 deg."""
+def test_an_unreachable_set_point_drives_both_commands_to_their_limits(wanted, gains):
+    """The plant reaches at most 14.67 N, at 6000 rpm and 10 deg."""
     plant, controller = Simulation(BASE, {"tau_beta_2": 0.05}), Simulation(CONTROLLER, gains)
     thrust = plant.start({"omega_ref": 4000.0, "beta_ref": 5.0})["thrust"]
     for _ in range(2500):
@@ -189,7 +184,7 @@ def test_speed_only_keeps_the_pitch_and_is_the_papers_law_for_speed():
 
 @pytest.mark.parametrize("milliseconds", [1, 2, 3, 4, 8, 12, 24])
 def test_it_samples_at_its_own_period_whatever_the_communication_step(milliseconds):
-    """Inputs change every 24 ms; whoever looks there sees what the samples 4 ms apart gave."""
+    """Inputs change every 24 ms; at these times the commands are those of samples 4 ms apart."""
     coarse = errors(251)
     every_sample = {name: np.repeat(column, 6) for name, column in coarse.items()}
     expected = commands(DUAL, every_sample, np.full(1505, 0.004))[5::6]
@@ -223,13 +218,13 @@ def test_the_allocated_law_is_that_of_its_equations():
     np.testing.assert_allclose(shown, np.column_stack([6000.0 * w, 15.0 * (best_b + away) - 5.0]), rtol=1e-12, atol=1e-10)
 
 
-def test_outside_of_the_table_its_ends_hold():
+def test_beyond_the_table_its_end_values_hold():
     for wanted, pair in ((0.2, (2000.0, 9.0)), (14.0, (5600.0, 1.0))):
         inputs = {"thrust_set": [wanted] * 2, "thrust": [wanted] * 2}
         assert commands({**WIDE, **TABLE}, inputs, [0.004])[0] == pytest.approx(pair)
 
 
-def test_a_table_of_one_thrust_divides_by_nothing():
+def test_a_table_of_a_single_thrust_gives_finite_commands():
     inputs = {"thrust_set": [2.0, 2.0], "thrust": [2.0, 2.0]}
     flat = {**TABLE, "pairs_thrust_min": 3.0, "pairs_thrust_max": 3.0}
     assert commands({**WIDE, **flat}, inputs, [0.004])[0] == pytest.approx([2000.0, 9.0])
@@ -237,8 +232,8 @@ def test_a_table_of_one_thrust_divides_by_nothing():
 
 
 @pytest.mark.parametrize("modes", [(0.0, 2.0), (2.0, 0.0), (1.0, 2.0), (1.0, 0.0)])
-def test_commands_go_on_from_where_they_are_when_the_mode_changes(modes):
-    """At the switch the error has not changed; pitch moves on from a fixed pitch, too."""
+def test_commands_are_continuous_when_the_mode_changes(modes):
+    """The error is the same at the switch; pitch also continues from a fixed pitch."""
     law = Simulation(CONTROLLER, {**WIDE, **SOFT, **TABLE, "mode": modes[0], "t_filter": 0.004})
     law.start({"thrust_set": 5.0, "thrust": 4.6})
     for _ in range(50):
@@ -251,7 +246,7 @@ def test_commands_go_on_from_where_they_are_when_the_mode_changes(modes):
 
 
 def test_speed_does_not_wind_up_while_pitch_is_away_from_its_best():
-    """A wanted thrust out of reach for 20 s: speed leaves its limit with the first sample of a thrust within reach."""
+    """After 20 s of an unreachable set-point, speed leaves its limit at the first sample of a reachable one."""
     tight = {**TABLE, "omega_max": 5000.0, "beta_min": -5.0, "beta_max": 10.0}
     held = 5000
     inputs = {"thrust_set": np.repeat([9.0, 3.0], held), "thrust": np.repeat([5.0, 5.0], held)}
@@ -263,7 +258,7 @@ def test_speed_does_not_wind_up_while_pitch_is_away_from_its_best():
 @pytest.mark.parametrize("error", [0.95, 1.05])
 @pytest.mark.parametrize("pitch", [4.0, 10.0])
 def test_on_the_best_pairs_thrust_has_no_error_at_rest_though_the_table_has(error, pitch):
-    """Also where the best pitch is the greatest: then only speed can add thrust. The table's speeds are wrong by 5 %."""
+    """Also where the best pitch is the greatest, so that only speed can add thrust. The table's speeds are wrong by 5 %."""
     plant = Simulation(BASE)
 
     def speed_of(thrust):

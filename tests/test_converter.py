@@ -1,4 +1,4 @@
-"""What rounding to coarse counts makes of a mean reading, and dead times of readings."""
+"""The effect of coarse rounding on the mean reading, and dead times of readings."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ STEP = 0.002
 
 @pytest.mark.parametrize("blur", [0.25, 0.33, 0.5, 1.0])
 def test_the_mean_reading_is_that_of_many_rounded_ones(blur):
-    """Against a million readings: their mean is known to count / 1000 times the root of blur^2 + 1/12."""
+    """Against a million readings, whose mean has a standard error of count / 1000 times the root of blur^2 + 1/12."""
     rng, count, zero = np.random.default_rng(0), 0.3, 0.04
     converter = Converter(count, zero, blur)
     for true in (1.0, 1.07, 1.15, 1.234):
@@ -31,8 +31,8 @@ def test_its_slope_is_its_derivative():
     np.testing.assert_allclose(converter.slope(at), rise, atol=1e-6)
 
 
-def test_counts_are_found_from_readings():
-    """Rounded to counts after noise of a third of one; the noise ahead of it is what is left of the whole."""
+def test_the_resolution_is_found_from_readings():
+    """Noise of a third of a count is added before rounding; the estimate subtracts the rounding noise from the total."""
     rng, count = np.random.default_rng(1), 0.2
     readings = count * np.round((rng.uniform(0.0, 9.0, 20000) + 0.33 * count * rng.standard_normal(20000)) / count)
     found = Converter.of(readings, count * np.hypot(0.33, 12**-0.5))
@@ -52,8 +52,8 @@ def test_a_fine_converter_changes_nothing():
 
 @pytest.mark.parametrize(("effect", "column"), [("reading_delay", 0), ("speed_reading_delay", 1)])
 @pytest.mark.parametrize("delay", [0.01, 0.04])
-def test_a_reading_that_is_late_is_the_signal_of_before(effect, column, delay):
-    """Behind its two lags speed moves slowly: late by whole rows it is the same to a few thousandths of the step."""
+def test_a_late_reading_is_the_delayed_signal(effect, column, delay):
+    """Behind two lags speed is smooth: a shift by whole rows is exact to a few thousandths of the step."""
     rows = 3000
     inputs = {"omega_ref": np.where(np.arange(rows) < 500, 3000.0, 5000.0), "beta_ref": np.full(rows, 5.0)}
     steps = np.full(rows - 1, STEP)
@@ -66,8 +66,8 @@ def test_a_reading_that_is_late_is_the_signal_of_before(effect, column, delay):
     np.testing.assert_allclose(late[:, others], plain[:, others], rtol=1e-9)
 
 
-def test_a_rotor_waits_only_where_it_stood():
-    """From rest it is the same response `wait` later; from a speed it is not late."""
+def test_a_rotor_waits_only_if_it_starts_from_rest():
+    """From rest the response is the same, `wait` later; from a speed it is not delayed."""
     rows, wait = 3000, 0.05
     steps, clock = np.full(rows - 1, STEP), np.arange(rows)
     model = plant(["start_from_rest"])
@@ -78,8 +78,8 @@ def test_a_rotor_waits_only_where_it_stood():
         np.testing.assert_allclose(late[back:, 1], plain[: rows - back, 1], atol=0.5)
 
 
-def test_an_empty_reading_is_no_pulse_of_the_tachometer():
-    """Held values with three rows in ten empty: what is compared is a part of what was compared without them, no more."""
+def test_an_empty_reading_is_not_taken_for_a_pulse_of_the_tachometer():
+    """With three rows in ten empty, the values used are a subset of those used without empty rows."""
     rng, rows = np.random.default_rng(3), 4000
     time = 0.004 * np.arange(rows)
     turns = np.cumsum(np.full(rows, 1234.5 / 60.0 * 0.004) * (1.0 + 0.2 * np.sin(time)))
@@ -100,8 +100,8 @@ def test_an_empty_reading_is_no_pulse_of_the_tachometer():
 
 
 @pytest.mark.parametrize(("age", "whole"), [(0.3, 0), (1.0, 0), (1.0, 1), (2.75, 2)])
-def test_a_row_holds_what_was_read_rows_before(age, whole):
-    """Of uneven rows, beside the model looked at every 0.25 ms: straight over 1 ms is h^2 / 8 of the curvature off."""
+def test_a_row_holds_a_reading_from_earlier_rows(age, whole):
+    """Uneven rows against a model sampled every 0.25 ms. The error of linear interpolation is h^2 / 8 of the curvature."""
     rows, rng = 1500, np.random.default_rng(5)
     fine = 4 * rng.integers(5, 60, rows - 1)
     speed = np.where(np.arange(rows) % 100 < 50, 3000.0, 5000.0)
@@ -118,8 +118,8 @@ def test_a_row_holds_what_was_read_rows_before(age, whole):
     np.testing.assert_allclose(logged[:, 2], plain[at, 2], rtol=1e-9)
 
 
-def test_nothing_is_logged_late_where_nobody_says_how_long_rows_are():
-    """A co-simulation has no logger: its communication step is no row."""
+def test_without_a_row_duration_nothing_is_logged_late():
+    """A co-simulation has no logger: its communication step is not a row."""
     model, commands = plant(["row_clock"]), [(3000.0, 5.0)] * 3 + [(5000.0, 5.0)] * 50
     told, plain = Simulation(model, {"row_clock.age": 1.5}), Simulation(BASE)
     for omega_ref, beta_ref in commands:

@@ -1,4 +1,4 @@
-"""The coordinates of a fit: whatever they are, the values they stand for are within the model's bounds."""
+"""The coordinates of a fit always represent values within the model's bounds."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from vpp_fmu.record import Record
 COORDINATES = Coordinates(BASE, BASE_PARAMETERS)
 
 
-def test_values_at_the_coordinates_bounds_are_allowed_ones():
+def test_values_at_the_bounds_of_the_coordinates_are_within_the_bounds_of_the_model():
     rng = np.random.default_rng(0)
     bounds = {p.name: (p.minimum, p.maximum) for p in BASE.parameters}
     for _ in range(200):
@@ -23,7 +23,7 @@ def test_values_at_the_coordinates_bounds_are_allowed_ones():
 
 
 @pytest.mark.parametrize("total", [0.002, 0.5, 40.0, 59.0])
-def test_slopes_are_those_of_the_values_also_where_a_lag_has_ended(total):
+def test_the_jacobian_is_right_also_where_a_lag_is_at_its_minimum(total):
     x = COORDINATES.vector({p.name: p.default for p in BASE.parameters})
     i, j = COORDINATES.pairs[0]
     x[[i, j]] = np.log(total), 0.49
@@ -34,8 +34,8 @@ def test_slopes_are_those_of_the_values_also_where_a_lag_has_ended(total):
 
 
 @pytest.mark.parametrize("first", [0.0002, 0.001, 0.05])
-def test_a_lag_that_the_start_has_none_of_is_found_where_the_record_tells_it(first):
-    """At its least a lag has no tangent: from there it would pass for one that nothing depends on."""
+def test_a_lag_is_identified_from_a_start_without_it(first):
+    """At its minimum a lag has no tangent, so that it would seem not to be identifiable."""
     inputs = random_steps(3001, 40)
     time, truth = 0.004 * np.arange(3001), {"tau_beta_1": 0.3, "tau_beta_2": 0.08}
     shown = Simulator(BASE).simulate(truth, inputs, np.diff(time))[:, 0]
@@ -46,8 +46,8 @@ def test_a_lag_that_the_start_has_none_of_is_found_where_the_record_tells_it(fir
         assert abs(found.values[name] - value) < 4.0 * found.std[name] < 0.02
 
 
-def test_values_beyond_their_bounds_do_not_come_out_of_a_fit():
-    """Nor do those that a record does not tell, and that stay where they were."""
+def test_a_fit_keeps_all_values_within_their_bounds():
+    """Also parameters that the record does not identify, which keep their start values."""
     inputs, time = {"omega_ref": np.repeat([3000.0, 5000.0], 300), "beta_ref": np.full(600, 5.0)}, 0.004 * np.arange(600)
     read = Simulator(BASE).simulate({}, inputs, np.diff(time))[:, 0]
     found = refine(BASE, [Record({"time": time, **inputs, "thrust": read}, "made")], {"tau_beta_1": 0.35, "tau_beta_2": 0.0002})

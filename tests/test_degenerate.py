@@ -1,4 +1,4 @@
-"""The table of degenerate campaigns, short: the quickest rows of `python -m tests.studies degenerate`."""
+"""The table of degenerate campaigns in short: the quickest rows of `python -m tests.studies degenerate`."""
 
 import json
 
@@ -34,7 +34,7 @@ REFUSED = {
     "dead load cell": "look at the load cell",
 }
 FEW = {"diagnose": ("--effects", "pitch_delay,sensor_drift"), "identify": ("--starts", "1")}
-"""What makes a row quick: a diagnosis among two effects, an identification from one start."""
+"""Options that save time: a diagnosis among two effects, an identification from one start."""
 
 
 def checked(names, verbs, folder) -> list[Row]:
@@ -44,15 +44,15 @@ def checked(names, verbs, folder) -> list[Row]:
 
 
 @pytest.mark.parametrize("name", IDENTIFIED)
-def test_identify_ends_with_its_files_and_names_what_it_does_not_know(name, tmp_path):
+def test_identify_writes_its_files_and_names_parameters_that_are_not_identifiable(name, tmp_path):
     found = checked([name], ("identify", "simulate", "compare"), tmp_path)
     assert [row.verb for row in found][:1] == ["identify"]
     assert "told" in found[0].outcome
     assert all(not row.outcome.startswith("exit") for row in found)
 
 
-def test_of_a_record_at_rest_no_fit_is_called_poor(tmp_path):
-    """One thrust at one point is told to what the mean of the readings is; there is no response that a fit could miss."""
+def test_a_record_at_rest_is_not_called_a_poor_fit(tmp_path):
+    """One thrust at one point is known as well as the mean of the readings; there is no response that a fit could miss."""
     checked(["no move at all"], ("identify",), tmp_path)
     (folder,) = tmp_path.iterdir()
     found = json.loads((folder / "identify" / "identification.json").read_text())
@@ -66,7 +66,7 @@ def test_of_a_record_at_rest_no_fit_is_called_poor(tmp_path):
 
 
 @pytest.mark.parametrize("method", ["gradient-descent", "adjoint"])
-def test_every_method_ends_with_its_files(method, tmp_path):
+def test_every_method_writes_its_files(method, tmp_path):
     options = {"identify": ("--starts", "1", "--method", method, "--bootstrap", "2")}
     (found,) = rows(["fixed pitch"], ("identify",), tmp_path, options)
     assert not found.fault
@@ -75,7 +75,7 @@ def test_every_method_ends_with_its_files(method, tmp_path):
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_holds_nothing_is_refused_in_a_line(name, tmp_path):
+def test_a_campaign_without_information_is_refused_in_one_line(name, tmp_path):
     found = checked([name], ("identify", "diagnose"), tmp_path)
     assert [row.verb for row in found] == ["identify", "diagnose"]
     assert all(row.outcome.startswith("exit 2: ") for row in found)
@@ -83,7 +83,7 @@ def test_what_holds_nothing_is_refused_in_a_line(name, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["one move only", "no move at all", "record of 2 s", "static map only"])
-def test_diagnose_ends_with_its_files_or_a_line(name, tmp_path):
+def test_diagnose_writes_its_files_or_is_refused_in_one_line(name, tmp_path):
     (found,) = checked([name], ("diagnose",), tmp_path)
     assert found.outcome.startswith(
         "exit 2: " if name == "static map only" else ("none", "unexplained", "partly", "attributed")
@@ -101,14 +101,14 @@ def test_readings_that_repeat_to_the_last_digit_have_the_noise_of_that_digit():
     assert noise.slow > 0.0
 
 
-def test_the_table_has_rows_enough_and_knows_its_verbs():
+def test_the_table_has_rows_of_every_size_and_verbs_that_exist():
     assert len(CASES) >= 25
     assert set(NEEDED) - {"check"} <= set(VERBS)
     assert {case.size for case in CASES.values()} == {"micro", "paper", "big"}
 
 
-def test_the_table_sees_what_is_wrong(tmp_path, monkeypatch, capsys):
-    """A verb that crashes, warns, writes NaN, says two lines or leaves a file out is found out."""
+def test_the_table_detects_every_kind_of_fault(tmp_path, monkeypatch, capsys):
+    """A verb that crashes, warns, writes NaN, prints two lines or omits a file."""
     import studies.degenerate as table
 
     def verb(does):

@@ -1,4 +1,4 @@
-"""Numbers as text: as many digits as mean something, on a rig of any size."""
+"""Numbers as text, with their significant digits, on a rig of any size."""
 
 import json
 
@@ -63,7 +63,7 @@ def test_a_sign_is_shown_where_it_is_asked_for():
         (0.5, float("inf"), "0.5 deg"),
     ],
 )
-def test_a_value_ends_where_its_doubt_does(value, half, text):
+def test_a_value_has_as_many_digits_as_its_uncertainty(value, half, text):
     assert with_uncertainty(value, half, "deg") == text
 
 

@@ -48,7 +48,7 @@ def paper_map(omega, beta):
 
 
 def fine_base(inputs, split=16):
-    """What the plain plant shows on a grid `split` times finer: (time, thrust, omega, beta)."""
+    """Outputs of the plain plant on a grid `split` times finer: (time, thrust, omega, beta)."""
     rows = len(inputs["omega_ref"])
     fine = {name: np.repeat(column, split)[: (rows - 1) * split + 1] for name, column in inputs.items()}
     shown = simulator(BASE).simulate({}, fine, np.full((rows - 1) * split, STEP / split))
@@ -56,17 +56,17 @@ def fine_base(inputs, split=16):
 
 
 def filtered(numerator, denominator, signal, time):
-    """Response of a transfer function to a signal that runs straight between samples, settled on its first value."""
+    """Response of a transfer function to a signal that is linear between samples, settled on its first value."""
     gain = numerator[-1] / denominator[-1]
     return gain * signal[0] + lsim((numerator, denominator), signal - signal[0], time)[1]
 
 
-# --- What holds for every form ---------------------------------------------------------------------------------------------
+# --- Properties of every form ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.sampled("effect")
 @pytest.mark.parametrize(("effect", "form"), FORMS)
-@pytest.mark.parametrize("dt", [1e-6, STEP, 0.05])
+@pytest.mark.parametrize("dt", [1e-6, 0.002, STEP, 0.05])
 def test_every_form_is_off_to_the_bit(effect, form, dt):
     model = plant([effect.name])
     inputs, steps = random_steps(200, 10, model=model), np.full(199, dt)
@@ -178,19 +178,19 @@ def compared_with_euler(name, values, inner, outer, atol):
 
 @pytest.mark.parametrize("form", [1.0, 2.0])
 @pytest.mark.parametrize("name", LAWS)
-def test_either_lag_is_bent_as_its_law_says(name, form):
+def test_the_law_of_either_lag_is_the_naive_integration(name, form):
     (values, law), channel = LAWS[name], "omega" if name.startswith("speed") else "beta"
     laws = [lambda e, x, tau=tau: e / tau for tau in LAGS[channel]]
     laws[int(form) - 1] = law(LAGS[channel][int(form) - 1])
     compared_with_euler(name, values | {"form": form}, *laws, atol=5.0 if channel == "omega" else 6e-3)
 
 
-def test_speed_limits_are_the_law():
+def test_pitch_speed_limits_are_the_naive_integration():
     law = {"slowest": 4.0, "full": 20.0, "threshold": 3.0, "accuracy": 0.3}
     compared_with_euler("pitch_speed_limits", law, lambda e, x: limits(e, 0.374, **law), lambda e, x: e / 0.207, 6e-3)
 
 
-def test_stall_latch_is_the_law():
+def test_stall_latch_is_the_naive_integration():
     law = {"speed": 6.0, "time": 0.1013, "accuracy": 0.1}
     inner = latch(**law, tau=0.374, h=H)
     compared_with_euler("pitch_stall_latch", law, inner, lambda e, x: e / 0.207, 6e-3)
@@ -201,14 +201,14 @@ def test_stall_latch_is_the_law():
 
 @pytest.mark.parametrize("form", [1.0, 2.0])
 @pytest.mark.parametrize(("name", "size"), [("pitch_error_deadzone", 0.6), ("pitch_stop_band", 0.45)])
-def test_the_actuator_rests_its_half_width_short(name, size, form):
+def test_the_actuator_stops_short_of_its_goal_by_the_half_width(name, size, form):
     beta = run(name, {"half_width": size, "form": form}, held((0, 0.1), (8, 15), (-3, 15), (-3.2, 5), (-2.9, 5)))[2]
     ends = beta[[round(t / STEP) - 1 for t in (15.1, 30.1, 35.1, 40.1)]]
     np.testing.assert_allclose(ends, [8 - size, -3 + size, -3.2 + size, -3.2 + size], atol=1e-6)
 
 
 def test_the_motor_stops_on_the_edge_between_samples():
-    """e = 8 exp(-t / tau) meets the edge at tau ln(8 / d); behind it the outer lag alone goes on."""
+    """e = 8 exp(-t / tau) reaches the edge at tau ln(8 / d); after that only the outer lag moves."""
     d, tau, fast = 0.45, 0.374, {"tau_beta_1": 0.001}
     beta = run("pitch_stop_band", {"half_width": d}, held((0, 0.04), (8, 3)), base=fast)[2]
     t = np.arange(len(beta)) * STEP - 0.04
@@ -229,7 +229,7 @@ def test_restart_ignores_less_than_its_band_and_follows_more():
 @pytest.mark.parametrize("name", ["pitch_asymmetry", "speed_asymmetry"])
 @pytest.mark.parametrize("form", [1.0, 2.0])
 def test_asymmetry_is_two_time_constants(name, skew, form):
-    """63 % of a rise takes tau exp(skew), of a fall tau exp(-skew), where the other lag is out of the way."""
+    """63 % of an increase takes tau exp(skew), of a decrease tau exp(-skew); the other lag is negligible."""
     u = "omega" if name.startswith("speed") else "beta"
     fast = {f"tau_{u}_{1 if form == 1.0 else 2}": 0.001}
     level, other = np.repeat([0.0, 1.0, 0.0], 9000), np.full(27000, 5.0)
@@ -243,7 +243,7 @@ def test_asymmetry_is_two_time_constants(name, skew, form):
 
 
 def test_rate_limit_is_its_slope_and_ends_at_its_instant():
-    """Straight at the limit until what is left is limit tau, then the lag relaxes; the outer lag is out of the way."""
+    """A straight ramp until the remaining distance is limit tau, then the lag; the outer lag is negligible."""
     r, tau = 10.0, 0.374
     beta = run("pitch_rate_limit", {"rate": r}, held((0, 0.04), (9, 3)), base={"tau_beta_1": 0.001})[2]
     t = np.arange(len(beta)) * STEP - 0.04 - 0.001  # a ramp passes a fast lag late by its time constant
@@ -252,11 +252,11 @@ def test_rate_limit_is_its_slope_and_ends_at_its_instant():
     np.testing.assert_allclose(beta[13:], exact[13:], rtol=0, atol=3e-5)
 
 
-def test_led_command_is_a_ramp_before_the_lags():
-    """Two lags follow a ramp with its slope, behind by the sum of their time constants; then they settle on the goal."""
+def test_a_rate_limit_on_the_command_is_a_ramp_before_the_lags():
+    """Two lags follow a ramp with its slope, later by the sum of their time constants; then they settle on the goal."""
     beta = run("pitch_rate_limit", {"rate": 2.0, "form": 3.0}, held((0, 0.04), (9, 12)))[2]
     t = np.arange(len(beta)) * STEP - 0.04
-    in_ramp = (t > 3.5) & (t < 4.4)  # what the lags remember of the start has fallen to a few parts in 1e5
+    in_ramp = (t > 3.5) & (t < 4.4)  # the transient of the lags has decayed to a few parts in 1e5
     np.testing.assert_allclose(beta[in_ramp], 2.0 * (t[in_ramp] - 0.374 - 0.207), rtol=0, atol=5e-4)
     command = np.where(t < 4.5, 2.0 * t, 9.0) * (t > 0)
     np.testing.assert_allclose(
@@ -288,7 +288,7 @@ def test_stall_latch_stays_short_until_the_opposite_command():
 
 
 def test_speed_limits_arrive_and_stop_at_their_accuracy():
-    """20 deg/s to 3 deg before the goal, tau until 4 deg/s, straight from there to the accuracy."""
+    """20 deg/s until 3 deg before the goal, the lag until 4 deg/s, constant speed from there to the accuracy."""
     law = {"slowest": 4.0, "full": 20.0, "threshold": 3.0, "accuracy": 0.25}
     beta = run("pitch_speed_limits", law, held((0, 0.04), (9, 3)), base={"tau_beta_1": 0.001})[2]
     t = np.arange(len(beta)) * STEP - 0.04 - 0.001
@@ -354,7 +354,7 @@ def test_limits_cut_the_command_or_what_is_reached(name, values, u, low, high):
     shown = run(name, values | {"form": 2.0}, inputs)[column]
     free = steps_through(t, at, levels, lambda t: two_lags(t, inner, outer))
     np.testing.assert_allclose(shown[t < at[2]], np.clip(free, low, high)[t < at[2]], rtol=0, atol=1e-8 * max(map(abs, levels)))
-    # The outer lag leaves the limit when the inner one, which knows none, comes back below it.
+    # The outer lag leaves the limit when the inner one, which is not limited, returns below it.
     _, first, last = levels
     leaves = at[2] + inner * np.log((first - last) / (high - last))
     after = t > leaves
@@ -392,7 +392,7 @@ def settled(name, values, omega, beta, **inputs):
 
 @pytest.mark.parametrize("beta", [-5.0, 2.0, 10.0])
 @pytest.mark.parametrize("omega", [2500.0, 5800.0])
-def test_sag_is_a_falling_limit_or_a_droop(omega, beta):
+def test_supply_sag_is_a_limit_or_a_droop_of_the_speed(omega, beta):
     limited = settled("supply_sag", {"limit": 6000.0, "sag": 60.0}, omega, beta)[1]
     assert limited == pytest.approx(min(omega, 6000.0 - 60.0 * (beta + 5.0)), rel=1e-12)
     drooped = settled("supply_sag", {"sag": 60.0, "form": 2.0}, omega, beta)[1]
@@ -411,7 +411,7 @@ def test_sag_follows_the_pitch_through_the_rotors_lags():
 
 
 def test_droop_answers_through_the_rotors_lags():
-    """Two lags towards what the load leaves of the command, integrated by another solver."""
+    """Two lags towards the command minus the droop, integrated by another solver."""
     ref, sag, lift = 5500.0, 80.0, 12.0
     inputs = {"omega_ref": np.r_[3000.0, np.full(749, ref)], "beta_ref": np.full(750, lift - 5.0)}
     omega = run("supply_sag", {"sag": sag, "form": 2.0}, inputs)[1]

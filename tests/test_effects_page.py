@@ -1,4 +1,4 @@
-"""`vpp effects`: a page of theory that is made from the declarations."""
+"""`vpp effects`: a page of theory, generated from the declarations."""
 
 import re
 from pathlib import Path
@@ -14,9 +14,9 @@ OPTIONAL = [e for e in LIBRARY if e.off is not None]
 OWN = Path(__file__).with_name("own_effect.py")
 
 
-def test_every_effect_is_listed(capsys):
-    assert main(["effects", "--effects-from", str(OWN)]) == 0
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [*(e.name for e in OPTIONAL), "cell_lag"]
+def test_every_effect_is_listed(printed):
+    listed = [line.split()[0] for line in printed("effects", "--effects-from", OWN).splitlines()]
+    assert listed == [*(e.name for e in OPTIONAL), "cell_lag"]
 
 
 def test_every_effect_has_its_equation_its_bounds_and_its_response():
@@ -33,7 +33,7 @@ def test_every_effect_has_its_equation_its_bounds_and_its_response():
 
 
 def test_every_effect_is_visible_in_its_picture():
-    """Also one that needs a low supply, one that is slow, and one that is small beside any move."""
+    """Also an effect that needs a low supply, a slow one, and one that is small beside any move."""
     names = "supply_sag", "supply_voltage", "thrust_gain_drift", "speed_command_resolution", "row_clock"
     page = effects_page([e for e in OPTIONAL if e.name in names], LIBRARY)
     assert len(page.figures) == len(names)
@@ -47,7 +47,7 @@ def test_every_effect_of_the_library_says_what_it_is():
         assert theory(effect).strip(), effect.name
 
 
-def test_the_page_is_written(tmp_path, capsys, monkeypatch):
+def test_the_page_is_written(tmp_path, monkeypatch):
     monkeypatch.setattr(
         "vpp_fmu.app.cli.effects.library_with", lambda paths: tuple(e for e in LIBRARY if e.off is None or e is OPTIONAL[3])
     )

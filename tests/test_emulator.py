@@ -1,4 +1,4 @@
-"""The studies' emulator of rigs against closed forms, and what the studies make of its cases."""
+"""The studies' emulator of rigs against closed forms, and the studies' handling of cases."""
 
 import json
 from dataclasses import replace
@@ -48,7 +48,7 @@ def test_lags_answer_a_step_as_two_lags_do():
 
 
 OWN_TIME = {"fade", "drift", "discharge"}
-"""What goes on in its own time, whatever the rig's."""
+"""Settings of processes whose time scale is not the rig's."""
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_speed_is_held_until_the_next_pulse_and_never_ahead_of_it():
     assert found.shown[-1] == pytest.approx(480.0, abs=1.0)
 
 
-def test_a_late_reading_is_the_same_later():
+def test_a_late_reading_is_the_same_signal_delayed():
     w, b = commands(command_sequences.Clock(0.004, 1.0))
     now, later = (run(PAPER | own, PLAIN, w, b) for own in ({}, {"reading_delay": 0.04, "speed_late": 0.02}))
     assert later.load[10:] == pytest.approx(now.load[:-10], abs=1e-12)
@@ -90,7 +90,7 @@ def test_a_late_reading_is_the_same_later():
 
 
 @pytest.mark.parametrize("kind", [*NOISES, "1/f"])
-def test_noise_has_the_power_it_says(kind):
+def test_noise_has_its_declared_power_spectrum(kind):
     noise, rows = Noise(kind, 0.13, 0.004, 1.0, 0.003), 2**17
     # A force that wanders over many counts: else one of a coarse converter's counts would always be the same.
     force = np.cumsum(0.01 * np.random.default_rng(1).standard_normal(rows))
@@ -115,7 +115,7 @@ def test_noise_has_the_power_it_says(kind):
     assert slowest.mean() == pytest.approx(1.0, abs=0.25)
 
 
-def test_cases_are_drawn_by_factors_that_do_not_touch_each_other():
+def test_factors_of_a_case_are_drawn_independently():
     free, fixed = draw(5, "single"), draw(5, "single", size="big", noise="spikes")
     assert {n for n, v in vars(free.factors).items() if v != vars(fixed.factors)[n]} <= {"size", "noise"}
     assert fixed.factors.size == "big"
@@ -144,7 +144,7 @@ def test_strength_goes_from_least_to_full_size():
     assert full.truth() == {"pitch_backlash.half_gap": pytest.approx(0.06 * full.rig.size.span)}
 
 
-def test_a_campaign_is_what_its_factors_say_in_memory_and_as_a_folder(tmp_path):
+def test_a_campaign_has_its_factors_in_memory_and_as_a_folder(tmp_path):
     for flags in ((True, False, True, False), (False, True, False, True)):
         files = Files(15.0, *flags)
         rig = Rig(random_base(np.random.default_rng(0), 0.3), SIZES["micro"], 100.0)
@@ -164,7 +164,7 @@ def test_a_campaign_is_what_its_factors_say_in_memory_and_as_a_folder(tmp_path):
         assert {n: getattr(again.rig.scales, n) for n in rig.size.scales} == rig.size.scales
 
 
-def test_evidence_is_none_without_an_effect_and_the_sum_over_records_with_one():
+def test_evidence_is_zero_without_an_effect_and_adds_up_over_records():
     rig = Rig(dict(PAPER), rate=100.0)
     told = rig.size.commands(*commands(rig.clock))
     assert evidence(rig, PAPER, *told) == pytest.approx(0.0, abs=1e-6)
@@ -214,7 +214,7 @@ ROW |= {"equal": {}, "evidence": 100.0, "behind": 7.0, "true_error": [0.2, 0.02]
     ("change", "said"),
     [
         ({}, {"hit"}),
-        ({"effects": ["pitch_backlash", "rotor_vibration"]}, {"hit"}),  # it is there, on every rig
+        ({"effects": ["pitch_backlash", "rotor_vibration"]}, {"hit"}),  # it is present on every rig
         ({"effects": ["pitch_backlash", "map_terms"]}, {"wrong"}),
         ({"effects": ["map_terms"]}, {"wrong"}),
         ({"effects": ["map_terms"], "family": {"map_terms": ["pitch_backlash"]}}, {"hit"}),
@@ -257,7 +257,7 @@ def done(case, **change):
     return case.summary() | more | change
 
 
-def test_a_study_goes_on_where_it_was(tmp_path, monkeypatch, capsys):
+def test_an_interrupted_study_continues(tmp_path, monkeypatch, capsys):
     asked = []
 
     def rows(cases, *options):
@@ -278,7 +278,7 @@ def test_a_study_goes_on_where_it_was(tmp_path, monkeypatch, capsys):
     assert "7" in capsys.readouterr().out.split("all ", 1)[1][:20] or len(path.read_text().splitlines()) == 7
 
 
-def test_tables_tell_what_came_out_by_factor():
+def test_tables_count_outcomes_by_factor():
     rows = [
         done(draw(seed, "none", repeat=bool(seed % 2), size="big"), verdict="unexplained" if seed < 3 else "none")
         for seed in range(20)
@@ -301,7 +301,7 @@ def test_p_values_of_lack_of_fit_are_compared_with_uniform_ones():
     assert "0.3 to 0.4 ##### 5" in text
 
 
-def test_work_apart_gives_its_result_or_why_not():
+def test_work_in_another_process_returns_its_result_or_its_error():
     assert apart(json.loads, "[1, 2]") == [1, 2]
     with pytest.raises(Failed, match="ValueError"):
         apart(int, "x")
@@ -321,7 +321,7 @@ def test_every_effect_that_is_hidden_changes_what_is_measured():
         assert moved > 1e-3, hidden.name
 
 
-def test_a_case_is_told_by_its_name_and_seed():
+def test_a_case_is_defined_by_its_name_and_seed():
     case = draw(12, "single", hidden=("pitch_backlash",))
     assert case.name == "single pitch_backlash #12"
     assert case == Case("single", ("pitch_backlash",), 12)

@@ -1,4 +1,4 @@
-"""The study of energy: its reference is a bound, and one rig has what the study finds on many."""
+"""The study of energy: its reference is a lower bound, and one rig shows the result of the study."""
 
 import numpy as np
 import pytest

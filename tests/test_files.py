@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from builders import refusal
 
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder, read_table, read_text
@@ -17,7 +18,7 @@ NOBODY = 65534
 
 @contextlib.contextmanager
 def without_privileges():
-    """Root may write anywhere: be someone else meanwhile."""
+    """Root may write anywhere: become another user meanwhile."""
     if not hasattr(os, "geteuid"):
         pytest.skip("no users to change to on this system")
     before = os.geteuid()
@@ -31,7 +32,7 @@ def without_privileges():
 
 @pytest.fixture
 def locked():
-    """A folder that no ordinary user can write to, outside pytest's own, which others can't enter."""
+    """A folder that no ordinary user can write to, outside pytest's own folder, which other users can't enter."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         folder.chmod(0o555)
@@ -100,7 +101,7 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, monkeypatch, failure, wh
         assert "no space left on device" in str(error.value)
 
 
-def test_a_folder_in_the_file_s_place(tmp_path):
+def test_a_folder_in_the_place_of_an_output_file_is_refused(tmp_path):
     (tmp_path / "run.csv").mkdir()
     with pytest.raises(BadInput, match=r"run\.csv: output file: found not writable"):
         OutputFolder(tmp_path).write("run.csv", "x")
@@ -108,30 +109,15 @@ def test_a_folder_in_the_file_s_place(tmp_path):
 
 
 @pytest.mark.parametrize(("below", "found"), [("", "a file"), ("out", "not writable"), ("out/deeper", "not writable")])
-def test_output_folder_on_or_below_a_file(tmp_path, below, found):
+def test_an_output_folder_on_or_below_a_file_is_refused(tmp_path, below, found):
     (tmp_path / "taken").write_text("")
     path = tmp_path / "taken" / below
-    with pytest.raises(BadInput) as error:
-        OutputFolder(path)
-    assert str(error.value).startswith(f"{path}: output folder: found {found}")
-    assert str(error.value).endswith("expected a folder that can be written")
-    assert "\n" not in str(error.value)
+    said = refusal(OutputFolder, path)
+    assert said.startswith(f"{path}: output folder: found {found}")
+    assert said.endswith("expected a folder that can be written")
 
 
-@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no /proc on this system")
-@pytest.mark.parametrize("path", ["/proc", "/proc/vpp"])
-def test_output_folder_where_even_root_can_not_write(path):
-    with pytest.raises(BadInput, match="output folder: found not writable"):
-        OutputFolder(path)
-
-
-@pytest.mark.parametrize("below", ["", "new"])
-def test_output_folder_without_permission(locked, below):
-    with without_privileges(), pytest.raises(BadInput, match=r"output folder: found not writable \(permission denied\)"):
-        OutputFolder(locked / below)
-
-
-def test_a_folder_that_gets_locked_later(locked):
+def test_a_folder_that_is_locked_later_is_refused(locked):
     locked.chmod(0o777)
     folder = OutputFolder(locked)
     locked.chmod(0o555)
@@ -165,20 +151,7 @@ def test_read_text_says_what_is_wrong(tmp_path, name, data, message):
     path = tmp_path / name
     if data is not None:
         path.write_bytes(data)
-    with pytest.raises(BadInput) as error:
-        read_text(path)
-    assert str(error.value).startswith(f"{path}: {message}")
-    assert "\n" not in str(error.value)
-
-
-def test_read_text_without_permission(locked):
-    path = locked / "a.csv"
-    locked.chmod(0o755)
-    path.write_text("time\n0\n")
-    path.chmod(0o000)
-    with without_privileges(), pytest.raises(BadInput, match=r"file: found not readable \(permission denied\)"):
-        read_text(path)
-    path.chmod(0o644)
+    assert refusal(read_text, path).startswith(f"{path}: {message}")
 
 
 def test_table_of_numbers(tmp_path):
@@ -192,7 +165,7 @@ def test_table_of_numbers(tmp_path):
     assert table.source == str(tmp_path / "a.csv")
 
 
-def test_table_of_anything_keeps_what_it_finds(tmp_path):
+def test_a_table_with_text_keeps_the_text(tmp_path):
     (tmp_path / "a.csv").write_text('x,"the, note",gap\n1,"a, b",\n\n2,"say ""so""",7\n')
     table = read_table(tmp_path / "a.csv")
     np.testing.assert_array_equal(table.columns["x"], [1.0, 2.0])
@@ -234,10 +207,7 @@ def test_both_ways_of_reading_agree(tmp_path):
 def test_read_table_says_what_is_wrong(tmp_path, text, message):
     path = tmp_path / "a.csv"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(BadInput) as error:
-        read_table(path)
-    assert str(error.value).startswith(f"{path}: {message}")
-    assert "\n" not in str(error.value)
+    assert refusal(read_table, path).startswith(f"{path}: {message}")
 
 
 def test_bad_input_in_a_worker_process_arrives_as_what_it_is():

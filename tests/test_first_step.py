@@ -1,4 +1,4 @@
-"""FMUs that end or hang their process are refused in one line: they are tried in another one first."""
+"""FMUs that end or hang their process are refused in one line, because another process tries them first."""
 
 import zipfile
 
@@ -19,7 +19,7 @@ ENDS = {
 
 @pytest.fixture
 def changed(fmu_files, tmp_path):
-    """Makes the controller's FMU with more lines at the end of its module."""
+    """Makes the controller's FMU with lines added at the end of its module."""
 
     def make(lines):
         path = tmp_path / "changed.fmu"
@@ -61,6 +61,6 @@ def test_an_fmu_that_hangs_is_refused(changed, monkeypatch):
         FmuController(changed("while True: pass"))
 
 
-def test_what_the_fmu_prints_or_where_this_runs_is_no_failure(changed, tmp_path, monkeypatch):
+def test_output_of_an_fmu_and_the_current_folder_are_no_failure(changed, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     FmuController(changed("print('it was loaded'); os.write(1, b'x' * 100_000)")).close()

@@ -1,4 +1,4 @@
-"""Several campaigns diagnosed at once: each as if it were alone, one table of all, whoever computes it."""
+"""Several campaigns diagnosed at once: results equal those of single diagnoses, on any kind of worker, in one table."""
 
 import csv
 import json
@@ -22,7 +22,7 @@ SHORT = {"size": "paper", "rate": 100, "noise": "white", "level": 1.0, "strength
 
 @pytest.fixture(scope="module")
 def campaigns(tmp_path_factory):
-    """Folders of campaigns: one with a dead band, one that hides nothing, one that is empty."""
+    """Folders of campaigns: one with a dead band, one without a hidden effect, one empty."""
     folder = tmp_path_factory.mktemp("fleet")
     for name, kind, hidden in (("2026-03-01", "single", ("pitch_command_deadband",)), ("2026-03-08", "none", None)):
         case = draw(11, kind, hidden=hidden, **SHORT)
@@ -33,7 +33,7 @@ def campaigns(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def fleet(campaigns, tmp_path_factory):
-    """What two processes write of them."""
+    """Files of a diagnosis of them in two processes."""
     out = tmp_path_factory.mktemp("out") / "out"
     assert main(["diagnose", *campaigns, *FEW, "--workers", "2", "-o", str(out)]) == 2  # one is refused
     return out
@@ -43,7 +43,7 @@ def table(out) -> list[dict]:
     return list(csv.DictReader((out / "fleet.csv").read_text().splitlines()))
 
 
-def test_each_line_is_what_the_campaigns_own_files_say(fleet):
+def test_each_row_of_the_table_agrees_with_the_files_of_its_campaign(fleet):
     first, second, empty = table(fleet)
     assert [r["verdict"] for r in (first, second, empty)] == ["attributed", "none", "refused"]
     assert [r["date"] for r in (first, second, empty)] == ["2026-03-01", "2026-03-08", ""]
@@ -76,7 +76,7 @@ def test_a_dask_cluster_writes_the_same_table(fleet, campaigns, tmp_path):
     assert (tmp_path / "fleet.csv").read_bytes() == (fleet / "fleet.csv").read_bytes()
 
 
-def test_a_fault_of_ours_in_one_campaign_does_not_cost_the_others(campaigns, tmp_path, monkeypatch, capsys):
+def test_an_internal_error_in_one_campaign_does_not_stop_the_others(campaigns, tmp_path, monkeypatch, capsys):
     kept = command.diagnose
 
     def breaks(campaign, **asked):
@@ -93,12 +93,12 @@ def test_a_fault_of_ours_in_one_campaign_does_not_cost_the_others(campaigns, tmp
 
 
 def threads(_) -> int:
-    """Of BLAS, at most."""
+    """Largest number of threads of a BLAS library."""
     return max(library["num_threads"] for library in threadpool_info())
 
 
-def test_work_has_one_thread_of_blas_whoever_does_it():
-    """On two its sums round otherwise than on a Dask worker, which has one."""
+def test_every_worker_has_one_thread_of_blas():
+    """With two threads sums round otherwise than on a Dask worker, which has one."""
     with threadpool_limits(2):
         assert threads(None) == 2
         assert spread(threads, [None]) == [1]
@@ -112,7 +112,7 @@ def test_the_table_is_also_parquet(fleet):
     assert packed["error_before_N"][2] is None
 
 
-def test_folders_of_one_name_are_told_apart(tmp_path, capsys):
+def test_folders_of_the_same_name_get_different_names(tmp_path, capsys):
     for parent in ("a", "b"):
         (tmp_path / parent / "monday").mkdir(parents=True)
     words = [str(tmp_path / parent / "monday") for parent in ("a", "b")]
@@ -129,9 +129,8 @@ def test_folders_of_one_name_are_told_apart(tmp_path, capsys):
         (["a", "b", "--effects", "magic"], "--effects: found magic"),
     ],
 )
-def test_options_that_do_not_fit_are_refused(words, said, tmp_path, capsys):
-    assert main(["diagnose", *words, "-o", str(tmp_path / "out")]) == 2
-    assert said in capsys.readouterr().err
+def test_options_that_do_not_suit_the_number_of_campaigns_are_refused(words, said, tmp_path, refused):
+    assert said in refused("diagnose", *words, "-o", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -145,11 +144,11 @@ def test_options_that_do_not_fit_are_refused(words, said, tmp_path, capsys):
         ("monday", ""),
     ],
 )
-def test_a_date_in_the_folders_name_counts(name, date, tmp_path):
+def test_the_date_is_read_from_the_name_of_the_folder(name, date, tmp_path):
     assert measured_on(tmp_path / name) == date
 
 
-def test_the_date_of_a_campaign_that_hil_measured_goes_first(tmp_path):
+def test_the_date_in_hil_json_overrides_the_name_of_the_folder(tmp_path):
     folder = tmp_path / "2026-03-01"
     folder.mkdir()
     (folder / "hil.json").write_text(json.dumps({"begun": "2026-04-02T08:00:00+00:00"}))
@@ -172,7 +171,7 @@ def test_the_rig_with_less_thrust_is_named_and_leads_to_its_report():
     assert alike.summary.startswith("No parameter differs between the campaigns by more than its uncertainty.")
 
 
-def test_sizes_stand_over_their_dates_with_their_intervals():
+def test_sizes_are_drawn_over_their_dates_with_intervals():
     def measured(day, value):
         sizes = {"sensor_drift.rate": (value, 0.1, "N/s")}
         return Entry(f"day {day}", f"day {day}", f"2026-03-{day:02d}", "attributed", ("sensor_drift",), 0.3, 0.2, 0.1, sizes)

@@ -1,4 +1,4 @@
-"""The fuzz study (python -m tests.studies fuzz), short: verbs that take little time, other seeds than the study's own."""
+"""The fuzz study (python -m tests.studies fuzz) in short: quick verbs, and other seeds than those of the study."""
 
 import os
 import random
@@ -25,30 +25,30 @@ def test_no_damaged_file_ends_in_anything_but_0_or_2(found):
     assert [line for line in fuzz.shown(found) if line.startswith(fuzz.FAULTS)] == []
 
 
-def test_good_files_are_no_reason_to_refuse(tmp_path):
+def test_undamaged_files_are_accepted(tmp_path):
     good = fuzz.made_apart(tmp_path, QUICK)
     assert [each for each in fuzz.undamaged(QUICK, good, tmp_path) if each[1]] == []
 
 
 def test_every_verb_that_takes_a_file_of_the_user_s_is_in_the_study():
-    """The others take none, or make their own."""
+    """The other verbs take no file or make their own."""
     assert set(VERBS) - set(fuzz.COMMANDS) == {"demo", "paper", "cache", "completion"}
 
 
-def test_the_damage_is_told_from_no_damage(found):
-    """Most damaged files are refused, and some are not: a study of good files alone, or of nothing but noise, shows little."""
+def test_most_damaged_files_are_refused_and_some_are_not(found):
+    """A study of undamaged files alone, or of noise alone, would show little."""
     refused = sum(case.code == 2 for case in found)
     assert RUNS // 3 <= refused < RUNS
 
 
-def test_a_seed_is_a_case():
+def test_a_seed_defines_its_case():
     data = b"time,thrust\n" + b"".join(b"%d,%d\n" % (k, 2 * k) for k in range(20))
     for seed in range(50):
         assert fuzz.table(random.Random(seed), data) == fuzz.table(random.Random(seed), data)
 
 
-def test_faults_are_seen(tmp_path):
-    """What the study looks for, each made on purpose."""
+def test_every_kind_of_fault_is_detected(tmp_path):
+    """Each fault is made on purpose."""
     out = tmp_path / "out"
     out.mkdir()
     (out / "a.json").write_text('{"x": NaN}')

@@ -1,4 +1,4 @@
-"""Hosts that are no Python, and checkers: what each needs, and what is said where it is not there."""
+"""Hosts that are not Python, and FMU checkers: their requirements, and the message if these are missing."""
 
 import sys
 
@@ -24,7 +24,7 @@ def host(tmp_path_factory):
 
 @pytest.mark.parametrize("name", ["plain", "controller"])
 def test_the_readmes_three_lines_bring_python_into_a_host_in_c(host, name, tmp_path):
-    """Without them the Python FMU can't be loaded; with them it gives the native one's numbers to the last bit."""
+    """Without these lines the Python FMU can't be loaded; with them it gives the native FMU's numbers to the last bit."""
     shown = {}
     for flavour, content in (("python", python_fmu(*MODELS[name])), ("native", native(name))):
         (tmp_path / f"{flavour}.fmu").write_bytes(content)
@@ -54,8 +54,8 @@ def test_the_export_points_hosts_without_python_to_the_native_flavour(flavour, p
     assert ("--flavour native" in said) == points
 
 
-def test_a_checker_is_found_by_its_variable_or_named_as_not_run(tmp_path, monkeypatch):
-    """Its exit code and last line, or those of its verdict, are shown for the versions of FMI that it knows."""
+def test_a_checker_is_found_by_its_environment_variable_or_reported_as_not_run(tmp_path, monkeypatch):
+    """The row shows its exit code and its last line or verdict, for the versions of FMI that it supports."""
     monkeypatch.setenv("PATH", "/usr/bin:/bin")
     monkeypatch.setattr("sys.executable", "/usr/bin/python3")
     for checker in hosts.CHECKERS:

@@ -1,4 +1,4 @@
-"""A campaign from its files to parameters: what is fitted, what is only predicted, what is said."""
+"""From the files of a campaign to parameters: the records that are fitted, those that are only predicted, and the output."""
 
 import json
 from dataclasses import replace
@@ -52,7 +52,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def found(folder):
-    """The campaign as it stands, identified."""
+    """The unchanged campaign, identified."""
     return identify(read_campaign(folder), starts=2)
 
 
@@ -78,7 +78,7 @@ def test_records_of_a_campaign_are_fitted_together_and_the_other_only_predicted(
     assert found.noise.source == REPEATS
 
 
-def test_the_band_holds_what_it_says_on_unseen_data(found):
+def test_the_prediction_band_has_its_coverage_on_the_validation_record(found):
     # Six thousand white readings: their share is known to 0.3 %.
     assert found.coverage["validation"] == pytest.approx(0.95, abs=0.01)
 
@@ -128,20 +128,17 @@ def test_command_fits_further_records_and_says_what_it_did(folder, tmp_path, cap
 
 
 @pytest.mark.parametrize(("text", "says"), [(None, "no such file"), ("time,omega_ref,beta_ref\n0,1,1\n", "column thrust")])
-def test_a_further_record_that_is_none_is_one_line(folder, tmp_path, capsys, text, says):
+def test_a_further_record_that_cannot_be_read_is_refused_in_one_line(folder, tmp_path, refused, text, says):
     path = tmp_path / "further.csv"
     if text is not None:
         path.write_text(text)
-    capsys.readouterr()
-    assert main(["identify", str(folder), "--record", str(path), "-o", str(tmp_path)]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
-    assert str(path) in told
-    assert says in told
+    said = refused("identify", folder, "--record", path, "-o", tmp_path)
+    assert str(path) in said
+    assert says in said
     assert not (tmp_path / "parameters.json").exists()
 
 
-def test_what_was_left_out_names_its_record(folder):
+def test_findings_name_the_record_of_the_rows_left_out(folder):
     campaign = read_campaign(folder)
     clipped = campaign.repeat.with_columns(thrust=np.minimum(campaign.repeat["thrust"], 9.0))
     found = identify(replace(campaign, repeat=clipped), starts=1)
@@ -150,9 +147,9 @@ def test_what_was_left_out_names_its_record(folder):
 
 
 @pytest.mark.parametrize(("rate", "speed"), [(100.0, 15000.0), (250.0, 4000.0), (1000.0, 3000.0)])
-def test_a_tachometer_is_as_late_as_its_mark(rate, speed):
-    """A rotor that speeds up evenly, its turns counted exactly: the mean over the last whole turn before each row, on average
-    neither ahead of nor behind what is compared with it, whether a row holds many turns or a turn many rows."""
+def test_the_model_of_the_tachometer_has_the_delay_of_its_mark(rate, speed):
+    """A rotor with constant acceleration and exact turns: each reading is the mean over the last whole turn. On average the
+    model is neither early nor late, with many turns in a row or many rows in a turn."""
     time, gain = np.arange(0.0, 4.0, 1.0 / rate), 0.2 * speed
     turns = (speed * time + 0.5 * gain * time**2) / 60.0
     whole = np.floor(turns + 0.37)
@@ -166,8 +163,8 @@ def test_a_tachometer_is_as_late_as_its_mark(rate, speed):
     assert abs(np.mean(ahead[5:])) < 0.1 * gain * (60.0 / speed)
 
 
-def test_a_lag_on_its_bound_tells_no_time():
-    """What a saturated rotor bends onto 30 s is no time scale for a plan, for blocks of noise, for bounds."""
+def test_a_lag_on_its_bound_is_not_used_as_a_time_scale():
+    """A lag of 30 s that a saturated rotor causes is no time scale for plans, noise blocks or bounds."""
     start = BASE.values()
     longest = next(p.maximum for p in BASE.parameters if p.name == "tau_omega_1")
     bent = {**start, "tau_omega_1": longest, "tau_beta_1": 1.1 * start["tau_beta_1"]}
@@ -177,8 +174,8 @@ def test_a_lag_on_its_bound_tells_no_time():
 
 
 @pytest.mark.parametrize(("told", "other"), [((), 7.1), (("beta",), 0.2)])
-def test_nor_does_the_other_lag_of_its_channel_where_steps_have_told_it(told, other):
-    """An actuator that latches half way looks like one lag of 7 s and one of none."""
+def test_the_other_lag_of_the_channel_is_replaced_if_steps_have_identified_it(told, other):
+    """An actuator that latches half way looks like a lag of 7 s beside a negligible one."""
     start = {**BASE.values(), "tau_beta_1": 0.2, "tau_beta_2": 0.1}
     shortest = next(p.minimum for p in BASE.parameters if p.name == "tau_beta_2")
     steps = StepSummary((), (), {u: SimpleNamespace(slow=0.2, fast=0.1) for u in told}, {})

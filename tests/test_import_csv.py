@@ -1,4 +1,4 @@
-"""Somebody's log into its place in a campaign: mapping, units, clock, commands, what is said, what is never overwritten."""
+"""Import of foreign logs into a campaign: mapping, units, clock, commands, messages, and protection of existing files."""
 
 import csv
 import json
@@ -25,14 +25,15 @@ from vpp_fmu.record import Record, read_record
 
 
 @pytest.fixture
-def vpp(capsys):
-    """Runs the command line: exit code, output, errors."""
+def vpp(printed):
+    """Import a log, which must succeed, and return the output."""
+    return lambda *words: printed("import", "csv", *words)
 
-    def run(*words):
-        code = main(["import", "csv", *map(str, words)])
-        return code, *capsys.readouterr()
 
-    return run
+@pytest.fixture
+def refused(refused):
+    """Import a log, which must be refused, and return the line."""
+    return lambda *words: refused("import", "csv", *words)
 
 
 def table(path, columns, delimiter=","):
@@ -46,7 +47,7 @@ def table(path, columns, delimiter=","):
 
 
 def lagged(commands, step, lag):
-    """(n,) a held command behind one lag, exactly: what is measured in a row is before the row's command acts."""
+    """(n,) a held command behind one lag, exactly: a row is measured before its command acts."""
     kept, out = np.exp(-step / lag), np.empty(len(commands))
     out[0] = commands[0]
     for k in range(1, len(commands)):
@@ -55,7 +56,7 @@ def lagged(commands, step, lag):
 
 
 def stand(rows=6000, step=0.01, hold=1.5, lag=0.12, seed=5):
-    """A thrust stand of fixed pitch: signal [us], speed [rpm] by a parabola behind one lag, thrust [gf]."""
+    """A thrust stand of fixed pitch: signal [us], speed [rpm] from a parabola and one lag, thrust [gf]."""
     rng = np.random.default_rng(seed)
     time = np.round(step * np.arange(rows), 6)
     signal = np.repeat(rng.integers(1150, 1900, rows), round(hold / step))[:rows].astype(float)
@@ -70,25 +71,13 @@ def stand(rows=6000, step=0.01, hold=1.5, lag=0.12, seed=5):
 @pytest.mark.parametrize(
     ("quantity", "unit", "factor"),
     [
-        ("thrust", "gf", 9.80665e-3),
         ("thrust", "g", 9.80665e-3),
-        ("thrust", "kg", 9.80665),
-        ("thrust", "lbf", 4.4482216152605),
-        ("thrust", "ozf", 4.4482216152605 / 16),
-        ("thrust", "-1 N", -1.0),
         ("thrust", "0.0123 N", 0.0123),
-        ("omega", "rad/s", 30.0 / np.pi),
-        ("omega", "Hz", 60.0),
-        ("omega", "1/min", 1.0),
-        ("omega", "U/min", 1.0),
         ("omega", "RPM", 1.0),
         ("omega", "deg/s", 1.0 / 6.0),
         ("omega", "erpm/7", 1.0 / 7.0),
         ("time", "MS", 1e-3),
         ("time", "4 ms", 4e-3),
-        ("beta", "rad", 180.0 / np.pi),
-        ("beta", "°", 1.0),
-        ("voltage", "mV", 1e-3),
         ("torque", "Nm", 1.0),
         ("torque", "N.cm", 0.01),
         ("torque", "mNm", 1e-3),
@@ -102,6 +91,15 @@ def stand(rows=6000, step=0.01, hold=1.5, lag=0.12, seed=5):
         ("samples", "1", 1.0),
         ("run", " - ", 1.0),
         ("ct", "", 1.0),
+        ("beta", "Grad", 1.0),
+        ("beta_ref", "grad", 1.0),
+        ("beta", "-1 grados", -1.0),
+        ("omega", "tr/min", 1.0),
+        ("omega", "UPM", 1.0),
+        ("thrust", "gr", 9.80665e-3),
+        ("current", "Amps", 1.0),
+        ("torque", "N-m", 1.0),
+        ("torque", "oz-in", 28.349523125e-3 * 9.80665 * 25.4e-3),  # an ounce is 28.349523125 g, an inch 25.4 mm
     ],
 )
 def test_units_by_their_definitions(quantity, unit, factor):
@@ -111,11 +109,9 @@ def test_units_by_their_definitions(quantity, unit, factor):
 @pytest.mark.parametrize(
     ("quantity", "unit"),
     [
-        ("thrust", "rpm"),
         ("thrust", ""),
         ("omega", "1"),
         ("beta", ""),
-        ("time", "bananas"),
         ("omega", "N"),
         ("omega", "erpm"),
         ("omega", "erpm/0"),
@@ -128,7 +124,7 @@ def test_a_unit_of_something_else_is_none(quantity, unit):
     assert factor_of(QUANTITIES[quantity], unit) is None
 
 
-def test_whatever_stands_for_a_unit_is_one_or_none():
+def test_random_text_is_a_unit_or_none():
     rng = np.random.default_rng(1)
     alphabet = list("NgfrpmsVA19.-+*/^()[]{}%°µ² _\\'\",;:#!=<>~?&|\t\x00é")
     for length in rng.integers(1, 9, 3000):
@@ -166,7 +162,7 @@ def test_a_header_is_a_name_and_a_unit(header, parts):
         ("n/a", ".", ""),
     ],
 )
-def test_cells_as_they_are_written_elsewhere(cell, decimal, number):
+def test_numbers_in_foreign_notation_are_read(cell, decimal, number):
     assert plain(cell, decimal) == number
 
 
@@ -178,7 +174,7 @@ def sheet(**columns):
     return RawTable("log.csv", arrays, np.arange(2, 2 + len(next(iter(arrays.values())))))
 
 
-def test_of_two_rows_at_odds_both_are_put_between_their_neighbours():
+def test_rows_out_of_order_are_interpolated_between_their_neighbours():
     fixed, count, furthest = mended(np.array([0.0, 1.0, 2.0, 1.9, 4.0, 5.0]))
     np.testing.assert_allclose(fixed, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
     assert (count, furthest) == (1, pytest.approx(0.1))
@@ -186,7 +182,7 @@ def test_of_two_rows_at_odds_both_are_put_between_their_neighbours():
         assert np.all(np.diff(mended(np.array(end))[0]) > 0.0)
 
 
-def test_a_clock_that_stands_is_refused_and_a_clock_that_jumps_is_named():
+def test_a_clock_that_jumps_back_is_refused_or_starts_a_new_run():
     with pytest.raises(BadInput, match=r"t, line 5: found 1\.0 after 3\.0, back by 2 s"):
         read_clock(sheet(t=[1.0, 2.0, 3.0, 1.0, 2.0]), "t", "s")
     runs = read_clock(sheet(t=[1.0, 2.0, 3.0, 1.0, 2.0]), "t", "s", runs=True)
@@ -194,7 +190,7 @@ def test_a_clock_that_stands_is_refused_and_a_clock_that_jumps_is_named():
     np.testing.assert_array_equal(runs.restarts, [0, 3])
 
 
-def test_a_leap_over_february_and_a_day_that_must_be_first():
+def test_dates_cross_the_end_of_february_in_both_orders_of_day_and_month():
     clock = read_clock(sheet(t=["28.02.2023 23:59:59", "01.03.2023 00:00:01"]), "t", "iso")
     np.testing.assert_allclose(clock.time, [0.0, 2.0])
     clock = read_clock(sheet(t=["2/28/2023 23:59:59", "3/1/2023 00:00:01"]), "t", "iso")
@@ -212,22 +208,21 @@ def test_a_leap_over_february_and_a_day_that_must_be_first():
         ([0.0, 1.0], None),
     ],
 )
-def test_a_time_without_a_unit_is_told_by_its_size_where_only_one_will_do(values, unit):
+def test_the_unit_of_time_is_guessed_where_only_one_is_plausible(values, unit):
     assert guessed_unit(np.array(values)) == unit
 
 
 # The mapping
 
 
-def test_a_proposal_writes_nothing_and_what_it_saves_imports_the_same(tmp_path, vpp):
+def test_a_proposal_writes_nothing_and_what_it_saves_imports_the_same(tmp_path, vpp, refused):
     path = table(tmp_path / "log.csv", stand())
-    code, out, _ = vpp(path, "--propose", "-o", tmp_path / "out")
-    assert code == 0
+    out = vpp(path, "--propose", "-o", tmp_path / "out")
     assert "signal     <- ESC (us)" in out
     assert "sure" in out
     assert not (tmp_path / "out").exists()
-    assert vpp(path, "--propose", tmp_path / "mine.toml")[0] == 0
-    assert vpp(path, "--propose", tmp_path / "mine.toml")[0] == 2  # it is there
+    vpp(path, "--propose", tmp_path / "mine.toml")
+    refused(path, "--propose", tmp_path / "mine.toml")  # the file exists
     told = read_sections(tmp_path / "mine.toml")
     assert told["open_loop"]["columns"] == {
         "time": "Time (s):s",
@@ -235,10 +230,10 @@ def test_a_proposal_writes_nothing_and_what_it_saves_imports_the_same(tmp_path, 
         "thrust": "Thrust (gf):gf",
         "signal": "ESC (us):us",
     }
-    assert vpp(path, "--map", tmp_path / "mine.toml", "-o", tmp_path / "a")[0] == 0
-    assert vpp(path, "-o", tmp_path / "b")[0] == 0
+    vpp(path, "--map", tmp_path / "mine.toml", "-o", tmp_path / "a")
+    vpp(path, "-o", tmp_path / "b")
     assert (tmp_path / "a" / "open_loop.csv").read_bytes() == (tmp_path / "b" / "open_loop.csv").read_bytes()
-    assert vpp(path, "--map", tmp_path / "a" / "import.toml", "-o", tmp_path / "c", "--as", "validation")[0] == 0
+    vpp(path, "--map", tmp_path / "a" / "import.toml", "-o", tmp_path / "c", "--as", "validation")
     assert (tmp_path / "c" / "validation.csv").read_bytes() == (tmp_path / "b" / "open_loop.csv").read_bytes()
 
 
@@ -249,11 +244,11 @@ def test_a_proposal_writes_nothing_and_what_it_saves_imports_the_same(tmp_path, 
         ("Zeit (s)", "Soll (1/min)", "Ist (1/min)", "Kraft (N)"),
     ],
 )
-def test_names_that_say_little_are_told_by_their_units(tmp_path, vpp, names):
-    """A load cell is none of a battery; "target (rpm)" is a speed by its unit."""
+def test_columns_with_unclear_names_are_mapped_by_their_units(tmp_path, vpp, names):
+    """A "load cell" is no battery cell; a setpoint in rpm is a speed."""
     t = truth()
     path = table(tmp_path / "log.csv", dict(zip(names, (t[n] for n in ("time", "omega_ref", "omega", "thrust")), strict=True)))
-    assert vpp(path, "-o", tmp_path / "out")[0] == 0
+    vpp(path, "-o", tmp_path / "out")
     record = read_record(tmp_path / "out" / "open_loop.csv")
     for name in ("omega_ref", "omega", "thrust"):
         np.testing.assert_allclose(record[name], t[name], rtol=1e-8)
@@ -266,28 +261,27 @@ def test_names_that_say_little_are_told_by_their_units(tmp_path, vpp, names):
         {"time": "t_s", "omega_ref": "n_soll_rpm", "omega": "n_ist_rpm", "thrust": "force_n"},
     ],
 )
-def test_guessed_units_are_refused_with_the_words_that_would_do_and_accepted_by_yes(tmp_path, vpp, names):
-    """The n behind a force is no speed, and may be newton."""
+def test_guessed_units_need_the_option_yes(tmp_path, vpp, refused, names):
+    """The n in "force_n" is no speed; it may mean newton."""
     t = truth()
     path = table(tmp_path / "log.csv", {header: t[name] for name, header in names.items()})
-    code, _, err = vpp(path, "-o", tmp_path / "out")
-    assert (code, err.count("\n")) == (2, 1)
+    err = refused(path, "-o", tmp_path / "out")
     assert f"{names['thrust']} as thrust in N" in err
     assert "Try: --yes to take these units" in err
     words = err.split("--map ")[1].split()
     for folder, accept in (("a", ("--map", *words)), ("b", ("--yes",))):
-        assert vpp(path, *accept, "-o", tmp_path / folder)[0] == 0
+        vpp(path, *accept, "-o", tmp_path / folder)
         record = read_record(tmp_path / folder / "open_loop.csv")
         for name in names:
             np.testing.assert_allclose(record[name], t[name], rtol=1e-8)
 
 
-def test_units_that_an_end_of_a_name_can_only_mean_are_taken_without_asking(tmp_path, vpp):
+def test_an_unambiguous_unit_at_the_end_of_a_name_is_accepted(tmp_path, vpp):
     t = truth()
     names = {"time": "t_s", "omega_ref": "n_soll_rpm", "beta_ref": "pitch_cmd_deg", "omega": "esc_rpm", "thrust": "F_N"}
     path = table(tmp_path / "log.csv", {header: t[name] for name, header in names.items()} | {"ticks": t["time"]})
-    code, out, _ = vpp(path, "-o", tmp_path / "out")
-    assert (code, "not used: ticks\n" in out) == (0, True)
+    out = vpp(path, "-o", tmp_path / "out")
+    assert "not used: ticks\n" in out
     record = read_record(tmp_path / "out" / "open_loop.csv")
     for name in names:
         np.testing.assert_allclose(record[name], t[name], rtol=1e-8)
@@ -312,7 +306,7 @@ def test_units_that_an_end_of_a_name_can_only_mean_are_taken_without_asking(tmp_
         ("theta_cmd [deg]", "beta_ref"),
     ],
 )
-def test_what_an_esc_reports_is_no_signal_to_it_and_a_unit_may_tell_the_quantity(header, quantity):
+def test_a_column_is_mapped_to_its_quantity_by_name_and_unit(header, quantity):
     table = RawTable("log.csv", {header: np.linspace(1.0, 99.0, 50)}, np.arange(50))
     assert list(propose(table)) == [quantity]
 
@@ -336,33 +330,31 @@ def test_a_speed_named_omega_is_proposed_in_radians_per_second_unless_no_rotor_i
 
 
 @pytest.mark.parametrize("header", ["load cell (mV)", "loadcell_raw", "force counts"])
-def test_a_load_cell_without_a_force_asks_for_two_points(tmp_path, vpp, header):
+def test_a_load_cell_in_counts_needs_two_calibration_points(tmp_path, vpp, refused, header):
     t = truth()
     names = {"time": "t [s]", "omega_ref": "speed cmd [rpm]", "beta_ref": "pitch cmd [deg]"}
     raw = np.round(84213.0 - t["thrust"] / 0.0021)
     path = table(tmp_path / "log.csv", {h: t[n] for n, h in names.items()} | {header: raw})
     for words in ((), ("--yes",)):
-        code, _, err = vpp(path, *words, "-o", tmp_path / "out")
-        assert (code, err.count("\n")) == (2, 1)
+        err = refused(path, *words, "-o", tmp_path / "out")
         assert f"thrust: found {header}, thrust by its name, from {raw.min():g} to {raw.max():g}" in err
     points = err.split("--map 'thrust=")[1].split("'")[0].replace("@A=0,B=10", "@84213=0,79213=10.5")
-    assert vpp(path, "--map", f"thrust={points}", "-o", tmp_path / "out")[0] == 0
+    vpp(path, "--map", f"thrust={points}", "-o", tmp_path / "out")
     np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["thrust"], t["thrust"], atol=0.0011)
 
 
-def test_two_load_cells_of_one_rotor_are_added_or_stop_the_import(tmp_path, vpp):
+def test_two_load_cells_of_one_rotor_are_added_or_stop_the_import(tmp_path, vpp, refused):
     t = truth()
     names = {"time": "t [s]", "omega_ref": "speed cmd [rpm]", "beta_ref": "pitch cmd [deg]"}
     columns = {h: t[n] for n, h in names.items()} | {"F left [N]": 0.25 * t["thrust"], "F right [N]": 0.75 * t["thrust"]}
     path = table(tmp_path / "log.csv", columns)
-    code, _, err = vpp(path, "-o", tmp_path / "out")
-    assert (code, err.count("\n")) == (2, 1)
+    err = refused(path, "-o", tmp_path / "out")
     assert "F left [N], F right [N], and one speed, expected one thrust" in err
-    code, out, _ = vpp(path, "--map", "thrust=F left+F right", "-o", tmp_path / "out")
-    assert (code, "not used" in out) == (0, False)
+    out = vpp(path, "--map", "thrust=F left+F right", "-o", tmp_path / "out")
+    assert "not used" not in out
     np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["thrust"], t["thrust"], rtol=1e-8)
-    assert vpp(path, "--map", tmp_path / "out" / "import.toml", "-o", tmp_path / "again")[0] == 0
-    assert vpp(path, "--rotor", "left", "-o", tmp_path / "left")[0] == 0
+    vpp(path, "--map", tmp_path / "out" / "import.toml", "-o", tmp_path / "again")
+    vpp(path, "--rotor", "left", "-o", tmp_path / "left")
     np.testing.assert_allclose(read_record(tmp_path / "left" / "open_loop.csv")["thrust"], 0.25 * t["thrust"], rtol=1e-8)
 
 
@@ -375,72 +367,52 @@ def test_seconds_and_their_fraction_in_two_columns_are_one_time(tmp_path, vpp, n
     columns = dict(zip(names, (1.7e9 + whole, np.round((t["time"] - whole) / scale)), strict=True))
     columns |= {"speed cmd [rpm]": t["omega_ref"], "pitch cmd [deg]": t["beta_ref"], "Fz [N]": t["thrust"]}
     path = table(tmp_path / "log.csv", columns)
-    code, out, _ = vpp(path, "-o", tmp_path / "out")
-    assert (code, f"time is {names[0]} + {names[1]}" in out) == (0, True)
+    out = vpp(path, "-o", tmp_path / "out")
+    assert f"time is {names[0]} + {names[1]}" in out
     np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv").time, t["time"], atol=1e-6)
 
 
-def test_minutes_and_seconds_go_on_behind_the_hour(tmp_path, vpp):
+def test_minutes_and_seconds_are_unwrapped_after_an_hour(tmp_path, vpp):
     t = truth()
     stamps = [f"{s // 60 % 60:02.0f}:{s % 60:06.3f}" for s in 3598.5 + t["time"]]
     columns = {"Elapsed": stamps, "speed cmd [rpm]": t["omega_ref"], "pitch cmd [deg]": t["beta_ref"], "Fz [N]": t["thrust"]}
-    code, out, _ = vpp(table(tmp_path / "log.csv", columns), "-o", tmp_path / "out")
-    assert (code, "each after 3600 s (an hour): unwrapped" in out) == (0, True)
+    out = vpp(table(tmp_path / "log.csv", columns), "-o", tmp_path / "out")
+    assert "each after 3600 s (an hour): unwrapped" in out
     np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv").time, t["time"], atol=1e-9)
 
 
-def test_rows_in_a_wrong_order_are_no_runs(tmp_path, vpp):
+def test_unsorted_rows_are_refused_and_not_taken_for_runs(tmp_path, refused):
     t = truth()
     order = np.arange(len(t["time"]))
     names = {"time": "t [s]", "omega_ref": "speed cmd [rpm]", "beta_ref": "pitch cmd [deg]", "thrust": "Fz [N]"}
     order[200:208] = order[[204, 205, 206, 207, 200, 201, 202, 203]]
     path = table(tmp_path / "log.csv", {h: t[n][order] for n, h in names.items()})
-    code, _, err = vpp(path, "-o", tmp_path / "out")
-    assert (code, "Try: sort the rows by their time" in err) == (2, True)
+    err = refused(path, "-o", tmp_path / "out")
+    assert "Try: sort the rows by their time" in err
 
 
-@pytest.mark.parametrize(
-    ("quantity", "unit", "factor"),
-    [
-        ("beta", "Grad", 1.0),
-        ("beta_ref", "grad", 1.0),
-        ("beta", "-1 grados", -1.0),
-        ("omega", "tr/min", 1.0),
-        ("omega", "UPM", 1.0),
-        ("thrust", "gr", 9.80665e-3),
-        ("thrust", "-1 gr", -9.80665e-3),
-        ("current", "Amps", 1.0),
-        ("torque", "N-m", 1.0),
-        ("torque", "oz-in", 0.28349523125 * 9.80665 * 0.0254 / 10.0),
-    ],
-)
-def test_units_as_people_spell_them(quantity, unit, factor):
-    """An ounce is 28.349523125 g, an inch 25.4 mm."""
-    assert factor_of(QUANTITIES[quantity], unit) == pytest.approx(factor, rel=1e-12)
-
-
-def test_words_of_loggers_for_no_reading_are_empty_cells_and_others_are_named(tmp_path, vpp):
+def test_error_words_of_loggers_are_empty_cells_and_other_text_is_refused(tmp_path, vpp, refused):
     t = truth()
     thrust = [f"{v:.5f}" for v in t["thrust"]]
     thrust[50], thrust[60], thrust[70] = "ERR", "timeout", "#DIV/0!"
     columns = {"t [s]": t["time"], "speed cmd [rpm]": t["omega_ref"], "pitch cmd [deg]": t["beta_ref"], "Fz [N]": thrust}
-    assert vpp(table(tmp_path / "log.csv", columns), "-o", tmp_path / "out")[0] == 0
+    vpp(table(tmp_path / "log.csv", columns), "-o", tmp_path / "out")
     found = read_record(tmp_path / "out" / "open_loop.csv", holes=("thrust",))["thrust"]
     assert np.flatnonzero(np.isnan(found)).tolist() == [50, 60, 70]
     thrust[80] = "12.3.4"
-    code, _, err = vpp(table(tmp_path / "log.csv", columns), "-o", tmp_path / "other")
-    assert (code, "Fz [N], line 82: found 12.3.4, expected a number" in err.replace("'", "")) == (2, True)
+    err = refused(table(tmp_path / "log.csv", columns), "-o", tmp_path / "other")
+    assert "Fz [N], line 82: found 12.3.4, expected a number" in err.replace("'", "")
 
 
-def test_a_log_of_names_alone_has_no_numbers(tmp_path, vpp):
+def test_a_log_of_names_alone_has_no_numbers(tmp_path, refused):
     path = tmp_path / "log.csv"
     path.write_text("t [s],speed cmd [rpm],pitch cmd [deg],Fz [N]\n")
-    code, _, err = vpp(path, "-o", tmp_path / "out")
-    assert (code, "found 1 line without numbers" in err) == (2, True)
+    err = refused(path, "-o", tmp_path / "out")
+    assert "found 1 line without numbers" in err
 
 
-def test_a_conversion_that_is_read_several_times_counts_once(tmp_path, vpp):
-    """80 conversions a second in 200 rows; noise of 50 digits. What is stuck for half a second stays for the gate to name."""
+def test_repeated_readings_of_one_conversion_count_once(tmp_path, vpp):
+    """80 conversions a second in 200 rows; noise of 50 digits. Readings frozen for 0.5 s are left to the quality gate."""
     rng, rows = np.random.default_rng(3), np.arange(4000)
     fresh = np.append(True, np.diff(rows * 80 // 200) > 0)
     speed, pitch = np.repeat(rng.integers(2000, 6000, 40), 100).astype(float), np.repeat(rng.uniform(-4.0, 9.0, 20), 200)
@@ -449,41 +421,41 @@ def test_a_conversion_that_is_read_several_times_counts_once(tmp_path, vpp):
     stuck = slice(2050, 2150)
     held[stuck] = held[stuck.start]
     columns = {"t [s]": 0.005 * rows, "speed cmd [rpm]": speed, "pitch cmd [deg]": pitch, "Fz [N]": held}
-    code, out, _ = vpp(table(tmp_path / "log.csv", columns), "-o", tmp_path / "out")
-    assert (code, "a new one comes every 12." in out) == (0, True)
+    out = vpp(table(tmp_path / "log.csv", columns), "-o", tmp_path / "out")
+    assert "a new one comes every 12." in out
     found = read_record(tmp_path / "out" / "open_loop.csv", holes=("thrust",))["thrust"]
     new = np.append(True, np.diff(held) != 0.0)
     new[stuck] = True
     np.testing.assert_array_equal(np.isfinite(found), new)
     single = {**columns, "Fz [N]": np.round(thrust, 1)}  # half a digit of noise: neighbours are equal by chance
-    assert "repeats are emptied" not in vpp(table(tmp_path / "log.csv", single), "-o", tmp_path / "single")[1]
+    assert "repeats are emptied" not in vpp(table(tmp_path / "log.csv", single), "-o", tmp_path / "single")
 
 
-def test_a_pitch_of_less_than_a_degree_is_proposed_in_radians(tmp_path, vpp):
+def test_a_pitch_of_less_than_a_degree_is_proposed_in_radians(tmp_path, vpp, refused):
     t = truth()
     names = {"time": "t (s)", "omega_ref": "rpm_cmd (rpm)", "beta_ref": "pitch_cmd", "thrust": "Fz (N)"}
     path = table(tmp_path / "log.csv", {h: np.radians(t[n]) if n == "beta_ref" else t[n] for n, h in names.items()})
-    code, _, err = vpp(path, "-o", tmp_path / "out")
-    assert (code, "pitch_cmd as beta_ref in rad" in err) == (2, True)
-    assert vpp(path, "--yes", "-o", tmp_path / "out")[0] == 0
+    err = refused(path, "-o", tmp_path / "out")
+    assert "pitch_cmd as beta_ref in rad" in err
+    vpp(path, "--yes", "-o", tmp_path / "out")
     np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["beta_ref"], t["beta_ref"], rtol=1e-8)
 
 
 @pytest.mark.parametrize(("header", "known"), [("theta_cmd [deg]", True), ("vane setpoint [deg]", True), ("xi [deg]", False)])
-def test_an_angle_that_moves_is_the_pitch_or_stops_the_import(tmp_path, vpp, header, known):
+def test_a_moving_angle_is_the_pitch_or_must_be_mapped(tmp_path, vpp, refused, header, known):
     t = truth()
     names = {"time": "t [s]", "omega_ref": "speed cmd [rpm]", "thrust": "Fz [N]"}
     path = table(tmp_path / "log.csv", {h: t[n] for n, h in names.items()} | {header: t["beta_ref"]})
-    code, _, err = vpp(path, "-o", tmp_path / "out")
+    words = path, "-o", tmp_path / "out"
     if not known:
-        assert (code, err.count("\n")) == (2, 1)
-        assert f"{header}, an angle that moves from {t['beta_ref'].min():g} to {t['beta_ref'].max():g} deg" in err
-        assert vpp(path, "--map", f"beta_ref={header}", "-o", tmp_path / "out")[0] == 0
+        angle = f"{header}, an angle that moves from {t['beta_ref'].min():g} to {t['beta_ref'].max():g} deg"
+        assert angle in refused(*words)
+    vpp(*words, *(() if known else ("--map", f"beta_ref={header}")))
     np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["beta_ref"], t["beta_ref"], atol=1e-12)
-    assert vpp(path, "--map", "beta_ref=-", "--fixed", "beta_ref=3:deg", "-o", tmp_path / "fixed")[0] == 0
+    vpp(path, "--map", "beta_ref=-", "--fixed", "beta_ref=3:deg", "-o", tmp_path / "fixed")
 
 
-def test_the_time_of_an_arduinos_monitor_is_the_time_of_its_lines(tmp_path, vpp):
+def test_timestamps_of_the_arduino_serial_monitor_are_the_time(tmp_path, vpp):
     t, rows = truth(), []
     for k in range(len(t["time"])):
         rows.append(f"23:59:{58.25 + t['time'][k]:06.3f} -> set:{t['omega_ref'][k]:g} rpm  thrust:{t['thrust'][k]:.6f} N")
@@ -491,46 +463,44 @@ def test_the_time_of_an_arduinos_monitor_is_the_time_of_its_lines(tmp_path, vpp)
             rows.append("23:59:58.955 -> set:40thrust:1.2")
     path = tmp_path / "serial.txt"
     path.write_text("\n".join(rows[:150]) + "\n")
-    code, out, _ = vpp(path, "--map", "omega_ref=set", "-o", tmp_path / "out")
-    assert (code, "lines without these values 1\n" in out) == (0, True)
+    out = vpp(path, "--map", "omega_ref=set", "-o", tmp_path / "out")
+    assert "lines without these values 1\n" in out
     record = read_record(tmp_path / "out" / "open_loop.csv")
     for name in ("time", "omega_ref", "thrust"):
         np.testing.assert_allclose(record[name], t[name][:149], atol=1e-6)
 
 
 def test_a_long_name_without_a_value_is_tried_once():
-    """Each of its 60 parts could be split in two ways."""
+    """Each of its 60 parts could be split in two ways, so that a search over all splits would not end."""
     assert named_values([(1, "_".join(60 * "a") + " b"), (2, "1 2")], 400) is None
 
 
-def test_one_run_is_taken_of_a_log_whose_time_starts_again(tmp_path, vpp):
+def test_one_run_is_taken_of_a_log_whose_time_starts_again(tmp_path, vpp, refused):
     t = truth()
     names = {"time": "t [s]", "omega_ref": "speed cmd [rpm]", "omega": "speed [rpm]", "thrust": "Fz [N]"}
     twice = np.append(np.arange(150), np.arange(150))
     columns = {h: t[n][twice] if n == "time" else t[n][:300] for n, h in names.items()}
     path = table(tmp_path / "log.csv", columns)
-    code, _, err = vpp(path, "-o", tmp_path / "out")
-    assert (code, err.count("\n")) == (2, 1)
+    err = refused(path, "-o", tmp_path / "out")
     assert "--run 1 for the first of 2 runs" in err
     for run, rows in ((1, slice(0, 150)), (2, slice(150, 300))):
-        code, out, _ = vpp(path, "--run", run, "-o", tmp_path / str(run))
-        assert (code, f"run {run} of 2 is taken" in out) == (0, True)
+        out = vpp(path, "--run", run, "-o", tmp_path / str(run))
+        assert f"run {run} of 2 is taken" in out
         record = read_record(tmp_path / str(run) / "open_loop.csv")
         np.testing.assert_allclose(record.time, t["time"][:150], atol=1e-9)
         np.testing.assert_allclose(record["thrust"], t["thrust"][rows], rtol=1e-8)
-    code, _, err = vpp(path, "--run", 3, "-o", tmp_path / "out")
-    assert (code, "--run: found 3, expected 1 to 2" in err) == (2, True)
+    err = refused(path, "--run", 3, "-o", tmp_path / "out")
+    assert "--run: found 3, expected 1 to 2" in err
     assert not (tmp_path / "out").exists()
 
 
-def test_a_throttle_in_per_cent_by_its_name_is_accepted_by_yes(tmp_path, vpp):
+def test_a_throttle_in_per_cent_by_its_name_is_accepted_by_yes(tmp_path, vpp, refused):
     log = stand()
     columns = {"time_ms": 1e3 * log["Time (s)"], "throttle_%": log["ESC (us)"] / 10.0 - 100.0}
     path = table(tmp_path / "log.csv", columns | {"thrust_g": log["Thrust (gf)"], "rpm": log["RPM"]})
-    code, _, err = vpp(path, "-o", tmp_path / "out")
-    assert code == 2
+    err = refused(path, "-o", tmp_path / "out")
     assert "throttle_% as signal in %" in err
-    assert vpp(path, "--yes", "-o", tmp_path / "out")[0] == 0
+    vpp(path, "--yes", "-o", tmp_path / "out")
     record = read_record(tmp_path / "out" / "open_loop.csv")
     np.testing.assert_allclose(record["thrust"], 9.80665e-3 * log["Thrust (gf)"], rtol=1e-8)
     x = log["ESC (us)"] - 1000.0
@@ -538,30 +508,28 @@ def test_a_throttle_in_per_cent_by_its_name_is_accepted_by_yes(tmp_path, vpp):
 
 
 @pytest.mark.parametrize(("pairs", "also"), [(7, "7 pole pairs?"), (6, "6 pole pairs, or deg/s?")])
-def test_a_measured_speed_that_is_electrical_is_named_with_its_mapping(tmp_path, vpp, pairs, also):
+def test_a_measured_speed_that_is_electrical_is_named_with_its_mapping(tmp_path, vpp, refused, pairs, also):
     t = truth()
     headers = {"time": "t (s)", "omega_ref": "speed cmd (rpm)", "omega": "speed (rpm)", "thrust": "Fz (N)"}
     path = table(tmp_path / "log.csv", {h: t[n] * (pairs if n == "omega" else 1.0) for n, h in headers.items()})
     for words in ((), ("--yes",), ("--map", "omega=speed (rpm):rpm")):
-        code, _, err = vpp(path, *words, "-o", tmp_path / "out")
-        assert (code, err.count("\n")) == (2, 1)
+        err = refused(path, *words, "-o", tmp_path / "out")
         assert f"times the commanded speed (electrical speed of a motor with {also}" in err
-    assert f"omega=speed (rpm):erpm/{pairs}" in vpp(path, "--propose")[1]
+    assert f"omega=speed (rpm):erpm/{pairs}" in vpp(path, "--propose")
     assert not (tmp_path / "out").exists()
-    assert vpp(path, "--map", f"omega=speed (rpm):erpm/{pairs}", "-o", tmp_path / "out")[0] == 0
+    vpp(path, "--map", f"omega=speed (rpm):erpm/{pairs}", "-o", tmp_path / "out")
     np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["omega"], t["omega"], rtol=1e-8)
-    assert vpp(path, "--force", "-o", tmp_path / "forced")[0] == 0
+    vpp(path, "--force", "-o", tmp_path / "forced")
 
 
 @pytest.mark.parametrize("header", ["eRPM", "Motor speed (erpm)"])
-def test_an_electrical_speed_beside_a_signal_asks_for_the_pole_pairs(tmp_path, vpp, header):
+def test_an_electrical_speed_beside_a_signal_needs_the_pole_pairs(tmp_path, vpp, refused, header):
     log = stand()
     log[header] = 7.0 * log.pop("RPM")
     path = table(tmp_path / "log.csv", log)
-    code, _, err = vpp(path, "--yes", "-o", tmp_path / "out")
-    assert (code, err.count("\n")) == (2, 1)
+    err = refused(path, "--yes", "-o", tmp_path / "out")
     assert f"omega={header}:erpm/7" in err
-    assert vpp(path, "--map", f"omega={header}:erpm/7", "-o", tmp_path / "out")[0] == 0
+    vpp(path, "--map", f"omega={header}:erpm/7", "-o", tmp_path / "out")
     np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["omega"], log[header] / 7.0, rtol=1e-8)
 
 
@@ -569,27 +537,26 @@ def test_a_motor_at_its_commanded_speed_is_not_electrical(tmp_path, vpp):
     t = truth()
     headers = {"time": "t (s)", "omega_ref": "speed cmd (rpm)", "omega": "speed (rpm)", "thrust": "Fz (N)"}
     path = table(tmp_path / "log.csv", {h: t[n] * (1.5 if n == "omega" else 1.0) for n, h in headers.items()})
-    assert vpp(path, "-o", tmp_path / "out")[0] == 0
+    vpp(path, "-o", tmp_path / "out")
 
 
 @pytest.mark.parametrize("header", ["Pitch Servo (us)", "servo pwm", "pitch_us"])
-def test_a_pitch_in_pulses_stops_until_it_is_calibrated_or_fixed(tmp_path, vpp, header):
+def test_a_pitch_in_pulses_must_be_calibrated_or_fixed(tmp_path, vpp, refused, header):
     t = truth()
     pulses = np.round(1000.0 + (t["beta_ref"] + 5.0) / 0.015)  # -5 deg at 1000 us, 10 deg at 2000 us
     headers = {"time": "t (s)", "omega_ref": "speed cmd (rpm)", "thrust": "Fz (N)"}
     path = table(tmp_path / "log.csv", {h: t[n] for n, h in headers.items()} | {header: pulses})
     for words in ((), ("--yes",), ("--map", "thrust=Fz (N):N")):
-        code, _, err = vpp(path, *words, "-o", tmp_path / "out")
-        assert (code, err.count("\n")) == (2, 1)
+        err = refused(path, *words, "-o", tmp_path / "out")
         assert f"{header}, pitch by its name" in err
         assert f"beta_ref={header}:us@{pulses.min():g}=A,{pulses.max():g}=B" in err
-    assert header in vpp(path, "--propose")[1].split("beta_ref: ")[1]
-    assert vpp(path, "--map", f"beta_ref={header}:us@1000=-5,2000=10", "-o", tmp_path / "a")[0] == 0
+    assert header in vpp(path, "--propose").split("beta_ref: ")[1]
+    vpp(path, "--map", f"beta_ref={header}:us@1000=-5,2000=10", "-o", tmp_path / "a")
     record = read_record(tmp_path / "a" / "open_loop.csv")
     np.testing.assert_allclose(record["beta_ref"], 0.015 * pulses - 20.0, atol=1e-9)
-    assert vpp(path, "--map", tmp_path / "a" / "import.toml", "-o", tmp_path / "b")[0] == 0
+    vpp(path, "--map", tmp_path / "a" / "import.toml", "-o", tmp_path / "b")
     assert (tmp_path / "a" / "open_loop.csv").read_bytes() == (tmp_path / "b" / "open_loop.csv").read_bytes()
-    assert vpp(path, "--fixed", "beta_ref=2:deg", "-o", tmp_path / "c")[0] == 0
+    vpp(path, "--fixed", "beta_ref=2:deg", "-o", tmp_path / "c")
     np.testing.assert_array_equal(read_record(tmp_path / "c" / "open_loop.csv")["beta_ref"], 2.0)
 
 
@@ -598,72 +565,67 @@ def test_a_servo_that_is_not_connected_and_a_pitch_rate_are_no_pitch(tmp_path, v
     headers = {"time": "t (s)", "omega_ref": "speed cmd (rpm)", "thrust": "Fz (N)"}
     more = {"Servo 1": np.full(400, np.nan), "Servo 2 (us)": np.zeros(400), "Pitch rate (deg/s)": t["beta_ref"]}
     path = table(tmp_path / "log.csv", {h: t[n] for n, h in headers.items()} | more)
-    code, out, _ = vpp(path, "-o", tmp_path / "out")
-    assert code == 0
+    out = vpp(path, "-o", tmp_path / "out")
     assert "fixed pitch of 0 deg" in out
 
 
 @pytest.mark.parametrize(
     "unit", ["us@1000=-5,1000=10", "us@1000=-5,2000=-5", "us@1000=-5", "us@1.2.3=1,2=3", "us@1000=-5,2000=10,3000=20"]
 )
-def test_a_calibration_that_is_no_line_is_refused(tmp_path, vpp, unit):
+def test_a_calibration_that_is_no_line_is_refused(tmp_path, refused, unit):
     text(PLAIN)(tmp_path / "log.csv", truth())
-    code, _, err = vpp(tmp_path / "log.csv", "--map", f"beta_ref=beta_ref:{unit}", "-o", tmp_path / "out")
-    assert (code, err.count("\n")) == (2, 1)
+    err = refused(tmp_path / "log.csv", "--map", f"beta_ref=beta_ref:{unit}", "-o", tmp_path / "out")
     assert "two points of a calibration" in err
 
 
 @pytest.mark.parametrize(("labels", "second"), [(("1", "2"), "2"), (("left", "right"), "right")])
-def test_a_second_rotor_is_said_and_taken_on_demand(tmp_path, vpp, labels, second):
+def test_a_second_rotor_is_reported_and_imported_on_request(tmp_path, vpp, refused, labels, second):
     t = truth()
     names = {"omega_ref": "rpm_cmd", "beta_ref": "pitch_cmd", "thrust": "thrust", "omega": "rpm"}
     columns = {"time (s)": t["time"]}
     for label, gain in zip(labels, (1.0, 0.9), strict=True):
         columns |= {f"{header}_{label}": gain * t[n] for n, header in names.items()}
     path = table(tmp_path / "log.csv", columns)
-    code, out, _ = vpp(path, "--yes", "-o", tmp_path / "a")
-    assert code == 0
+    out = vpp(path, "--yes", "-o", tmp_path / "a")
     assert f"rotor {labels[0]} is taken, with rpm_cmd_{labels[0]}," in out
     assert f"--rotor {second} takes the other" in out
-    assert vpp(path, "--yes", "--rotor", second, "-o", tmp_path / "b")[0] == 0
-    assert vpp(path, "--yes", "--map", f"thrust=thrust_{second}:N", "-o", tmp_path / "c")[0] == 0  # the rest goes with it
+    vpp(path, "--yes", "--rotor", second, "-o", tmp_path / "b")
+    vpp(path, "--yes", "--map", f"thrust=thrust_{second}:N", "-o", tmp_path / "c")  # the other columns are of the same rotor
     for folder, gain in (("a", 1.0), ("b", 0.9), ("c", 0.9)):
         record = read_record(tmp_path / folder / "open_loop.csv")
         for name in names:
             np.testing.assert_allclose(record[name], gain * t[name], rtol=1e-8)
-    assert f"--rotor: found 7, expected one of {', '.join(labels)}" in vpp(path, "--rotor", "7")[2]
+    assert f"--rotor: found 7, expected one of {', '.join(labels)}" in refused(path, "--rotor", "7")
 
 
-def test_coefficients_become_the_thrust_of_a_propeller(tmp_path, vpp):
+def test_coefficients_become_the_thrust_of_a_propeller(tmp_path, vpp, refused):
     """T = CT rho n^2 D^4: 0.1 * 1.225 * 100^2 * 0.25^4 = 4.785 N at 6000 rpm."""
     table(tmp_path / "ct.txt", {"RPM": [6000, 3000, 6000], "CT": [0.1, 0.08, 0.05], "CP": [0.05] * 3, "J": [0.0, 0.0, 0.4]})
     words = (tmp_path / "ct.txt", "--as", "static")
-    assert "--diameter D" in vpp(*words, "-o", tmp_path / "out")[2]
-    assert "--as static" in vpp(tmp_path / "ct.txt", "--diameter", "0.25", "-o", tmp_path / "out")[2]
-    code, out, _ = vpp(*words, "--diameter", "0.25", "-o", tmp_path / "out")
-    assert code == 0
+    assert "--diameter D" in refused(*words, "-o", tmp_path / "out")
+    assert "--as static" in refused(tmp_path / "ct.txt", "--diameter", "0.25", "-o", tmp_path / "out")
+    out = vpp(*words, "--diameter", "0.25", "-o", tmp_path / "out")
     assert "rho = 1.225 kg/m^3" in out
     assert "advance ratio: 1 rows above 0 are not static, left out" in out
     static = read_static(tmp_path / "out" / "static.csv")
     np.testing.assert_allclose(static.thrust, [4.78515625, 0.8 * 4.78515625 / 4.0], rtol=1e-8)
     np.testing.assert_allclose(static.omega, [6000.0, 3000.0])
-    assert vpp(*words, "--diameter", "0.25", "--density", "1.1", "-o", tmp_path / "thin")[0] == 0
+    vpp(*words, "--diameter", "0.25", "--density", "1.1", "-o", tmp_path / "thin")
     thin = read_static(tmp_path / "thin" / "static.csv").thrust
     np.testing.assert_allclose(thin, static.thrust * 1.1 / 1.225, rtol=1e-8)
 
 
-def test_a_map_by_hand_completes_the_proposal(tmp_path, vpp):
+def test_a_mapping_on_the_command_line_completes_the_proposal(tmp_path, vpp):
     t = truth()
     headers = {"time": "t (s)", "omega_ref": "speed cmd (rpm)", "beta_ref": "pitch cmd (deg)", "omega": "speed (rpm)"}
     path = table(tmp_path / "log.csv", {h: t[n] for n, h in headers.items()} | {"channel 7": t["thrust"], "u": t["voltage"]})
-    code, out, _ = vpp(path, "--map", "thrust=channel 7:N", "-o", tmp_path / "a")
-    assert code == 0
+    out = vpp(path, "--map", "thrust=channel 7:N", "-o", tmp_path / "a")
     assert "u: not taken as voltage" in out
     record = read_record(tmp_path / "a" / "open_loop.csv")
     assert "voltage" not in record
     for name in (*headers, "thrust"):
         np.testing.assert_allclose(record[name], t[name], rtol=1e-8)
-    assert vpp(path, "--map", "thrust=channel 7:N", "omega=-", "--yes", "-o", tmp_path / "b")[0] == 0
+    vpp(path, "--map", "thrust=channel 7:N", "omega=-", "--yes", "-o", tmp_path / "b")
     record = read_record(tmp_path / "b" / "open_loop.csv")
     assert "omega" not in record
     np.testing.assert_allclose(record["voltage"], t["voltage"], rtol=1e-8)
@@ -681,13 +643,12 @@ def test_a_map_by_hand_completes_the_proposal(tmp_path, vpp):
         ("Fz (raw)", "thrust=Fz (raw):N", False),
     ],
 )
-def test_a_unit_against_the_header_needs_force(tmp_path, vpp, header, pair, contradicts):
+def test_a_unit_that_contradicts_the_header_needs_the_option_force(tmp_path, vpp, refused, header, pair, contradicts):
     t = truth()
     path = table(tmp_path / "log.csv", {"t (s)": t["time"], "speed cmd (rpm)": t["omega_ref"], header: t["thrust"]})
-    code, _, err = vpp(path, "--yes", "--map", pair, "-o", tmp_path / "out")
-    assert code == (2 if contradicts else 0)
-    assert ("whose header says" in err) == contradicts
-    assert vpp(path, "--map", pair, "--force", "-o", tmp_path / "forced")[0] == 0
+    said = (refused if contradicts else vpp)(path, "--yes", "--map", pair, "-o", tmp_path / "out")
+    assert ("whose header says" in said) == contradicts
+    vpp(path, "--map", pair, "--force", "-o", tmp_path / "forced")
 
 
 @pytest.mark.parametrize(
@@ -703,10 +664,9 @@ def test_a_unit_against_the_header_needs_force(tmp_path, vpp, header, pair, cont
         (("--map", "nowhere.toml"), "nowhere.toml: file: found no such file"),
     ],
 )
-def test_bad_words_are_one_line(tmp_path, vpp, words, told):
+def test_bad_options_are_refused_in_one_line(tmp_path, refused, words, told):
     text(PLAIN)(tmp_path / "log.csv", truth())
-    code, _, err = vpp(tmp_path / "log.csv", *words, "-o", tmp_path / "out")
-    assert code == 2
+    err = refused(tmp_path / "log.csv", *words, "-o", tmp_path / "out")
     assert told in err
     assert err.count("\n") == 1
     assert not (tmp_path / "out").exists()
@@ -722,31 +682,28 @@ def test_bad_words_are_one_line(tmp_path, vpp, words, told):
         'format = "vpp-mapping/1"\n[static.columns]\ntime = 3',
     ],
 )
-def test_a_bad_toml_is_one_line(tmp_path, vpp, content):
+def test_a_bad_mapping_file_is_refused_in_one_line(tmp_path, refused, content):
     text(PLAIN)(tmp_path / "log.csv", truth())
     (tmp_path / "m.toml").write_text(content)
-    code, _, err = vpp(tmp_path / "log.csv", "--map", tmp_path / "m.toml", "-o", tmp_path / "out")
-    assert (code, err.count("\n")) == (2, 1)
+    err = refused(tmp_path / "log.csv", "--map", tmp_path / "m.toml", "-o", tmp_path / "out")
     assert "m.toml" in err
 
 
 # Into the campaign
 
 
-def test_another_log_is_not_written_over_and_sections_of_the_mapping_stay(tmp_path, vpp):
+def test_the_file_of_another_log_is_not_overwritten_and_the_mapping_keeps_its_sections(tmp_path, vpp, refused):
     first, second = table(tmp_path / "a.csv", stand()), table(tmp_path / "b.csv", stand(seed=6))
-    assert vpp(first, "-o", tmp_path / "mine")[0] == 0
+    vpp(first, "-o", tmp_path / "mine")
     before = (tmp_path / "mine" / "open_loop.csv").read_bytes()
-    code, _, err = vpp(second, "-o", tmp_path / "mine")
-    assert code == 2
+    err = refused(second, "-o", tmp_path / "mine")
     assert "open_loop.csv: file: found the file of another log" in err
     assert (tmp_path / "mine" / "open_loop.csv").read_bytes() == before
     assert not [p for p in (tmp_path / "mine").iterdir() if p.name.startswith(".")]
-    code, out, _ = vpp(second, "-o", tmp_path / "mine", "--as", "validation")
-    assert code == 0
+    out = vpp(second, "-o", tmp_path / "mine", "--as", "validation")
     assert "taken over from a.csv" in out
     assert set(read_sections(tmp_path / "mine" / "import.toml")) == {"open_loop", "validation"}
-    assert vpp(second, "-o", tmp_path / "mine", "--replace")[0] == 0
+    vpp(second, "-o", tmp_path / "mine", "--replace")
     assert (tmp_path / "mine" / "open_loop.csv").read_bytes() != before
     campaign = read_campaign(tmp_path / "mine")
     assert campaign.open_loop is not None
@@ -755,8 +712,7 @@ def test_another_log_is_not_written_over_and_sections_of_the_mapping_stay(tmp_pa
 
 def test_the_command_of_a_signal_is_the_parabola_that_the_motor_follows(tmp_path, vpp):
     log = stand()
-    code, out, _ = vpp(table(tmp_path / "log.csv", log), "-o", tmp_path / "mine")
-    assert code == 0
+    out = vpp(table(tmp_path / "log.csv", log), "-o", tmp_path / "mine")
     assert "without a voltage" in out
     assert "fixed pitch of 0 deg" in out
     record = read_record(tmp_path / "mine" / "open_loop.csv")
@@ -765,8 +721,8 @@ def test_the_command_of_a_signal_is_the_parabola_that_the_motor_follows(tmp_path
     assert not record["beta_ref"].any()
 
 
-def test_a_level_held_shortly_is_no_rotor_at_rest(tmp_path, vpp):
-    """The lowest levels hold for less than a steady part; the motor turns there all the same, as the parabola says."""
+def test_a_short_hold_is_not_taken_for_a_rotor_at_rest(tmp_path, vpp):
+    """The lowest levels are held for less than a steady part; the rotor still turns there, as the parabola predicts."""
     rng = np.random.default_rng(3)
     levels = [v for pair in zip(rng.uniform(1300, 1900, 30), rng.uniform(1160, 1280, 30), strict=True) for v in pair]
     signal = np.concatenate([np.full(200 if v >= 1300.0 else 60, round(v)) for v in levels]).astype(float)
@@ -775,47 +731,44 @@ def test_a_level_held_shortly_is_no_rotor_at_rest(tmp_path, vpp):
     speed = lagged(wanted, 0.01, 0.12)
     columns = {"Time (s)": np.round(0.01 * np.arange(len(x)), 6), "ESC (us)": signal, "RPM": np.round(speed)}
     path = table(tmp_path / "log.csv", columns | {"Thrust (N)": 8.0 * (speed / 6000.0) ** 2 + rng.normal(0.0, 0.05, len(x))})
-    code, out, _ = vpp(path, "-o", tmp_path / "mine")
-    assert code == 0
+    out = vpp(path, "-o", tmp_path / "mine")
     assert "at most" in out
     np.testing.assert_allclose(read_record(tmp_path / "mine" / "open_loop.csv")["omega_ref"], wanted, atol=10.0)
     assert "--speed-from" not in out  # the motor holds its command
 
 
-def test_a_motor_on_its_way_holds_its_command(tmp_path, vpp):
-    """The pitch moves within a lag of the speed's moves: both commands hold while the rotor is on its way."""
+def test_a_motor_in_a_transient_is_not_reported_as_missing_its_command(tmp_path, vpp):
+    """The pitch moves within a lag of the speed's moves, so that both commands are constant during the transient."""
     log, rng = stand(rows=12_000, hold=1.2, lag=0.3), np.random.default_rng(2)
     pitch = np.repeat(np.round(rng.uniform(-4.0, 9.0, 400), 1), 30)
     log["Thrust (gf)"] = (8.0 * (log["RPM"] / 6000.0) ** 2 + 0.3 * pitch) / 9.80665e-3 + rng.normal(0.0, 5.0, 12_000)
     path = table(
         tmp_path / "log.csv", log | {"pitch cmd (deg)": pitch, "RPM": np.round(log["RPM"] + rng.normal(0.0, 5.0, 12_000))}
     )
-    code, out, _ = vpp(path, "-o", tmp_path / "map")
-    assert (code, "--speed-from" in out) == (0, False)
+    out = vpp(path, "-o", tmp_path / "map")
+    assert "--speed-from" not in out
 
 
-def test_a_motor_that_does_not_hold_its_command_is_offered_the_measured_speed(tmp_path, vpp):
-    """Each hold ends 5 % off the map, at random; thrust follows the measured speed."""
+def test_the_measured_speed_is_suggested_if_the_motor_misses_its_command(tmp_path, vpp, refused):
+    """Each hold ends at a random speed, 5 % off the map; thrust follows the measured speed."""
     log, rng = stand(), np.random.default_rng(8)
     hold = np.cumsum(np.append(0, np.diff(log["ESC (us)"]) != 0))
     log["RPM"] = np.round(log["RPM"] * (1.0 + rng.normal(0.0, 0.05, hold.max() + 1))[hold])
     log["Thrust (gf)"] = 8.0 * (log["RPM"] / 6000.0) ** 2 / 9.80665e-3 + rng.normal(0.0, 5.0, len(hold))
     path = table(tmp_path / "log.csv", log)
-    code, out, _ = vpp(path, "-o", tmp_path / "map")
-    assert code == 0
+    out = vpp(path, "-o", tmp_path / "map")
     assert "--speed-from measured takes it as omega_ref" in out
-    assert vpp(path, "--speed-from", "measured", "-o", tmp_path / "mine")[0] == 0
+    vpp(path, "--speed-from", "measured", "-o", tmp_path / "mine")
     record = read_record(tmp_path / "mine" / "open_loop.csv")
     np.testing.assert_array_equal(record["omega_ref"], log["RPM"])
     assert "omega" not in record
     assert not (tmp_path / "mine" / "speed_map.json").exists()
-    code, _, err = vpp(path, "--map", "omega=-", "--speed-from", "measured", "-o", tmp_path / "none")
-    assert (code, err.count("\n")) == (2, 1)
+    refused(path, "--map", "omega=-", "--speed-from", "measured", "-o", tmp_path / "none")
 
 
-def test_the_gain_of_a_speed_is_the_ratio_of_residuals():
-    """Thrust w^2 at 4 pitches a speed: a commanded speed with independent errors leaves what the errors make, the right one the
-    noise; n / 2 log of the ratio is 20 log(10) for a tenfold residual of 20 points, but for the few fitted terms."""
+def test_the_likelihood_gain_of_a_speed_signal_is_the_closed_form():
+    """Thrust w^2 at 4 pitches per speed: the residual of a wrong speed is the effect of its errors, that of the right speed is
+    the noise. The gain is n / 2 log of the ratio of powers, but for the few fitted terms."""
     rng = np.random.default_rng(4)
     omega, beta = (g.ravel() for g in np.meshgrid(np.linspace(2000.0, 6000.0, 10), [0.0, 3.0, 6.0, 9.0]))
     w = omega / 6000.0
@@ -830,7 +783,7 @@ def test_the_gain_of_a_speed_is_the_ratio_of_residuals():
     assert likelihood_gain(off, omega, beta, 0.0 * clean) == 0.0  # a load cell that is not connected
 
 
-def test_a_signal_that_never_holds_is_mapped_behind_a_lag():
+def test_a_signal_without_steady_holds_is_mapped_through_a_lag():
     log = stand(hold=0.3)
     found = fitted_map("log.csv", log["Time (s)"], log["ESC (us)"], log["RPM"], None, RANGES["PWM"])
     assert "with a lag of 0.12 s" in found.origin
@@ -845,7 +798,7 @@ def test_steps_are_cut_at_moves_without_sharing_a_row(tmp_path, vpp):
     step = np.repeat([3000.0, 4000.0, 3000.0, 5000.0], 100)
     path = table(tmp_path / "log.csv", {n: t[n] for n in PLAIN} | {"omega_ref": step, "beta_ref": np.full(400, 3.0)})
     words = ("--map", "time=time:s", "omega_ref=omega_ref:rpm", "beta_ref=beta_ref:deg", "thrust=thrust:N")
-    assert vpp(path, *words, "-o", tmp_path / "mine", "--as", "steps")[0] == 0
+    vpp(path, *words, "-o", tmp_path / "mine", "--as", "steps")
     runs = read_steps(tmp_path / "mine" / "steps.csv")
     assert [set(r["omega_ref"]) for r in runs] == [{3000.0, 4000.0}, {4000.0, 3000.0}, {3000.0, 5000.0}]
     thrust = np.concatenate([r["thrust"] for r in runs])
@@ -853,7 +806,7 @@ def test_steps_are_cut_at_moves_without_sharing_a_row(tmp_path, vpp):
     assert [int(np.argmax(r["omega_ref"] != r["omega_ref"][0])) for r in runs] == [20, 20, 20]
 
 
-def test_a_clock_that_begins_anew_parts_the_runs(tmp_path, vpp):
+def test_a_clock_that_restarts_separates_the_runs(tmp_path, vpp, refused):
     t = truth()
     columns = {n: t[n] for n in PLAIN} | {
         "time": np.tile(t["time"][:100], 4),
@@ -862,22 +815,20 @@ def test_a_clock_that_begins_anew_parts_the_runs(tmp_path, vpp):
     }
     words = ("--map", "time=time:s", "omega_ref=omega_ref:rpm", "beta_ref=beta_ref:deg", "thrust=thrust:N")
     path = table(tmp_path / "log.csv", columns)
-    code, out, _ = vpp(path, *words, "-o", tmp_path / "mine", "--as", "steps")
-    assert code == 0
+    out = vpp(path, *words, "-o", tmp_path / "mine", "--as", "steps")
     assert "begins anew 3 times" in out
     assert [len(r) for r in read_steps(tmp_path / "mine" / "steps.csv")] == [100] * 4
-    assert vpp(path, *words, "-o", tmp_path / "other")[0] == 2
+    refused(path, *words, "-o", tmp_path / "other")
 
 
-def test_steady_points_one_a_row_and_of_a_record(tmp_path, vpp):
+def test_steady_points_come_from_a_table_or_from_a_record(tmp_path, vpp):
     rng = np.random.default_rng(1)
     omega, beta = (g.ravel() for g in np.meshgrid(np.linspace(2000.0, 6000.0, 6), np.linspace(-4.0, 8.0, 5)))
     w, b = omega / 6000.0, (beta + 5.0) / 15.0
     thrust = 15.0 * (0.4 * w**2 + 0.5 * w**2 * b) + rng.normal(0.0, 0.02, len(w))
     path = table(tmp_path / "points.csv", {"rpm": omega, "pitch (deg)": beta, "T (N)": thrust}, ";")
     words = ("--map", "omega=rpm:rpm", "beta_ref=pitch:deg", "thrust=T:N")
-    code, out, _ = vpp(path, *words, "-o", tmp_path / "mine", "--as", "static")
-    assert code == 0
+    out = vpp(path, *words, "-o", tmp_path / "mine", "--as", "static")
     assert "30 points" in out
     static = read_static(tmp_path / "mine" / "static.csv")
     np.testing.assert_allclose(static.thrust, thrust, rtol=1e-8)
@@ -886,73 +837,70 @@ def test_steady_points_one_a_row_and_of_a_record(tmp_path, vpp):
     t = truth()
     text(PLAIN)(tmp_path / "log.csv", t)
     words = ("--map", *(f"{n}={n}:{u}" for n, u in (("time", "s"), ("omega_ref", "rpm"), ("beta_ref", "deg"), ("thrust", "N"))))
-    assert vpp(tmp_path / "log.csv", *words, "-o", tmp_path / "other", "--as", "static")[0] == 0
+    vpp(tmp_path / "log.csv", *words, "-o", tmp_path / "other", "--as", "static")
     static = read_static(tmp_path / "other" / "static.csv")
     means = [t["thrust"][25 * k + 13 : 25 * k + 25].mean() for k in range(16)]  # the second half of each hold of 0.25 s
     np.testing.assert_allclose(static.thrust, means, rtol=1e-6)
 
 
-def test_a_repeat_takes_the_open_loops_times_within_half_a_row(tmp_path, vpp):
+def test_a_repeat_takes_the_open_loops_times_within_half_a_row(tmp_path, vpp, refused):
     t, rng = truth(), np.random.default_rng(2)
     words = ("--map", *(f"{n}={n}:{u}" for n, u in (("time", "s"), ("omega_ref", "rpm"), ("beta_ref", "deg"), ("thrust", "N"))))
     jittered = t | {"time": t["time"] + np.append(0.0, rng.uniform(-0.003, 0.003, 399)), "thrust": t["thrust"][::-1]}
     for name, columns in (("a", t), ("b", jittered), ("c", t | {"omega_ref": t["omega_ref"][::-1]})):
         table(tmp_path / f"{name}.csv", columns)
-    assert vpp(tmp_path / "a.csv", *words, "-o", tmp_path / "mine")[0] == 0
-    code, out, _ = vpp(tmp_path / "b.csv", *words, "-o", tmp_path / "mine", "--as", "repeat")
-    assert code == 0
+    vpp(tmp_path / "a.csv", *words, "-o", tmp_path / "mine")
+    out = vpp(tmp_path / "b.csv", *words, "-o", tmp_path / "mine", "--as", "repeat")
     assert "that of open_loop.csv" in out
     assert read_campaign(tmp_path / "mine").repeat is not None
-    code, _, err = vpp(tmp_path / "c.csv", *words, "-o", tmp_path / "mine", "--as", "repeat", "--replace")
-    assert code == 2
+    err = refused(tmp_path / "c.csv", *words, "-o", tmp_path / "mine", "--as", "repeat", "--replace")
     assert "omega_ref, row 1 of the data" in err
 
 
-def test_what_no_record_may_hold_is_refused_with_its_column(tmp_path, vpp):
+def test_values_out_of_range_are_refused_with_their_column(tmp_path, refused):
     t = truth()
     path = table(tmp_path / "log.csv", t | {"omega": 1e4 * t["omega"]})
     words = ("--map", "time=time:s", "omega_ref=omega_ref:rpm", "omega=omega:Hz", "thrust=thrust:N")
-    code, _, err = vpp(path, *words, "-o", tmp_path / "out")
-    assert code == 2
+    err = refused(path, *words, "-o", tmp_path / "out")
     assert "omega, column omega in Hz" in err
     assert "Try: another unit" in err
 
 
-def test_a_pitch_that_moves_without_a_command_is_not_taken_for_fixed(tmp_path, vpp):
+def test_a_pitch_that_moves_without_a_command_is_not_taken_for_fixed(tmp_path, vpp, refused):
     t = truth()
     path = table(tmp_path / "log.csv", t)
     words = ["--map", "time=time:s", "omega_ref=omega_ref:rpm", "beta=beta_ref:deg", "thrust=thrust:N"]
-    assert "a measured pitch from" in vpp(path, *words, "-o", tmp_path / "out")[2]
-    assert "Try: --map 'beta_ref=beta_ref:deg' beta=- if its command was not logged" in vpp(path, *words)[2]
-    assert vpp(path, *words, "--fixed", "beta_ref=0.1:rad", "-o", tmp_path / "out")[0] == 0
+    assert "a measured pitch from" in refused(path, *words, "-o", tmp_path / "out")
+    assert "Try: --map 'beta_ref=beta_ref:deg' beta=- if its command was not logged" in refused(path, *words)
+    vpp(path, *words, "--fixed", "beta_ref=0.1:rad", "-o", tmp_path / "out")
     np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["beta_ref"], np.degrees(0.1), rtol=1e-8)
 
 
 def test_steady_points_may_have_measured_speed_and_pitch_alone(tmp_path, vpp):
     columns = {"RPM [rpm]": [3000.0, 4000.0, 5000.0], "Pitch angle [deg]": [-2.0, 3.0, 8.0], "Thrust [N]": [1.0, 4.0, 9.0]}
     path = table(tmp_path / "points.csv", columns | {"Thrust std [N]": [0.05, 0.06, 0.07]})
-    assert vpp(path, "--as", "static", "-o", tmp_path / "out")[0] == 0
+    vpp(path, "--as", "static", "-o", tmp_path / "out")
     static = read_static(tmp_path / "out" / "static.csv")
     for found, wanted in zip((static.omega_ref, static.beta_ref, static.thrust), columns.values(), strict=True):
         np.testing.assert_array_equal(found, wanted)
     np.testing.assert_array_equal(static.thrust_std, [0.05, 0.06, 0.07])
 
 
-def test_a_servos_angle_is_a_command_and_an_unmoved_pitch_is_not_the_blades(tmp_path, vpp):
+def test_a_servo_angle_is_the_pitch_command_and_a_constant_body_pitch_is_not(tmp_path, vpp, refused):
     t = truth()
     columns = {"t [s]": t["time"], "speed cmd [rpm]": t["omega_ref"], "Fz [N]": t["thrust"]}
-    assert vpp(table(tmp_path / "log.csv", columns | {"servo_deg": t["beta_ref"]}), "-o", tmp_path / "a")[0] == 0
+    vpp(table(tmp_path / "log.csv", columns | {"servo_deg": t["beta_ref"]}), "-o", tmp_path / "a")
     np.testing.assert_allclose(read_record(tmp_path / "a" / "open_loop.csv")["beta_ref"], t["beta_ref"], atol=1e-12)
     body = np.full(len(t["time"]), 0.5)
     path = table(tmp_path / "body.csv", columns | {"body_pitch_deg": body, "xi_deg": t["beta_ref"]})
-    code, _, err = vpp(path, "-o", tmp_path / "b")
-    assert (code, "found xi_deg, an angle that moves" in err) == (2, True)
+    err = refused(path, "-o", tmp_path / "b")
+    assert "found xi_deg, an angle that moves" in err
 
 
-# What is said of the rows
+# Messages about the rows
 
 
-def test_averages_passed_off_as_samples_show_in_their_commands():
+def test_rows_that_are_averages_are_detected_from_the_commands():
     fine = stand(rows=30000, step=0.01, hold=2.003)
     rows = {n: np.array([part.mean() for part in np.array_split(c, 2400)]) for n, c in fine.items()}
     record = Record(
@@ -983,7 +931,7 @@ def test_averages_passed_off_as_samples_show_in_their_commands():
     assert "120 ms" in said[0]
 
 
-def test_a_quick_log_is_told_nothing_and_a_gap_is():
+def test_a_gap_is_reported_and_fast_sampling_is_not():
     log = stand()
     columns = {
         "time": log["Time (s)"],
@@ -998,37 +946,39 @@ def test_a_quick_log_is_told_nothing_and_a_gap_is():
     assert said_of_gaps(gapped) == ["gaps: 1 steps of more than 4 rows of 10 ms, the longest of 0.26 s at 29.99 s"]
 
 
-def test_frozen_and_clipped_channels_are_said_at_import(tmp_path, vpp):
+def test_frozen_and_clipped_channels_are_reported_at_import(tmp_path, vpp):
     log = stand()
     log["Thrust (gf)"] = np.minimum(log["Thrust (gf)"], 600.0)
     log["RPM"] = np.where(np.arange(6000) > 4000, log["RPM"][4000], log["RPM"])
     log["Vbat (V)"] = np.full(6000, np.nan)
-    code, out, _ = vpp(table(tmp_path / "log.csv", log), "-o", tmp_path / "mine")
-    assert code == 0
+    out = vpp(table(tmp_path / "log.csv", log), "-o", tmp_path / "mine")
     assert "warning clipped: log.csv, thrust: " in out
     assert "warning frozen: log.csv, omega: " in out
     assert "voltage: no value in any row, left out" in out
 
 
-def test_the_zoo_is_judged_by_what_was_written(tmp_path, vpp):
-    """A zoo that finds everything in order finds nothing: a truth that was changed on the way must show."""
+def test_the_comparison_of_the_zoo_detects_a_changed_value(tmp_path, capsys):
+
+    def run(words):
+        code = main(words)
+        return code, *capsys.readouterr()
 
     def off(path, t):
         text()(path, t | {"thrust": t["thrust"] + 1e-4})
 
     for name, write in (("right", text()), ("off", off)):
         (tmp_path / name).mkdir()
-        good, told = came_out(Format(name, "log.csv", write), tmp_path / name, lambda words: vpp(*words[2:]))
+        good, told = came_out(Format(name, "log.csv", write), tmp_path / name, run)
         assert good == (name == "right"), told
 
 
-# From a stranger's log to a report, in two commands
+# From a foreign log to a report in two commands
 
 LAGS = {"tau_omega_1": 0.15, "tau_omega_2": 0.05, "tau_beta_1": 0.3, "tau_beta_2": 0.1}
 RIG = replace(SIZES["15 N"], row=0.005, hold=(0.8, 1.6), section=8.0, noise=0.1, values=LAGS)
 
 
-def test_semicolons_rad_and_gf_and_milliseconds_since_1970_to_a_diagnosis(tmp_path, vpp, capsys):
+def test_a_german_log_is_imported_and_diagnosed(tmp_path, vpp):
     rng = np.random.default_rng(4)
     record, path = RIG.record(RIG.orders(rng), rng, "rig"), tmp_path / "Messung.csv"
     factors = {"omega_ref": np.pi / 30.0, "beta_ref": 1.0, "omega": np.pi / 30.0, "thrust": 1e3 / 9.80665}
@@ -1037,8 +987,7 @@ def test_semicolons_rad_and_gf_and_milliseconds_since_1970_to_a_diagnosis(tmp_pa
         cells = [f"{1717236000123 + round(1e3 * time)}", *(f"{f * record[n][k]:.6f}" for n, f in factors.items())]
         lines.append(";".join(cells).replace(".", ","))
     path.write_bytes("\r\n".join(lines).encode("cp1252"))
-    code, out, _ = vpp(path, "-o", tmp_path / "mine", "--as", "open_loop")
-    assert code == 0
+    out = vpp(path, "-o", tmp_path / "mine", "--as", "open_loop")
     assert "error" not in out
     assert main(["diagnose", str(tmp_path / "mine"), "-o", str(tmp_path / "out"), "--workers", "1"]) == 0
     assert "<figure>" in (tmp_path / "out" / "report.html").read_text()
@@ -1049,9 +998,9 @@ def test_semicolons_rad_and_gf_and_milliseconds_since_1970_to_a_diagnosis(tmp_pa
     assert lag == pytest.approx(0.2, rel=0.05)
 
 
-def test_a_signal_without_pitch_to_a_report(tmp_path, vpp):
+def test_a_log_of_fixed_pitch_is_imported_and_diagnosed(tmp_path, vpp):
     path = table(tmp_path / "log.csv", stand(rows=3000))
-    assert vpp(path, "-o", tmp_path / "mine")[0] == 0
+    vpp(path, "-o", tmp_path / "mine")
     words = ["--workers", "1", "--effects", "speed_delay"]
     assert main(["diagnose", str(tmp_path / "mine"), "-o", str(tmp_path / "out"), *words]) == 0
     fitted = json.loads((tmp_path / "out" / "parameters_base.json").read_text())["parameters"]
@@ -1060,7 +1009,7 @@ def test_a_signal_without_pitch_to_a_report(tmp_path, vpp):
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_a_command_that_is_written_a_row_late_is_said(late):
+def test_a_command_logged_one_row_late_is_reported(late):
     """Behind one lag of 0.2 s the speed goes 1 - exp(-0.04 / 0.2) = 18 % of a move in a row of 40 ms."""
     rng, rows = np.random.default_rng(2), 1500
     command = np.repeat(np.round(rng.uniform(2000.0, 6000.0, rows // 10)), 10)

@@ -1,4 +1,4 @@
-"""Every format of the zoo: what came out of the importer equals what went in, or one line says why not."""
+"""Every format of the zoo: the imported record equals the log, or one line gives the reason of its refusal."""
 
 import pytest
 from import_zoo import came_out, containers, formats
@@ -6,11 +6,11 @@ from import_zoo import came_out, containers, formats
 from vpp_fmu.app.cli import main
 
 NEEDS = {"Parquet": "pyarrow", "HDF5": "h5py", "MAT v7.3": "h5py"}
-"""What reads a container, by the beginning of a format's name."""
+"""Libraries that read containers, by the beginning of a format's name."""
 
 
 @pytest.mark.parametrize("format", formats(), ids=lambda format: format.name)
-def test_what_comes_out_is_what_went_in(format, tmp_path, capsys):
+def test_the_imported_record_equals_the_log(format, tmp_path, capsys):
     if format in containers() or "half a" in format.name:
         for kind, library in NEEDS.items():
             if kind in format.name:
@@ -24,12 +24,10 @@ def test_what_comes_out_is_what_went_in(format, tmp_path, capsys):
     assert good, told
 
 
-def test_a_container_without_its_library_is_told_with_the_extra_that_brings_it(tmp_path, capsys, monkeypatch):
+def test_a_container_without_its_library_is_refused_with_the_extra_to_install(tmp_path, refused, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
     path = tmp_path / "log.parquet"
     path.write_bytes(b"PAR1" + bytes(20))
-    assert main(["import", "csv", str(path), "-o", str(tmp_path / "out")]) == 2
-    error = capsys.readouterr().err
+    error = refused("import", "csv", path, "-o", tmp_path / "out")
     assert "only pyarrow reads, which is not installed" in error
     assert "vpp-fmu[import]" in error
-    assert error.count("\n") == 1

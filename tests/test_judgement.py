@@ -1,4 +1,4 @@
-"""The judgement: cross-validation, rules, selection, estimate and refutation, each against a closed form."""
+"""The judgement of effects: cross-validation, rules, selection, estimation and refutation, each against a closed form."""
 
 from types import SimpleNamespace
 
@@ -58,7 +58,7 @@ def fit_of(residual, jacobian, time, thresholds=()):
 
 
 def reason_against(judge, shipped, base, found, final, partly=False):
-    """What `validation` says of a set without an unseen record."""
+    """Reason of `validation` against a set without a validation record."""
     return validation.reason_against(validation.Replacement(judge, shipped, base, found, final, None, partly))
 
 
@@ -90,8 +90,8 @@ def test_gain_is_the_profile_likelihood_ratio():
 
 
 @pytest.mark.parametrize("count", [1, 3])
-def test_chance_passes_the_needed_fall_as_rarely_as_the_level_says(count):
-    """The best of many independent candidates that explain nothing: half a chi^2 each."""
+def test_chance_exceeds_the_threshold_as_often_as_the_level(count):
+    """The best of many independent candidates without an effect: half a chi^2 each."""
     comparisons, draws = 50, 20000
     best = 0.5 * chi2.rvs(count, size=(draws, comparisons), random_state=1).max(axis=1)
     passed = np.mean(best > chance_threshold(count, comparisons))
@@ -117,7 +117,7 @@ def test_an_effect_must_pass_every_rule():
     ):
         (reason,) = refusals(**good | change)
         assert word in reason
-    assert refusals(**good | {"gain": {"thrust": -0.4, "omega": 30.0}}) == []  # what a parameter that tells nothing costs
+    assert refusals(**good | {"gain": {"thrust": -0.4, "omega": 30.0}}) == []  # the cost of a parameter without effect
 
 
 def record(**columns):
@@ -138,7 +138,7 @@ def test_roles_are_kept_apart_by_type(tmp_path):
     assert [[one.name for one in g] for g in groups] == [["open_loop", "repeat"], ["more"]]
 
 
-def test_a_special_case_goes_before_the_wider_effect_that_fits_as_well():
+def test_a_special_case_ranks_before_the_wider_effect_that_fits_as_well():
     def tried(name, evidence, contains=()):
         effect = SimpleNamespace(contains=dict.fromkeys(contains))
         return SimpleNamespace(candidate=SimpleNamespace(name=name, effect=effect), evidence=evidence)
@@ -151,7 +151,7 @@ def test_a_special_case_goes_before_the_wider_effect_that_fits_as_well():
 
 @pytest.mark.parametrize(("band", "lag", "name"), [(-0.5, -0.5, "band"), (-3.0, 0.5, "limits"), (-3.0, 2.0, "lag")])
 def test_the_order_of_effects_is_tried_again_beside_the_whole_set(monkeypatch, band, lag, name):
-    """Ahead when it was alone, the wider effect gives way where its special case fits as well, or another effect better."""
+    """The wider effect, first when alone, is replaced if its special case fits as well, or another effect better."""
     wide = SimpleNamespace(name="limits", contains={"band": {}})
     problem = SimpleNamespace(model=SimpleNamespace(effects=[wide]))
     for other in ("wake", "band", "lag"):
@@ -176,7 +176,7 @@ def weighed(effect, evidence, size):
 
 @pytest.mark.parametrize(("size", "kept"), [(0.2, ("band", "clock")), (0.01, ("band",))])
 def test_an_effect_that_became_too_small_beside_another_is_dropped(monkeypatch, size, kept):
-    """The clock has evidence either way: below the minimum size it leaves the set, and takes nothing with it."""
+    """The clock has enough evidence. Below the minimum size it leaves the set, and no other effect leaves with it."""
     monkeypatch.setattr(selection, "without", lambda searcher, base, fit, name: SimpleNamespace(effects=fit.effects[:1]))
     whole, evidence, sizes = (
         SimpleNamespace(effects=("band", "clock")),
@@ -202,7 +202,7 @@ def test_the_rest_of_a_refuted_set_is_judged_separately(monkeypatch):
 
 
 def test_two_effects_are_found_where_a_third_alone_looks_better_than_either(monkeypatch):
-    """By itself `limits` is worth 39, `drift` 37 and `delay` 10; `limits` and `map` together 50, `drift` and `delay` 67."""
+    """Gains alone: `limits` 39, `drift` 37, `delay` 10; `limits` and `map` together 50, `drift` and `delay` 67."""
     worth = {(): 0, ("limits",): 39, ("drift",): 37, ("delay",): 10, ("limits", "map"): 50, ("delay", "drift"): 67}
     model = SimpleNamespace(effects=[SimpleNamespace(name=n, contains={}) for n in ("limits", "drift", "delay", "map")])
 
@@ -232,8 +232,8 @@ def test_two_effects_are_found_where_a_third_alone_looks_better_than_either(monk
 
 
 @pytest.mark.parametrize(("gained", "word"), [(100.0, "partly"), (8.0, "unexplained")])
-def test_a_fault_of_the_speed_hides_no_effect_of_the_rotor(gained, word):
-    """Of the log-likelihood a set gains 100 or 8 nats, and generic regressors 10 more; the speed's residual is as it was."""
+def test_a_residual_of_the_speed_does_not_hide_an_explained_thrust(gained, word):
+    """A set gains 100 or 8 nats of log-likelihood, and generic regressors 10 more; the speed's residual is unchanged."""
     base, final = (SimpleNamespace(deviance=-2.0 * gain, effects=effects) for gain, effects in ((0.0, ()), (gained, ("lag",))))
     common = {"bands": (), "significant": True, "turns": False, "transient_lack_of_fit": False, "speed_lack_of_fit": True}
     before, after = (SimpleNamespace(score=SimpleNamespace(gain=gain), speed=0.9, **common) for gain in (gained + 10.0, 10.0))
@@ -241,8 +241,8 @@ def test_a_fault_of_the_speed_hides_no_effect_of_the_rotor(gained, word):
 
 
 @pytest.mark.parametrize(("steps", "ships"), [(0.05, ("vibration", "lag")), (0.2, ("lag",)), (None, ("lag",))])
-def test_what_starts_anywhere_in_another_record_ships_only_where_other_starts_confirm_it(monkeypatch, steps, ships):
-    """Step runs have starts of their own: without it they are predicted to 0.1 N."""
+def test_an_effect_with_an_arbitrary_phase_is_kept_only_if_step_runs_confirm_it(monkeypatch, steps, ships):
+    """Step runs have phases of their own: without the effect their prediction error is 0.1 N."""
     declared = [SimpleNamespace(name=n, parameters=[SimpleNamespace(initial=n == "vibration")]) for n in ("vibration", "lag")]
     problem = SimpleNamespace(model=SimpleNamespace(effects=declared))
     both, rest = (SimpleNamespace(effects=names, problem=problem) for names in (("vibration", "lag"), ("lag",)))
@@ -258,7 +258,7 @@ def test_what_starts_anywhere_in_another_record_ships_only_where_other_starts_co
     assert (final.effects, why) == (ships, "")
 
 
-def test_an_effect_of_which_an_estimate_leaves_nothing_is_refuted(monkeypatch):
+def test_an_effect_below_the_minimum_size_after_estimation_is_refuted(monkeypatch):
     fit = SimpleNamespace(effects=("band",), problem=SimpleNamespace(model=SimpleNamespace(effects=[])))
     monkeypatch.setattr(validation, "_estimated", lambda judge, knowledge, present, one: one)
     present, judge = SimpleNamespace(name="present"), SimpleNamespace(matters=lambda *_: False)
@@ -268,15 +268,15 @@ def test_an_effect_of_which_an_estimate_leaves_nothing_is_refuted(monkeypatch):
 
 
 @pytest.mark.parametrize(("after", "worse"), [(0.2, True), (0.1, False), (0.05, False)])
-def test_an_error_rises_where_blocks_that_were_not_fitted_agree_on_it(after, worse):
-    """Twelve blocks of noise, 0.1 before."""
+def test_an_error_increases_if_the_blocks_agree(after, worse):
+    """Twelve blocks of noise with an rms of 0.1 before."""
     rng, time = np.random.default_rng(3), np.arange(0.0, 60.0, 0.05)
     assert error_increases([(time, 0.1 * rng.standard_normal(len(time)), after * rng.standard_normal(len(time)))]) is worse
 
 
 @pytest.mark.parametrize(("partly", "told"), [(True, "cross-validated thrust error increases from 0.1 to 0.11 N"), (False, "")])
-def test_what_explains_a_part_must_carry_over_to_whole_thirds_certain_or_not(monkeypatch, partly, told):
-    """Left-out thirds are worse by a tenth, in one of three blocks alone: no certainty."""
+def test_a_partial_explanation_must_not_increase_the_error_on_thirds(monkeypatch, partly, told):
+    """The error of left-out thirds increases by a tenth, in one of three blocks alone, which is not significant."""
     time = np.arange(0.0, 15.0, 0.05)
     old = np.full(len(time), 0.1)
     new = np.where(time < 5.0, np.sqrt(3.0 * 0.11**2 - 2.0 * 0.1**2), 0.1)
@@ -289,8 +289,7 @@ def test_what_explains_a_part_must_carry_over_to_whole_thirds_certain_or_not(mon
 
 
 class Estimates:
-    """A judge of fits that are known by the rms of their errors in folds, noise of one draw scaled: which of two is the larger
-    is certain."""
+    """A judge of fits given by the rms of their errors in folds, scaled from one noise: all differences are significant."""
 
     runs = ()
 
@@ -304,7 +303,7 @@ class Estimates:
 
 
 def estimate(name: str, **others):
-    """A fit, and what it is when it is estimated otherwise."""
+    """A fit with its alternative estimates."""
     problem = SimpleNamespace(experiments=[SimpleNamespace(record=SimpleNamespace(time=TIME))])
     made = {n: lambda *_, one=one: one for n, one in others.items()}
     return SimpleNamespace(name=name, problem=problem, at_rest=False, **made)
@@ -313,13 +312,13 @@ def estimate(name: str, **others):
 @pytest.mark.parametrize(
     ("found", "agreed", "again", "chosen"),
     [
-        (0.09, 0.08, 0.05, "agreed"),  # what the map tells goes first
+        (0.09, 0.08, 0.05, "agreed"),  # the estimate that agrees with the map has priority
         (0.09, 0.12, 0.05, "found"),  # unless it predicts worse
         (0.11, 0.12, 0.10, "again"),  # as identified only where the present model is better
         (0.11, 0.12, 0.13, "found"),
     ],
 )
-def test_what_ships_is_estimated_as_the_left_out_folds_have_it(found, agreed, again, chosen):
+def test_the_choice_between_estimates_by_cross_validation(found, agreed, again, chosen):
     judge = Estimates(present=0.1, found=found, agreed=agreed, again=again, held=0.2)
     last = estimate("again", with_map_of=estimate("held"))
     own = {"as_identified": last, "with_map_of": estimate("held")}
@@ -336,7 +335,7 @@ def test_what_ships_is_estimated_as_the_left_out_folds_have_it(found, agreed, ag
         (True, 0.09, 0.01, "again"),  # it has bent the map
     ],
 )
-def test_the_map_stays_what_it_was_where_records_of_an_effect_on_the_way_do_not_tell_it(at_rest, held, runs, chosen):
+def test_the_previous_map_is_kept_if_step_runs_refute_the_new_one(at_rest, held, runs, chosen):
     judge = Estimates(present=0.1, found=0.08, again=0.07, held=held)
     judge.runs, judge.on_runs = [1], lambda fit: np.full(3, {"present": 0.02, "held": runs}.get(fit.name, 0.05))
     last = estimate("again", with_map_of=estimate("held"))
@@ -346,9 +345,9 @@ def test_the_map_stays_what_it_was_where_records_of_an_effect_on_the_way_do_not_
 
 
 @pytest.mark.parametrize(("name", "widened"), [("pitch_asymmetry", False), ("map_terms", True)])
-def test_points_at_rest_lose_weight_only_beside_what_has_bent_them(name, widened):
-    """Records that put a coefficient of the thrust map five of the map's standard deviations elsewhere. An effect on the way
-    can't have brought the points there; terms of the map itself may have."""
+def test_steady_points_lose_weight_only_beside_effects_of_the_map(name, widened):
+    """The records shift a coefficient of the thrust map by five of the map's standard deviations. A dynamic effect can't have
+    shifted the steady points; terms of the map itself may have."""
     effect = next(e for e in LIBRARY if e.name == name)
     model, rng = plant([name]), np.random.default_rng(4)
     free = [n for n in effect.probe if effect.full(n) not in ("pitch_asymmetry.form",)]
@@ -377,8 +376,8 @@ def test_points_at_rest_lose_weight_only_beside_what_has_bent_them(name, widened
         assert agreed is found
 
 
-def test_a_slow_stand_is_looked_for_as_far_down_as_the_records_go():
-    """Two cycles in 20 s: 0.1 Hz; half of 100 rows a second: 50 Hz; twelve a decade are a factor of 1.22 apart."""
+def test_the_search_for_a_resonance_spans_the_frequencies_of_the_record():
+    """From two cycles in 20 s, 0.1 Hz, to half of 100 rows a second, 50 Hz; twelve per decade are a factor of 1.22 apart."""
     time = 0.01 * np.arange(2001)
     record = Record({"time": time, "omega_ref": np.full(2001, 4000.0), "beta_ref": np.zeros(2001)}, "made up")
     (candidate,) = candidates([e for e in LIBRARY if e.name == "stand_resonance"], [record])
@@ -388,15 +387,14 @@ def test_a_slow_stand_is_looked_for_as_far_down_as_the_records_go():
 
 
 @pytest.mark.parametrize(("losses", "p"), [([1.0, 2.0, 3.0, 40.0, 500.0, 6e3], 1 / 64), ([-1.0, 2.0], 1 / 2), ([0.0] * 6, 1.0)])
-def test_a_held_out_error_that_falls_in_every_block_has_the_least_p_value(losses, p):
-    """Of the signs of six differences one combination in 64 has a mean as large, however unequal they are: a t test says 0.16.
+def test_an_error_that_decreases_in_every_block_has_the_least_p_value(losses, p):
+    """One of the 64 sign combinations of six differences has a mean as large, however unequal they are; a t test gives 0.16.
     (0.5 and 1.5 of [-1, 2]: two of four.)"""
     assert p_no_decrease([], losses) == pytest.approx(p)
 
 
-def test_rivals_are_of_the_round_in_which_an_effect_came_in():
-    """Alone a limit has 800 nats, in another form 790, and a wake that is there too 200; beside the limit a map comes near the
-    wake."""
+def test_rivals_come_from_the_round_that_added_the_effect():
+    """Alone: a limit 800 nats, in another form 790, a wake 200; beside the limit a map has nearly the evidence of the wake."""
 
     def tried(name, evidence, form=1.0):
         return SimpleNamespace(candidate=SimpleNamespace(name=name, form={f"{name}.form": form}), evidence=evidence, fit=True)
@@ -413,8 +411,8 @@ def test_rivals_are_of_the_round_in_which_an_effect_came_in():
     assert near == {"limit": [("limit", 2.0), ("band", 1.0)], "wake": [("map", 1.0)]}
 
 
-def test_a_fit_that_is_asked_for_again_is_not_made_again():
-    """It goes by all that was asked: another start, or order of the lags, is another fit."""
+def test_a_fit_with_the_same_arguments_is_computed_once():
+    """Another start or another order of the lags is another fit."""
     record = Record({"time": 0.02 * np.arange(400), **commanded(400), "thrust": RNG.standard_normal(400)}, "drawn")
     values = plant(()).values()
     searcher = Searcher([Experiment([Fitted("drawn", record)], independent(15.0))], ["c20", "c11"], None, values, LIBRARY)
@@ -430,8 +428,8 @@ def commanded(rows: int) -> dict[str, np.ndarray]:
     return {"omega_ref": np.repeat(2500.0 + 3000.0 * levels[0], 50), "beta_ref": np.repeat(12.0 * levels[1] - 3.0, 50)}
 
 
-def test_an_estimate_with_the_map_of_another_fit_moves_the_lags_alone_and_carries_its_uncertainty():
-    """Records of a rotor that is slower one way: map and its standard deviations stay as they were, to the digit."""
+def test_an_estimate_with_the_map_of_another_fit_changes_the_lags_alone():
+    """Records of a rotor that is slower in one direction: the map and its standard deviations are unchanged to the digit."""
     model, rng, name = plant(["speed_asymmetry"]), np.random.default_rng(6), "speed_asymmetry.asymmetry"
     told = {"omega_ref": np.repeat(rng.uniform(2500.0, 5800.0, 40), 50), "beta_ref": np.repeat(rng.uniform(-3.0, 9.0, 40), 50)}
     shown = Simulator(model).simulate(model.values({name: 0.3}), told, np.full(1999, 0.01))
@@ -453,9 +451,9 @@ def test_an_estimate_with_the_map_of_another_fit_moves_the_lags_alone_and_carrie
     ("low", "grid"),
     [(0.5, np.geomspace(0.02, 4.5, FINE)), (-4.0, np.linspace(-4.5, 4.5, FINE)), (-4.0, np.linspace(-4.5, -0.5, FINE))],
 )
-def test_pieces_that_look_like_no_other_are_all_met(low, grid):
-    """Edges that are known, and each piece's rows at a right angle to all others': a grid misses most of the pieces, halving
-    meets those wider than its finest part, so the right one, whichever it is."""
+def test_the_threshold_search_finds_every_wide_piece(low, grid):
+    """The edges are known, and the rows of each piece are orthogonal to those of all others. A grid misses most pieces;
+    bisection finds every piece wider than its finest part."""
     edges, grid, rows = np.sort(np.random.default_rng(9).uniform(low, low + 2.5, 300)), grid.tolist(), 30.0 * np.eye(301)
     changing = min(b for b in grid if b > edges[-1]) - max(a for a in grid if a < edges[0])
     wide = np.flatnonzero(np.diff(edges) > changing / FINEST) + 1
@@ -477,9 +475,9 @@ def test_pieces_that_look_like_no_other_are_all_met(low, grid):
     assert len(asked) == 3
 
 
-def test_pieces_that_look_alike_are_met_where_the_best_may_be():
-    """A bump whose place goes in 3000 small pieces, in noise: of all of them none is better than the one that was met by more
-    than half the finest step costs, and few are looked at."""
+def test_the_threshold_search_finds_the_best_of_many_similar_pieces():
+    """The position of a bump in noise has 3000 small pieces. The cost found exceeds the least by at most that of half the
+    finest step, and few pieces are evaluated."""
     edges, axis, width = np.linspace(0.5, 3.0, 3001), np.linspace(-1.0, 5.0, 600), 0.3
     bumps = 4.0 * np.exp(-(((axis - edges[:, None]) / width) ** 2))
     curvature = 4.0**2 * np.sqrt(0.5 * np.pi) / width / (axis[1] - axis[0])  # of half the squared distance of two bumps
@@ -498,9 +496,9 @@ def test_pieces_that_look_alike_are_met_where_the_best_may_be():
 
 
 @pytest.mark.parametrize(("small", "expected"), [(1.0, 2.0), (2.0, 0.0)])
-def test_of_thresholds_that_no_command_tells_apart_the_middle_is_taken(small, expected):
-    """Commands change by 1 deg, which is ignored, and then by 3 deg in all: any value between does the same. Where all changes
-    are of 2 deg, and none is ignored, the range ends first: the value of least influence is taken."""
+def test_the_middle_of_equivalent_thresholds_is_taken(small, expected):
+    """Moves of 1 deg are ignored and moves of 3 deg are followed, so any value between is equivalent. If all moves are of 2 deg
+    and none is ignored, the value of least influence is taken."""
     model, time = plant(["pitch_command_deadband"]), 0.01 * np.arange(3001)
     moves = np.cumsum(np.tile([2.0, -small, -2.0, small], 8))[:30]
     columns = {
@@ -518,8 +516,8 @@ def test_of_thresholds_that_no_command_tells_apart_the_middle_is_taken(small, ex
 
 
 @pytest.mark.parametrize(("half_width", "start"), [(0.731, 1.0), (1.618, 0.0)])
-def test_a_dead_band_in_a_closed_loop_is_looked_for_where_it_is(half_width, start):
-    """Commands of a loop creep: beside the very dead band the next ones explain nothing, and a grid passes it by."""
+def test_a_dead_band_in_a_closed_loop_is_found(half_width, start):
+    """Commands of a loop creep: close to the true dead band other values explain nothing, so that a grid misses it."""
     model, rng = plant(["pitch_command_deadband"]), np.random.default_rng(12)
     name, time = "pitch_command_deadband.half_width", np.cumsum(np.r_[0.0, rng.uniform(1.5, 4.0, 20)])
     wanted = Record({"time": time, "thrust_set": rng.uniform(3.0, 11.0, len(time))}, "wanted")
@@ -534,7 +532,7 @@ def test_a_dead_band_in_a_closed_loop_is_looked_for_where_it_is(half_width, star
     searcher = Searcher([Experiment([Fitted("flown", record)], independent(15.0))], names, None, values, LIBRARY)
     (candidate,) = candidates([e for e in LIBRARY if e.name == "pitch_command_deadband"], [record])
     seen = Screening(searcher.fit([], {}, [], values), searcher.start, LIBRARY, biased=False).at(candidate)
-    assert np.std(shown(seen.values[name]) - shown(half_width)) < 0.05  # no more than the noise tells them apart
+    assert np.std(shown(seen.values[name]) - shown(half_width)) < 0.05  # less than the noise
     found = searcher.fit(["pitch_command_deadband"], {}, [name], {**values, name: start})
     low, high = found.thresholds[name]
     assert low - 1e-3 < half_width < high + 1e-3
@@ -544,7 +542,7 @@ def test_a_dead_band_in_a_closed_loop_is_looked_for_where_it_is(half_width, star
 @pytest.mark.parametrize(
     ("on_runs", "chosen"), [({"found": 0.02, "again": 0.01}, "again"), ({"found": 0.02, "again": 0.03}, "found")]
 )
-def test_step_runs_ask_for_the_other_estimate_too(on_runs, chosen):
+def test_step_runs_can_choose_the_other_estimate(on_runs, chosen):
     held = estimate("held")
     judge = Estimates(present=0.1, found=0.08, again=0.09, held=0.2)
     judge.runs, judge.on_runs = [1], lambda fit: np.full(3, {"present": 0.01, "held": 1.0, **on_runs}[fit.name])
@@ -555,8 +553,8 @@ def test_step_runs_ask_for_the_other_estimate_too(on_runs, chosen):
 @pytest.mark.parametrize(
     ("after", "told"), [(0.1001, "cross-validated thrust error increases from 0.1 to 0.1001 N"), (0.0999, "")]
 )
-def test_nothing_ships_whose_reported_error_is_larger_than_before(monkeypatch, after, told):
-    """Whatever the evidence, and however little: that it is so for certain is not asked for."""
+def test_a_model_with_a_larger_cross_validation_error_is_refuted(monkeypatch, after, told):
+    """Whatever the evidence, and even if the increase is not significant."""
     monkeypatch.setattr(validation, "error_increases", lambda *_: False)
     judge, present, found = Estimates(present=0.1, found=after, base=0.2), estimate("present"), estimate("found")
     monkeypatch.setattr(validation, "cross_validated", lambda one, split: judge.held_out(one))
@@ -566,8 +564,8 @@ def test_nothing_ships_whose_reported_error_is_larger_than_before(monkeypatch, a
 @pytest.mark.parametrize(
     ("as_it_ships", "told"), [(0.09, ""), (0.21, "cross-validated thrust error increases from 0.2 to 0.21 N")]
 )
-def test_an_estimate_that_folds_do_not_hold_refutes_nothing_where_another_one_predicts_better(monkeypatch, as_it_ships, told):
-    """Of an actuator that latches the records tell little of the map: with the static map's word it is known."""
+def test_only_the_final_estimate_can_refute_a_set(monkeypatch, as_it_ships, told):
+    """The records of an actuator that latches hardly identify the map; with the static map as prior it is known."""
     monkeypatch.setattr(validation, "error_increases", lambda *_: False)
     judge = Estimates(present=0.1, found=0.5, final=as_it_ships, base=0.2)
     monkeypatch.setattr(validation, "cross_validated", lambda one, split: judge.held_out(one))
@@ -583,9 +581,9 @@ def test_an_estimate_that_folds_do_not_hold_refutes_nothing_where_another_one_pr
         (2, 0.01, ""),
     ],
 )
-def test_step_runs_that_lose_more_than_the_folds_gain_refute_what_was_found(monkeypatch, every, rise, told):
-    """A limit at the edge of the fitted commands: half of 40 runs go further, or two much further (no t test is certain of
-    that), and their mean square rises from 0.01 N^2 by `rise`, sqrt(0.01 + 0.48 / 2) = 0.5; the folds gain 0.11^2 - 0.07^2 =
+def test_a_larger_error_on_step_runs_refutes_a_set(monkeypatch, every, rise, told):
+    """A limit at the edge of the fitted commands: half of 40 runs go further, or two much further (not significant in a t
+    test). Their mean square increases from 0.01 N^2 by `rise`, sqrt(0.01 + 0.48 / 2) = 0.5. The folds gain 0.11^2 - 0.07^2 =
     0.0072, less than 0.24 and more than 0.005."""
     time = np.arange(0.0, 15.0, 0.05)
     held = {
@@ -604,8 +602,8 @@ def test_step_runs_that_lose_more_than_the_folds_gain_refute_what_was_found(monk
     ("refuted", "taken", "family"),
     [(set(), "band", {"band": ["hold", "lag"]}), ({"band"}, "hold", {"hold": ["lag"]}), ({"band", "hold", "lag"}, None, None)],
 )
-def test_what_was_not_told_from_what_is_refuted_takes_its_place_unless_it_is_refuted_too(monkeypatch, refuted, taken, family):
-    """Three rivals of a limit, the most evidence first."""
+def test_a_rival_replaces_a_refuted_effect_unless_it_is_refuted_too(monkeypatch, refuted, taken, family):
+    """Three rivals of a limit, in the order of their evidence."""
     fits = {n: SimpleNamespace(effects=(n,), bic=lambda k=k: float(k)) for k, n in enumerate(("band", "hold", "lag"))}
     stands = Judgement("", 9.0, 5.0, 8.0, {}, 0.2, 0.1)
     found = selection.Selection(None, None, {"limit": stands}, rivals={"limit": dict(reversed(fits.items()))})
@@ -629,8 +627,8 @@ def test_what_was_not_told_from_what_is_refuted_takes_its_place_unless_it_is_ref
     assert why == {"limit": ("rises there",)} | dict.fromkeys(refuted, ("rises",))
 
 
-def test_an_effect_must_exceed_what_the_form_of_another_may_leave_in_its_band():
-    """An effect that explains 8000 nats and is described to 5 % of its amplitude leaves 0.05^2 of them, 20, in its own band."""
+def test_the_allowance_for_the_form_of_another_effect():
+    """An effect that explains 8000 nats, with an amplitude error of 5 %, may leave 0.05^2 of them, 20, in its own band."""
     left = 0.05**2 * 8000.0
     assert model_form_allowance(np.array([25.0, 0.0]), np.array([8000.0, 0.0])) == pytest.approx(left)
     assert model_form_allowance(np.array([3.0, 25.0]), np.array([8000.0, 0.0])) == 3.0
@@ -638,7 +636,7 @@ def test_an_effect_must_exceed_what_the_form_of_another_may_leave_in_its_band():
 
 
 def thrust_fit(rows):
-    """A fit that has whitened thrust `rows` as its residual, of one record with a repeat, beside a speed that it explains."""
+    """A fit with whitened thrust residuals `rows`, of one record with a repeat, and a speed that it explains."""
     squares, counts = {"thrust": float(rows @ rows), "omega": 10.0}, {"thrust": len(rows), "omega": 10}
     problem = SimpleNamespace(
         residual_at=lambda values: np.append(rows, np.ones(10)),
@@ -651,8 +649,8 @@ def thrust_fit(rows):
 
 @pytest.mark.parametrize(("weak", "accepted"), [("wave of 2 Hz", True), ("error of the drift's form", False)])
 def test_beside_a_strong_drift_an_effect_of_30_nats_is_accepted_in_another_band_alone(weak, accepted):
-    """90 s at 100 Hz. A drift explains 16 000 nats, of which its form may leave 40. A lag shows at 2 Hz, where the drift has no
-    power; the error of the drift's form is the curve that a line leaves of a drift that settles."""
+    """90 s at 100 Hz. A drift explains 16 000 nats, of which its form may leave 40. A lag is visible at 2 Hz, where the drift
+    has no power; the error of the drift's form is the residual of a line fitted to a drift that settles."""
     count, since = 9000, np.linspace(-1.0, 1.0, 9000)
     drift = since * np.sqrt(3.0 * np.expm1(2.0 * 16000.0 / count))
     wave, curve = np.sin(2.0 * np.pi * 2.0 * 90.0 * np.arange(count) / count), since**2 - np.mean(since**2)
@@ -670,8 +668,8 @@ def test_beside_a_strong_drift_an_effect_of_30_nats_is_accepted_in_another_band_
 
 
 @pytest.mark.parametrize(("away", "factor"), [(0.5, 1.0), (2.0, None), (500.0, WIDEST)])
-def test_knowledge_is_as_wide_as_records_disagree_with_it(away, factor):
-    """Of one parameter d^2 = C + f^2 S has a closed form; below, knowledge keeps its word, above nothing is left of it."""
+def test_prior_knowledge_is_widened_by_its_disagreement_with_the_records(away, factor):
+    """For one parameter d^2 = C + f^2 S has a closed form; f is at least 1 and at most WIDEST."""
     of_records, known = 0.6, 0.3
     uncertainty = Uncertainty(("c20",), np.array([1.0 + away]), np.array([[of_records**2]]), np.ones(1))
     told = Prior(("c20", "c11"), np.array([1.0, 7.0]), np.diag([known**2, 1.0]))
@@ -683,17 +681,16 @@ def test_knowledge_is_as_wide_as_records_disagree_with_it(away, factor):
     ("ahead", "leaves", "elsewhere", "refuted", "looks", "shipped"),
     [
         (9.0, False, False, "", ["base"], "term beside base"),
-        (9.0, False, True, "", ["base"], "term beside base"),  # what explains all may be at either place
+        (9.0, False, True, "", ["base"], "term beside base"),  # a term that explains everything may be at either place
         (4.0, False, False, "", ["base", "known"], "term beside known"),  # as much evidence as the effects of the list have
         (9.0, True, False, "", ["base", "known"], "term beside known"),
         (9.0, True, True, "", ["base", "known"], "present"),
         (9.0, False, False, "rises", ["base", "known"], "present"),
     ],
 )
-def test_a_term_must_explain_all_or_be_told_from_others_and_beside_the_base_more_than_effects_that_explain_a_part(
-    monkeypatch, ahead, leaves, elsewhere, refuted, looks, shipped
-):
-    """Penalised log-likelihood over the effects of the list: more than 5 is asked for."""
+def test_when_a_learned_term_is_accepted(monkeypatch, ahead, leaves, elsewhere, refuted, looks, shipped):
+    """Beside the base it needs 5 nats more than the effects of the list, and no lack of fit may remain. Beside those effects it
+    is rejected if lack of fit remains and a term elsewhere explains as much."""
     base, known, seen = SimpleNamespace(name="base"), SimpleNamespace(name="known", effects=("one", "other")), []
 
     def learned_beside(fit):

@@ -1,4 +1,4 @@
-"""The tests of lack of fit: their level where nothing is missing, their power against what is, their place in a verdict."""
+"""The tests of lack of fit: their level if nothing is missing, their power, and their part in the verdict."""
 
 from types import SimpleNamespace
 
@@ -24,7 +24,7 @@ RNG = np.random.default_rng(20)
 
 
 def test_pure_error_has_its_level_on_noise_and_sees_what_repeats():
-    """1000 draws of two records of noise: uniform p-values; a sine of half the noise's deviation is never missed."""
+    """1000 draws: p-values of noise are uniform; a sine of half the noise's standard deviation is always detected."""
     from scipy.stats import f
 
     time, ps, seen = np.arange(600) * 0.05, [], []
@@ -49,8 +49,8 @@ DRAWS = 400
 @pytest.mark.parametrize("repeat", [False, True])
 @pytest.mark.parametrize(("rho", "parameters"), [(0.0, 0), (0.5, 0), (0.5, 20)])
 def test_the_score_test_keeps_its_level_where_the_noise_is_estimated(rho, parameters, repeat):
-    """Slow shapes in noise whose colour nobody took out, from which a fit of slow sensitivities has taken its share: rejected
-    at 1 % in 1 % of the draws, within 3 standard errors, with the noise of another record as with what is left of this one."""
+    """Slow shapes in noise that is not whitened, after a fit of slow sensitivities has removed its part. 1 % of the draws are
+    rejected at 1 %, within 3 standard errors, with the noise estimated from another record or from the residual."""
     rng, rows, count = np.random.default_rng(7), 1200, 12
     rejected = 0
     for _ in range(DRAWS):
@@ -66,9 +66,9 @@ def test_the_score_test_keeps_its_level_where_the_noise_is_estimated(rho, parame
     assert rejected / DRAWS < 0.01 + 3.0 * np.sqrt(0.01 * 0.99 / DRAWS)
 
 
-def test_what_records_do_not_share_is_as_large_as_the_noise_of_their_mean():
-    """Three records of a sine and white noise of 0.2 N, whose mean is whitened to 1: two samples, apart from each other and
-    from the residual, of mean square 1."""
+def test_differences_of_repeated_records_have_the_noise_of_their_mean():
+    """Three records of a sine and white noise of 0.2 N, whose mean is whitened to 1: two samples of mean square 1, independent
+    of each other and of the residual."""
     time = np.arange(4000) * 0.01
     own = {"time": time, "omega_ref": np.zeros(4000), "beta_ref": np.zeros(4000)}
     shared = 3.0 * np.sin(time)
@@ -80,8 +80,8 @@ def test_what_records_do_not_share_is_as_large_as_the_noise_of_their_mean():
 
 
 @pytest.mark.parametrize(("wave", "share"), [(2, 0.25), (300, 1.0)])
-def test_what_falls_where_the_noise_is_four_times_what_it_was_taken_for_counts_a_quarter(wave, share):
-    """White noise, of four times the power below the twelfth ordinate: a wave there, and one elsewhere, taken away."""
+def test_gains_are_down_weighted_in_bands_with_more_noise_than_assumed(wave, share):
+    """White noise with four times the power below the twelfth ordinate; a wave is removed in that band or elsewhere."""
     rng, n, found = np.random.default_rng(11), 1200, []
     turns = 2.0 * np.pi * np.arange(n) / n
     for _ in range(60):
@@ -94,16 +94,16 @@ def test_what_falls_where_the_noise_is_four_times_what_it_was_taken_for_counts_a
 
 
 @pytest.mark.parametrize("statistic", [8.0, 20.0, 45.0])
-def test_where_slow_bands_tell_little_of_the_noise_a_large_score_is_no_rarity(statistic):
-    """Against the sum over bands by brute force: half a million draws of chi^2 over the noise's power as far as it is known."""
+def test_the_p_value_accounts_for_bands_with_few_estimates_of_the_noise(statistic):
+    """Against half a million draws of the sum over bands of chi^2 over the estimated power of the noise."""
     bands, rng = ((5.0, 4.0), (2.0, 20.0), (1.0, 200.0)), np.random.default_rng(3)
     drawn = sum(rng.chisquare(own, 500_000) * known / rng.chisquare(known, 500_000) for own, known in bands)
     share = float(np.mean(drawn >= statistic))
     assert ScoreTest(0.5 * (statistic - 8), 8, bands).p == pytest.approx(share, rel=0.05)
 
 
-def test_the_score_test_sees_what_follows_a_shape():
-    """A shape with ten times the noise's amplitude in its direction is never missed."""
+def test_the_score_test_detects_a_residual_along_a_shape():
+    """A shape with an amplitude of twenty times the noise's in its direction is always detected."""
     rng, rows, count = np.random.default_rng(8), 1200, 12
     shapes = np.linalg.qr(np.cumsum(rng.standard_normal((rows, count)), axis=0))[0].T
     residual = rng.standard_normal(rows) + 20.0 * shapes[3]
@@ -112,19 +112,26 @@ def test_the_score_test_sees_what_follows_a_shape():
     assert ScoreTest(0.5 * (float(score @ np.linalg.solve(covariance, score)) - count), count, bands).p < 1e-6
 
 
+def set_checks(monkeypatch, **results):
+    """The checks of lack of fit return these results; the others find nothing."""
+    nothing = {
+        "pure_error": (),
+        "score_test": ScoreTest(0.0, 10, ((10.0, 1000.0),)),
+        "_score_size": 0.0,
+        "structured_speed_share": 0.0,
+        "transient_power_share": (0.0, 0.0),
+    }
+    for name, result in (nothing | results).items():
+        monkeypatch.setattr(lack_of_fit, name, result if callable(result) else lambda *_, result=result: result)
+
+
 @pytest.mark.parametrize(
     ("effects", "p", "certain"), [((), 0.0005, True), ((), 0.002, False), (("one",), 0.002, True), (("one",), 0.02, False)]
 )
 def test_a_model_that_claims_to_explain_all_must_pass_a_stricter_test(monkeypatch, effects, p, certain):
     """Five bands and a score test: the smallest of six p-values is below q as often as p = 1 - (1 - q)^6."""
     q = 1.0 - (1.0 - p) ** (1.0 / 6.0)
-    monkeypatch.setattr(
-        lack_of_fit, "pure_error", lambda fit: tuple(Band(0.0, 1.0, 0.01, 0.001, each) for each in (q, *[0.5] * 4))
-    )
-    monkeypatch.setattr(lack_of_fit, "score_test", lambda fit: ScoreTest(0.0, 10, ((10.0, 1000.0),)))
-    monkeypatch.setattr(lack_of_fit, "_score_size", lambda fit, score: 0.0)
-    monkeypatch.setattr(lack_of_fit, "structured_speed_share", lambda fit: 0.0)
-    monkeypatch.setattr(lack_of_fit, "transient_power_share", lambda fit, channel: (0.0, 0.0))
+    set_checks(monkeypatch, pure_error=tuple(Band(0.0, 1.0, 0.01, 0.001, each) for each in (q, *[0.5] * 4)))
     found = lack_of_fit.lack_of_fit(SimpleNamespace(effects=effects), least=0.1)
     assert found.p == pytest.approx(p)
     assert (found.certain, found.significant) == (certain, certain)
@@ -133,13 +140,8 @@ def test_a_model_that_claims_to_explain_all_must_pass_a_stricter_test(monkeypatc
 
 @pytest.mark.parametrize(("share", "size", "lacks"), [(0.4, 0.3, False), (0.6, 0.3, True), (0.6, 0.05, False)])
 def test_a_wrong_speed_is_a_lack_of_fit_though_the_thrust_is_right(monkeypatch, share, size, lacks):
-    """More than half of what is left of it, worth more than 0.1 N."""
-    monkeypatch.setattr(lack_of_fit, "pure_error", lambda fit: ())
-    monkeypatch.setattr(lack_of_fit, "score_test", lambda fit: ScoreTest(0.0, 10, ((10.0, 1000.0),)))
-    monkeypatch.setattr(lack_of_fit, "_score_size", lambda fit, score: 0.0)
-    monkeypatch.setattr(lack_of_fit, "structured_speed_share", lambda fit: share)
-    monkeypatch.setattr(lack_of_fit, "transient_power_share", lambda fit, channel: (0.0, 0.0))
-    monkeypatch.setattr(lack_of_fit, "thrust_equivalent", lambda fit, told: (size, 7.0))
+    """If more than half of the speed's residual is structured, and it is worth more than 0.1 N."""
+    set_checks(monkeypatch, structured_speed_share=share, thrust_equivalent=(size, 7.0))
     found = lack_of_fit.lack_of_fit(SimpleNamespace(effects=()), least=0.1, least_speed=5.0)
     assert (found.certain, found.speed_lack_of_fit, found.significant) == (False, lacks, lacks)
     assert found.only_speed is lacks
@@ -150,11 +152,11 @@ def test_a_wrong_speed_is_a_lack_of_fit_though_the_thrust_is_right(monkeypatch, 
 TIME = np.arange(0.0, 60.0, 0.01)
 
 
-def left_of_holds(monkeypatch, std=1.0, verified=False, count=0.0):
-    """A fit that leaves noise of 1, and a swing of 3 in the first half of each hold of 4 s: its power is 4.5 / 2 in all and
-    none at rest. Thrust is read by a converter of `count` N, speed by a sensor that leaves `std` of it uncertain."""
+def fit_with_transients(monkeypatch, std=1.0, verified=False, count=0.0):
+    """A fit whose residual is noise of 1 and a sine of 3 in the first half of each hold of 4 s: its power is 4.5 / 2 in all and
+    none at rest. Thrust is read by a converter of `count` N; the sensor of the speed has the uncertainty `std`."""
     record = {"time": TIME, "omega_ref": np.floor(TIME / 4.0), "beta_ref": np.zeros(len(TIME)), "thrust": np.zeros(len(TIME))}
-    # Noise of the means over 0.05 s is 1 too: that is what is below 10 Hz.
+    # The noise of means over 0.05 s, which is that below 10 Hz, is 1 too.
     noise = [RNG.standard_normal(len(TIME)), RNG.standard_normal(len(TIME) // 5).repeat(5)]
     speed, thrust = (np.where(TIME % 4.0 < 2.0, 3.0 * np.sin(2.0 * np.pi * TIME), 0.0) + each for each in noise)
     sensor = SimpleNamespace(rows=np.arange(len(TIME)), measured=np.zeros(len(TIME)), std=std, shows=lambda omega: omega)
@@ -178,11 +180,9 @@ POWER = 0.5 * 0.5 * 3.0**2
     ("std", "verified", "effects", "asked"),
     [(1.0, False, ("one",), True), (2.0, False, ("one",), False), (1.0, True, ("one",), False), (1.0, False, (), False)],
 )
-def test_a_speed_that_is_wrong_while_commands_move_is_no_noise_where_rest_has_it_not(
-    monkeypatch, std, verified, effects, asked
-):
-    """Where the sensor leaves all that uncertain, a repeat tells the noise, or a model claims nothing, this is not asked."""
-    fit = left_of_holds(monkeypatch, std, verified)
+def test_a_speed_residual_that_is_absent_during_holds_is_not_noise(monkeypatch, std, verified, effects, asked):
+    """Not checked if the sensor's uncertainty explains it, if a repeat gives the noise, or if the model has no effects."""
+    fit = fit_with_transients(monkeypatch, std, verified)
     fit.effects = effects
     monkeypatch.setattr(lack_of_fit, "channel_rows", lambda fit, channel: [slice(0, len(TIME))])
     monkeypatch.setattr(lack_of_fit, "_followed_share", lambda fit, parts: 0.1)
@@ -190,9 +190,9 @@ def test_a_speed_that_is_wrong_while_commands_move_is_no_noise_where_rest_has_it
 
 
 @pytest.mark.parametrize(("count", "verified", "beyond"), [(0.0, False, POWER), (8.0, False, 0.0), (0.0, True, 0.0)])
-def test_so_is_a_thrust(monkeypatch, count, verified, beyond):
-    """Beyond what rounding to counts leaves at best: 8 N / 12^0.5 is more than all of it."""
-    share, size = lack_of_fit.transient_power_share(left_of_holds(monkeypatch, verified=verified, count=count), "thrust")
+def test_a_thrust_residual_that_is_absent_during_holds_is_not_noise(monkeypatch, count, verified, beyond):
+    """Beyond the least noise of rounding to counts: 8 N / 12^0.5 is more than all of it."""
+    share, size = lack_of_fit.transient_power_share(fit_with_transients(monkeypatch, verified=verified, count=count), "thrust")
     assert share == pytest.approx(beyond / (1.0 + beyond), abs=0.05)
     assert size == pytest.approx(np.sqrt(beyond), abs=0.1)
 
@@ -201,28 +201,23 @@ def test_so_is_a_thrust(monkeypatch, count, verified, beyond):
     ("claims", "share", "size", "lacks"),
     [(True, 0.6, 0.3, True), (False, 0.6, 0.3, False), (True, 0.4, 0.3, False), (True, 0.6, 0.05, False)],
 )
-def test_what_rest_has_not_is_a_lack_of_fit_of_a_model_that_claims_to_know(monkeypatch, claims, share, size, lacks):
-    """More than half of it, and more than 0.1 N."""
-    monkeypatch.setattr(lack_of_fit, "pure_error", lambda fit: ())
-    monkeypatch.setattr(lack_of_fit, "score_test", lambda fit: ScoreTest(0.0, 0, ()))
-    monkeypatch.setattr(lack_of_fit, "_score_size", lambda fit, score: 0.0)
-    monkeypatch.setattr(lack_of_fit, "structured_speed_share", lambda fit: 0.0)
-    monkeypatch.setattr(
-        lack_of_fit, "transient_power_share", lambda fit, channel: (share, size) if channel == "thrust" else (0.0, 0.0)
-    )
+def test_a_transient_residual_is_a_lack_of_fit_beside_an_accepted_effect(monkeypatch, claims, share, size, lacks):
+    """If it is more than half of the residual, and more than 0.1 N."""
+    moving = lambda fit, channel: (share, size) if channel == "thrust" else (0.0, 0.0)  # noqa: E731
+    set_checks(monkeypatch, score_test=ScoreTest(0.0, 0, ()), transient_power_share=moving)
     found = lack_of_fit.lack_of_fit(SimpleNamespace(effects=("one",) if claims else ()), least=0.1)
     assert (found.transient_lack_of_fit, found.significant) == (lacks, lacks)
 
 
 @pytest.mark.parametrize(("was", "word"), [(0.5, "partly"), (0.4, "unexplained")])
-def test_a_part_must_remove_half_of_what_rest_has_not(was, word):
-    """0.3 N are left: of 0.5 N 64 % of the power is gone, of 0.4 N 44 %."""
+def test_a_partial_explanation_must_remove_half_of_the_transient_power(was, word):
+    """A residual of 0.3 N remains: of 0.5 N, 64 % of the power is removed; of 0.4 N, 44 %."""
     score, fits = ScoreTest(0.0, 0, ()), [SimpleNamespace(effects=e, deviance=d) for e, d in (((), 100.0), (("one",), 0.0))]
     lacks = [lack_of_fit.LackOfFit((), score, 0.5, 0.0, 0.1, bool(m - was), moving=0.6, transient_size=m) for m in (was, 0.3)]
     assert verdict(*fits, *lacks, {"one": []}) == word
 
 
-def test_rest_is_the_last_third_of_each_hold_that_is_long_enough():
+def test_steady_parts_are_the_last_thirds_of_long_holds():
     """Commands move at 3 and at 4 s of 10."""
     time = np.arange(0.0, 10.05, 0.1)
     moves = {"omega_ref": np.where(time < 2.95, 0.0, 1.0), "beta_ref": np.where(time < 3.95, 0.0, 1.0)}
@@ -230,9 +225,9 @@ def test_rest_is_the_last_third_of_each_hold_that_is_long_enough():
     assert found == [pytest.approx((2.0, 3.0)), pytest.approx((8.0, 10.0))]
 
 
-def test_what_a_loop_swings_with_is_among_the_shapes():
-    """A speed that goes to its command through a swing at 1.2 Hz, damped by 0.2, and not through lags of 0.1 and 0.2 s: the
-    shapes take up all of the difference but a few per cent."""
+def test_the_shapes_include_an_oscillation_of_the_speed_loop():
+    """The speed responds with an oscillation of 1.2 Hz and a damping of 0.2 instead of lags of 0.1 and 0.2 s: the shapes
+    explain the difference to a few per cent."""
     time = np.arange(0.0, 40.0, 0.01)
     command = 4000.0 + 500.0 * np.random.default_rng(4).integers(0, 4, 20).repeat(200)
     swing = bilinear([1.0], [1.0 / (2.0 * np.pi * 1.2) ** 2, 0.4 / (2.0 * np.pi * 1.2), 1.0], 100.0)
@@ -249,5 +244,5 @@ def test_what_a_loop_swings_with_is_among_the_shapes():
 
 
 @pytest.mark.parametrize(("found", "turns", "word"), [(0, 0, "none"), (1, 0, "unexplained"), (0, 1, "unexplained")])
-def test_what_is_refuted_leaves_the_verdict_of_a_base_without_it(found, turns, word):
+def test_the_verdict_after_a_refutation_is_that_of_the_base_model(found, turns, word):
     assert unnamed(SimpleNamespace(significant=bool(found), turns=bool(turns))) == word

@@ -1,4 +1,4 @@
-"""vpp learn: a law that follows the set-point on plants it has not seen, its files, and the FMU that is made of it."""
+"""vpp learn: a law that follows the set-point on unseen plants, its files, and its FMU."""
 
 import json
 from dataclasses import replace
@@ -21,7 +21,7 @@ from vpp_fmu.policy import read_policy
 
 @pytest.fixture(scope="module")
 def learned(tmp_path_factory):
-    """A folder with what 40 generations of learning wrote; gains.json are the published ones."""
+    """A folder with the files of 40 generations of learning; gains.json are the published ones."""
     folder = tmp_path_factory.mktemp("learned")
     std = {"tau_omega_1": 0.02, "tau_beta_2": 0.04, "c20": 0.01, "c21": 0.05}
     ParameterSet(plant()).replaced({n: FINE_TUNED[n] for n in std}, std).save(folder)
@@ -56,7 +56,7 @@ def test_it_follows_the_set_point_on_a_plant_that_it_has_not_seen(learned):
         assert abs(thrust - wanted) < 0.5
 
 
-def test_the_curve_comes_down_and_the_comparison_is_of_held_out_plants(learned):
+def test_the_learning_curve_decreases_and_held_out_plants_are_compared(learned):
     curve = np.loadtxt(learned / "learning_curve.csv", delimiter=",", skiprows=1)
     assert (np.diff(curve[:, 0]) > 0).all()
     assert np.median(curve[-5:, 1]) < 0.5 * curve[0, 1]
@@ -68,7 +68,7 @@ def test_the_curve_comes_down_and_the_comparison_is_of_held_out_plants(learned):
 
 
 def test_the_loop_of_a_learned_law_is_the_loop_of_its_functions(learned):
-    """The compiled loop of the search, against plant, chain-free reading and law in Python."""
+    """The compiled loop of the search against plant and law in Python, without a measurement chain."""
     policy = read_policy(learned).parameters()
     model = replace(policy.model, outputs=policy.model.outputs[:2])
     loop, wanted = ClosedLoop(plant(), model), np.repeat([2.0, 8.0], 50)
@@ -95,11 +95,5 @@ def test_the_pid_is_tuned_on_set_points_of_the_same_kind():
     assert np.diff(profile.time)[:-1].max() < 4.0 * 0.5 + 0.005
 
 
-def test_its_fmu_is_exported(learned, tmp_path):
-    assert main(["export", "--policy", str(learned / "policy.json"), "-o", str(tmp_path)]) == 0
-    assert (tmp_path / "VppPolicy.fmu").is_file()
-
-
-def test_a_bad_call_is_one_line(tmp_path, capsys):
-    assert main(["learn", str(tmp_path / "nowhere"), "-o", str(tmp_path / "out")]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+def test_a_missing_folder_is_refused_in_one_line(tmp_path, refused):
+    refused("learn", tmp_path / "nowhere", "-o", tmp_path / "out")

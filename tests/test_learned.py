@@ -1,4 +1,4 @@
-"""Terms of no list: columns against the kernel's own tangents, the score test's size, what is learned, its file."""
+"""Learned terms: columns against the kernel's tangents, the level of the score test, the term that is learned, and its file."""
 
 import json
 from dataclasses import replace
@@ -20,7 +20,6 @@ from identification.diagnose.learned.learn import by_chance
 from identification.diagnose.learned.refit import Term, effect_of
 from identification.diagnose.learned.score import Scores
 from identification.diagnose.learned.screening import screened
-from vpp_fmu.app.cli import main
 from vpp_fmu.app.cli.diagnose import write_diagnosis
 from vpp_fmu.app.report.pages.diagnosis import diagnosis_page
 from vpp_fmu.app.report.summary import summary
@@ -37,12 +36,12 @@ from vpp_fmu.parameters import ParameterSet, read_parameters
 from vpp_fmu.record import write_record
 
 NOISE = 0.05  # N
-GAIN = 0.06  # N.s/deg, of the pitch rate on the thrust: what the term is
+GAIN = 0.06  # N.s/deg: the hidden term, from pitch rate to thrust
 FEW = tuple(e for e in LIBRARY if e.off is None or e.name in ("pitch_command_deadband", "sensor_lag"))
 
 
 def with_term(gain):
-    """The plant with thrust that goes with the pitch rate."""
+    """The plant with a thrust term proportional to the pitch rate."""
     effect = learned("hidden", "thrust", "pitch_rate", "line", {"gain": gain}, (-60.0, 60.0))
     return plant(["hidden"], placed(LIBRARY, effect, PORTS["thrust"])), {"hidden.gain": gain}
 
@@ -62,13 +61,13 @@ def campaign(gain, seed=0) -> Campaign:
 
 @pytest.fixture(scope="module")
 def found():
-    """The diagnosis of a rig with a term that the list given to it lacks."""
+    """The diagnosis of a rig with a term that its library does not have."""
     return diagnose(campaign(GAIN), FEW)
 
 
 @pytest.fixture(scope="module")
 def nothing():
-    """The diagnosis of a rig that lacks nothing."""
+    """The diagnosis of a rig that equals the model."""
     return diagnose(campaign(0.0), FEW)
 
 
@@ -80,7 +79,7 @@ def test_hats_add_up_to_one_and_make_the_curve():
     np.testing.assert_allclose(found @ values, np.interp(v, at, values))
 
 
-def test_memories_in_closed_form():
+def test_play_hold_and_relay_are_the_closed_forms():
     v = np.array([0.0, 1.0, 3.0, 2.5, 1.0, 0.0, 4.0])
     np.testing.assert_allclose(plays(v, np.array([1.0]))[:, 0] + v, [0.0, 0.0, 2.0, 2.0, 2.0, 1.0, 3.0])
     np.testing.assert_allclose(holds(v, np.array([1.2]))[:, 0] + v, [0.0, 0.0, 3.0, 3.0, 1.0, 1.0, 4.0])
@@ -94,7 +93,7 @@ def test_a_lag_of_a_step_is_the_exponential():
 
 @pytest.mark.parametrize("port", [p for p in PORTS if p != "reading"])
 def test_a_port_s_response_is_the_kernel_s_tangent(nothing, port):
-    """Curves over pitch or speed, at 0: what the look's linear response says, and what the model does."""
+    """Curves over pitch or speed, linearised at 0: the linear response of the screening against the tangent of the model."""
     base, form = nothing.base, 2.0
     e, driver = base.problem.experiments[0], "speed" if PORTS[port].channel == "beta" else "pitch"
     outputs = Simulator(base.problem.model).simulate(base.values, *e.record.run)
@@ -115,7 +114,7 @@ def test_a_port_s_response_is_the_kernel_s_tangent(nothing, port):
 
 
 def test_the_score_test_of_noise_has_its_distribution(nothing):
-    """Twice the fall of a group is chi^2 of its rank where there is only noise: 200 draws, Kolmogorov and Smirnov."""
+    """For noise, twice the likelihood gain of a group is chi^2 with its rank: 200 draws, Kolmogorov-Smirnov test."""
     base = nothing.base
     e, about = base.problem.experiments[0], base.linearised()
     outputs = Simulator(base.problem.model).simulate(base.values, *e.record.run)
@@ -131,15 +130,15 @@ def test_the_score_test_of_noise_has_its_distribution(nothing):
     assert kstest(falls, chi2(4).cdf).pvalue > 0.01
 
 
-def test_thirds_leave_whole_thirds_out():
+def test_contiguous_folds_are_thirds():
     np.testing.assert_array_equal(contiguous_folds(np.array([0.0, 9.9, 10.0, 19.9, 20.0, 30.0]), 30.0), [0, 0, 1, 1, 2, 2])
 
 
-def test_chance_in_a_closed_form():
+def test_the_threshold_of_chance_is_the_closed_form():
     assert by_chance(100) == pytest.approx(np.log(100 / ALPHA))
 
 
-def test_where_nothing_lacks_nothing_is_looked_for(nothing):
+def test_no_term_is_learned_where_nothing_is_missing(nothing):
     assert nothing.verdict == "none"
     assert nothing.attempt.comparisons == 0
     assert not [
@@ -147,7 +146,7 @@ def test_where_nothing_lacks_nothing_is_looked_for(nothing):
     ]
 
 
-def test_a_law_is_learned_and_ships(found):
+def test_a_missing_term_is_learned_and_added_to_the_model(found):
     assert found.verdict == "learned"
     term = found.learned.term
     assert (term.lead.port, term.lead.driver) == ("thrust", "pitch_rate")
@@ -169,13 +168,13 @@ def test_a_law_is_learned_and_ships(found):
     ],
 )
 def test_a_rival_elsewhere_is_of_another_place_or_driver(found, port, driver, elsewhere):
-    """What was learned is at the thrust, by the rate of pitch."""
+    """The learned term is at the thrust, driven by the pitch rate."""
     rival = replace(found.learned.term, lead=replace(found.learned.term.lead, port=port, driver=driver))
     assert replace(found.learned, rivals=(rival,)).elsewhere == (rival,) * elsewhere
 
 
-def test_a_term_that_does_not_ship_is_on_the_page_with_the_reason(found):
-    """Refuted as it is where something is lacking beside it: where it enters, and why it stays out, in table and JSON."""
+def test_a_refuted_term_is_on_the_page_with_the_reason(found):
+    """Refuted as if lack of fit remained: its place and the reason are in the table and in the JSON."""
     refuted = replace(found, verdict="unexplained", final=found.base, attempt=found.attempt.but_refuted("something is lacking"))
     page = diagnosis_page(refuted).html()
     stood = next(term for term, judged in refuted.attempt.tried if judged.refused == ("something is lacking",))
@@ -208,7 +207,7 @@ def test_its_files_are_read_exported_and_reported(found, tmp_path):
 
 @pytest.mark.parametrize("end", ["minimum", "maximum"])
 def test_a_value_on_its_bound_is_one_that_its_file_allows(tmp_path, end):
-    """The bounds go by the driver's range, which no short number is."""
+    """The bounds come from the range of the driver, which has many digits."""
     lead = SimpleNamespace(port="pitch_rate", driver="pitch_to_go", shape="sign", lag=None, times="", form=2.0)
     lead.values, lead.span = {"gain": -1.23456789, "width": 0.5}, (-1.95791771, 1.95791772)
     effect = effect_of(lead, "learned", PAPER)
@@ -248,15 +247,12 @@ def test_a_file_adds_its_effect_to_the_candidates(tmp_path):
         (OWN.replace('PORT = "thrust"', 'BEFORE = "wing"').replace("PORT,", '"thrust",'), "BEFORE: found 'wing'"),
     ],
 )
-def test_a_bad_file_is_one_line_and_exit_2(text, words, tmp_path, capsys):
+def test_a_bad_file_of_effects_is_refused_in_one_line(text, words, tmp_path, refused):
     record = campaign(0.0).validation
     write_record(OutputFolder(tmp_path), "record.csv", record)
     (tmp_path / "parameters.json").write_text('{"format": "vpp-parameters/1"}')
     path = Path(tmp_path, "own.py")
     if text is not None:
         path.write_text(text)
-    arguments = ["simulate", f"{tmp_path}/record.csv", "--parameters", f"{tmp_path}/parameters.json", "-o", f"{tmp_path}/out"]
-    assert main([*arguments, "--effects-from", str(path)]) == 2
-    said = capsys.readouterr().err
-    assert words in said
-    assert said.count("\n") == 1
+    given = tmp_path / "record.csv", "--parameters", tmp_path / "parameters.json", "--effects-from", path
+    assert words in refused("simulate", *given, "-o", tmp_path / "out")

@@ -1,4 +1,4 @@
-"""The linear plant of a result: against the lags and slopes in closed form, the compiled simulator, and other tools."""
+"""The linear plant of a result against closed forms, the compiled simulator, and other tools."""
 
 import sys
 
@@ -53,7 +53,7 @@ def test_the_frequency_response_is_two_lags_times_the_slope_of_the_map(omega, be
 
 @pytest.mark.parametrize(("omega", "beta"), POINTS)
 def test_a_small_step_is_the_compiled_simulators(omega, beta):
-    """The error of the linear plant vanishes with the square of the step, the response with the step."""
+    """The error of the linear plant decreases with the square of the step, the response with the step."""
     found, dt, rows = Found(), 0.004, 500
     model, values = found.parameters.model, found.parameters.values
     system, time, errors = found.to_scipy(omega, beta), np.arange(rows) * dt, []
@@ -125,6 +125,6 @@ def test_an_effects_parameter_has_a_name_that_matlab_takes(tmp_path):
     assert held["effects"] == "pitch_delay"
 
 
-def test_identify_and_diagnose_give_it():
+def test_results_of_identify_and_diagnose_can_be_linearised():
     assert issubclass(IdentifyResult, Linearisable)
     assert issubclass(DiagnoseResult, Linearisable)

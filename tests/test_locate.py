@@ -1,4 +1,4 @@
-"""Where an unexplained error lives."""
+"""Location of an unexplained error: signal, input and frequency band."""
 
 import json
 import warnings
@@ -16,7 +16,7 @@ THRUST = 6.0 + 0.001 * (SPEED - 4000.0)
 
 
 def located(error, speed=SPEED, pitch=PITCH):
-    """What is said of an error [N] that comes back in the repeat."""
+    """The location of an error [N] that is the same in the repeat."""
     columns = {"omega_ref": speed, "beta_ref": pitch, "omega": speed, "beta": pitch, "thrust": THRUST + error}
     made = [Record({"time": TIME, **columns, "thrust": columns["thrust"] + noise}, "") for noise in noises()]
     with warnings.catch_warnings():
@@ -28,7 +28,7 @@ def noises():
     return np.random.default_rng(0).normal(0.0, 0.1, (2, len(TIME)))
 
 
-def test_an_error_that_goes_with_the_rate_of_pitch_is_seen_there():
+def test_an_error_proportional_to_the_pitch_rate_is_located_there():
     told = located(0.05 * np.gradient(PITCH, TIME))
     assert told["strongest_correlate"]["signal"] == "rate of pitch"
     assert told["strongest_correlate"]["correlation"] == pytest.approx(1.0, abs=0.02)
@@ -36,13 +36,13 @@ def test_an_error_that_goes_with_the_rate_of_pitch_is_seen_there():
     assert told["share_by_band_hz"]["0.2-1"] > 0.9  # 0.6 Hz
 
 
-def test_an_error_of_its_own_goes_with_neither_command():
+def test_an_error_independent_of_the_commands_is_located_at_neither():
     told = located(0.3 * np.sin(2 * np.pi * 5.0 * TIME))
     assert told["input"] == "neither"
     assert told["share_by_band_hz"]["3-10"] > 0.9
 
 
-def test_empty_cells_are_left_out_of_everything_that_is_said():
+def test_empty_cells_do_not_affect_the_location():
     error = 0.05 * np.gradient(PITCH, TIME)
     holes = (TIME > 20.0) & (TIME < 35.0)
     whole, holed = located(error), located(np.where(holes, np.nan, error))
@@ -53,8 +53,8 @@ def test_empty_cells_are_left_out_of_everything_that_is_said():
     assert holed["share_by_band_hz"]["0.2-1"] > 0.8
 
 
-def test_bands_are_those_of_the_rows_own_clock():
-    """A record of 20 Hz, whose means are of one row: 3 to 10 Hz is where a tone of 5 Hz is, whatever the means' length."""
+def test_frequency_bands_are_right_at_a_low_sampling_rate():
+    """At 20 Hz each mean has one row: a tone of 5 Hz is still in the band from 3 to 10 Hz."""
     time = TIME[::12][:1000]
     columns = {"time": time, "omega_ref": SPEED[::12][:1000], "beta_ref": PITCH[::12][:1000]}
     thrust = THRUST[::12][:1000]

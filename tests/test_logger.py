@@ -1,4 +1,4 @@
-"""The logger and the speed sensor: simulated, read, estimated, declared and mended."""
+"""The logger and the speed sensor: simulated, estimated, declared, and corrected."""
 
 import json
 from copy import copy
@@ -34,7 +34,7 @@ RATE = 50.0
 
 
 def commands(seed, seconds=40.0, rate=RATE):
-    """Random steps of both commands, held for half a second and longer."""
+    """Random steps of both commands, each held for half a second or longer."""
     rng, count = np.random.default_rng(seed), int(seconds * rate)
 
     def walk(low, high):
@@ -46,8 +46,8 @@ def commands(seed, seconds=40.0, rate=RATE):
 
 
 def logged(seed, rows, filter_=0.0, noise=0.05, rate=RATE, pitch=None, model=BASE, values=None):
-    """A record of a model whose commands act `rows` rows later than the readings of their row; speed to 1 rpm. `pitch` [deg]:
-    of a record that holds it. `values`: changes of the model's parameters."""
+    """A record of a model whose commands act `rows` rows after the readings of their row; speed to 1 rpm. `pitch` [deg] is
+    constant if given. `values`: changes of the model's parameters."""
     record = commands(seed, rate=rate)
     if pitch is not None:
         record = record.with_columns(beta_ref=np.full(len(record), pitch))
@@ -72,8 +72,8 @@ def campaign(record, declared=None):
 
 
 @pytest.mark.parametrize("rows", [0.3, 1.7, 2.0])
-def test_commands_that_act_later_are_commands_behind_a_dead_time(rows):
-    """The schedule's exact delay of both commands gives the same outputs."""
+def test_late_commands_are_commands_with_a_dead_time(rows):
+    """The kernel's exact delay of both commands gives the same outputs."""
     record, delayed = commands(0), plant(("speed_delay", "pitch_delay"))
     delays = dict.fromkeys(("speed_delay.delay", "pitch_delay.delay"), rows / RATE)
     shown = Simulator(BASE).simulate({}, *record.commands_later(rows).run)
@@ -90,7 +90,7 @@ def test_a_split_row_is_the_same_in_pieces_side_by_side_and_with_sensitivities()
 
 @pytest.mark.parametrize("marks", [1, 2, 4])
 def test_a_mark_reads_the_mean_of_the_last_part_of_a_revolution(marks):
-    """Of a speed that rises evenly, that is the speed half a period before the pulse."""
+    """On a ramp that is the speed half a period before the pulse."""
     time = np.arange(2000) * 0.002
     omega = 3000.0 + 300.0 * time
     turns = np.concatenate([[0.0], np.cumsum(0.5 * (omega[1:] + omega[:-1]) / 60.0 * np.diff(time))])
@@ -105,8 +105,8 @@ def test_a_mark_reads_the_mean_of_the_last_part_of_a_revolution(marks):
 
 
 @pytest.mark.parametrize("rate", [50.0, 100.0, 200.0, 500.0])
-def test_a_mean_over_the_row_reads_a_ramp_late_by_the_mean_age_of_a_held_value(rate):
-    """A mark's value is the mean of one revolution, and held for the next: on a ramp it is late by two halves."""
+def test_row_means_of_a_held_value_are_late_by_its_mean_age(rate):
+    """The value of a mark is the mean of one revolution, held for the next one: on a ramp it is late by two halves."""
     ramp, fine = 100.0, 40  # rpm/s; instants of a row
     at = (np.arange(int(8.0 * rate) * fine) + 0.5) / (rate * fine)
     turn = (3000.0 * at + 0.5 * ramp * at**2) / 60.0
@@ -125,7 +125,7 @@ def test_a_mean_over_the_row_reads_a_ramp_late_by_the_mean_age_of_a_held_value(r
 
 
 @pytest.mark.parametrize("averaged", [False, True])
-def test_means_over_the_row_are_told_from_samples(averaged):
+def test_row_means_are_distinguished_from_samples(averaged):
     """Three marks, 200 Hz: a value is held for one and a half to four rows."""
     sent, fine = commands(27, rate=200.0), 20
     held = {n: np.repeat(sent[n], fine) for n in ("omega_ref", "beta_ref")}
@@ -146,8 +146,8 @@ def test_a_mean_of_a_parabola_exceeds_its_middle_by_a_24th_of_the_curvature_time
     np.testing.assert_allclose((row_means(time, width) @ time**2)[inner], time[inner] ** 2 + width**2 / 12.0, rtol=1e-9)
 
 
-def test_means_over_slow_rows_are_told_from_telemetry():
-    """An encoder at 25 Hz, all readings means over their row: its middle is half a row after the command."""
+def test_row_means_are_distinguished_from_telemetry():
+    """An encoder at 25 Hz, all readings are means over their row, whose middle is half a row after the command."""
     sent, fine = commands(31, rate=25.0), 80
     held = {n: np.repeat(sent[n], fine) for n in ("omega_ref", "beta_ref")}
     thrust, omega, _ = Simulator(BASE).simulate({}, held, np.full(len(sent) * fine - 1, 1.0 / (25.0 * fine))).T
@@ -159,8 +159,8 @@ def test_means_over_slow_rows_are_told_from_telemetry():
     assert found.rows == pytest.approx(-0.5, abs=0.02)
 
 
-def test_loggers_that_are_not_distinguished_are_all_given():
-    """An offset of a fifth of a row in much noise: none comes first, the estimate later."""
+def test_all_loggers_that_the_data_do_not_distinguish_are_returned():
+    """An offset of a fifth of a row in much noise: the logger without offset comes first, the estimated one later."""
     found = likely_loggers(passed(campaign(logged(5, 0.2, filter_=0.03, noise=1.0, rate=100.0))))
     first, *others = [one.logger for one in found]
     assert first.rows == 0.0
@@ -209,20 +209,20 @@ def test_the_filter_is_found_beside_a_record_that_measures_no_speed():
 
 
 @pytest.mark.parametrize("rows", [1.0, 5.0])
-def test_a_delay_that_is_a_loggers_or_the_motors_is_the_motors_from_the_third_row_on(rows):
-    """Where the pitch is held, no reading distinguishes them."""
+def test_an_ambiguous_delay_of_more_than_two_rows_is_the_motors(rows):
+    """If the pitch is constant, no reading distinguishes the two delays."""
     record = logged(40, rows, pitch=5.0)
     logger = as_logged(passed(campaign(record))).logger
     assert logger.rows == pytest.approx(rows if rows <= 2.0 else 0.0, abs=0.05)
 
 
-def test_a_late_log_is_the_loggers_where_both_commands_show_it():
+def test_a_delay_of_both_commands_is_the_loggers():
     assert as_logged(passed(campaign(logged(41, 5.0)))).logger.rows == pytest.approx(5.0, abs=0.05)
 
 
 @pytest.mark.parametrize(("lost", "better"), [(0.0, True), (2.0 * EVIDENCE, False)])
-def test_a_better_fit_of_the_speed_is_no_reason_to_fit_the_thrust_worse(lost, better):
-    """`lost`: log-likelihood of the thrust. Half the error of 2000 readings is a gain of 2000 ln 2."""
+def test_a_better_fit_of_the_speed_does_not_justify_a_worse_fit_of_the_thrust(lost, better):
+    """`lost`: decrease of the thrust's log-likelihood. Half the error of 2000 speed readings is a gain of 2000 ln 2."""
     groups, _ = roles(campaign(logged(42, 0.0)), {})
     of = _Estimate(groups, campaign(logged(42, 0.0)).rig.scales, {}, (), LIBRARY, AVERAGED)
     fit = _SensorFit(of, SpeedSensor("encoder"), (), tied=True).solved((3,))
@@ -250,7 +250,7 @@ def test_a_logger_is_estimated_beside_a_limit_between_a_fast_and_a_slow_lag():
     ],
 )
 def test_one_delay_replaces_an_offset_unless_no_rig_has_it(monkeypatch, alone, value, offset, none):
-    """Rows of 20 ms, errors of 1 ms. Only the delay `alone` explains the record; better than an offset, if it leads."""
+    """Rows of 20 ms, errors of 1 ms. Only the delay `alone` explains the record; if it is negative, better than an offset."""
 
     class Alone:
         sensor, free = SpeedSensor(), ()
@@ -277,7 +277,7 @@ def test_one_delay_replaces_an_offset_unless_no_rig_has_it(monkeypatch, alone, v
     assert (_Estimate._one_delay(estimate, fit) is not None) == none
 
 
-def test_a_late_log_is_mended_by_whole_rows():
+def test_a_late_log_is_shifted_by_whole_rows():
     record = logged(30, -1.0)
     again, said = mended(record)
     assert np.array_equal(again["omega_ref"][:-1], record["omega_ref"][1:])
@@ -326,20 +326,20 @@ def test_a_declared_sensor_whose_values_are_hardly_renewed_is_taken(kind):
     assert as_logged(passed(campaign(still, {"sensor": {"kind": kind}}), accept=acceptable())).logger.sensor.kind == kind
 
 
-def test_the_example_has_the_contracts_logger():
+def test_the_example_has_the_default_logger():
     logger = as_logged(passed(read_campaign(example_folder()))).logger
     assert (logger.rows, logger.sensor.delay, logger.sensor.filter) == (0.0, 0.0, 0.0)
     assert logger.sensor.kind == "mark"
 
 
-def test_a_rig_that_responds_before_any_logger_could_has_the_contracts():
-    """Commands act five rows before the readings of their row: no logger is that early, so the lags are wrong."""
+def test_an_impossibly_early_response_leaves_the_default_logger():
+    """Commands act five rows before the readings of their row. No logger is that early, so the lags must be wrong."""
     assert as_logged(passed(campaign(logged(4, -5.0)))).logger.rows == 0.0
 
 
 @dataclass(frozen=True)
 class Found:
-    """A diagnosis of so many effects, with the logger whose offset is `rows`."""
+    """A diagnosis with these effects and a logger with an offset of `rows`."""
 
     effects: tuple[str, ...]
     rows: float
@@ -365,7 +365,7 @@ class Found:
 
 
 def test_the_logger_is_estimated_beside_effects_that_resemble_an_offset_too(monkeypatch):
-    """An inflow biases the offset: beside the drift alone it is 0, beside both -1 row, where no third effect is needed."""
+    """An inflow lag biases the offset: beside the drift alone it is 0, beside both -1 row, and a third effect is not needed."""
     beside, offsets = [], {("drift",): 0.0, ("drift", "inflow_lag"): -1.0}
     diagnoses = {0.0: Found(("drift", "inflow_lag", "row_clock"), 0.0), -1.0: Found(("drift", "inflow_lag"), -1.0)}
 
@@ -387,7 +387,7 @@ def test_the_logger_is_estimated_beside_effects_that_resemble_an_offset_too(monk
 
 @pytest.mark.parametrize(("speed", "pitch", "offset"), [(1.9, 2.9, 1.9), (4.0, 6.0, 0.0), (1.9, 0.0, 0.0), (1.9, 1.9, 1.9)])
 def test_the_smallest_delay_is_the_loggers_up_to_two_rows(speed, pitch, offset):
-    """Delays [rows] of the speed command, in thrust and reading, and of the pitch command."""
+    """Delays [rows]: of the speed command, in thrust and speed reading, and of the pitch command."""
     thrust = {"omega": _Delay(speed, 0.05), "beta": _Delay(pitch, 0.05)}
     assert logger_fit._offset(thrust, _Delay(speed, 0.05), "mark", 2.0).value == pytest.approx(offset)
 
@@ -401,8 +401,8 @@ def test_offsets_are_compared_in_standard_errors(errors, agrees):
 @pytest.mark.parametrize("kind", ["encoder", "telemetry"])
 @pytest.mark.parametrize("digit", [100.0, 20.0])
 def test_a_coarsely_rounded_speed_is_read_without_bias(kind, digit):
-    """An exponential up and down, of 1 s, rows of 20 ms: where a rounded value has just changed the speed is near the limit, so
-    that values as they are would lead the speed by nearly half a digit."""
+    """Exponentials up and down, of 1 s, in rows of 20 ms. Just after a change the true speed is near the rounding limit, so
+    that unadjusted values would lead by nearly half a digit."""
     time = np.arange(0.0, 8.0, 0.02)
     speed = 4000.0 + 1000.0 * np.where(time < 4.0, 1.0 - np.exp(-time), np.exp(4.0 - time))
     columns = {"time": time, "omega_ref": 0.0 * time, "omega": np.round(speed / digit) * digit}
@@ -415,7 +415,7 @@ def test_a_coarsely_rounded_speed_is_read_without_bias(kind, digit):
 
 @pytest.mark.parametrize(("free", "gain", "rejected"), [((), 11.0, True), ((), 9.0, False), (("delay", "filter"), 99.0, False)])
 def test_a_sensor_is_rejected_if_no_freer_one_fits_the_thrust_better(free, gain, rejected):
-    """Ten nats distinguish two sensors; telemetry has two parameters more than marks, which may fit anything."""
+    """Ten nats distinguish two sensors. Telemetry has two parameters more than marks, so its better fit is no evidence."""
     marks, other = (object.__new__(_SensorFit) for _ in range(2))
     marks.free, marks._thrust, other.free, other._thrust = (), 0.0, free, gain
     assert other.fits_thrust_better_than(marks) is rejected

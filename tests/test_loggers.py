@@ -1,4 +1,4 @@
-"""Speed sensors and loggers of the loggers study against closed forms, and what the study makes of its cases."""
+"""Speed sensors and loggers of the loggers study against closed forms, and the study's handling of cases."""
 
 import json
 
@@ -16,13 +16,13 @@ from vpp_fmu.kernel.plant import BASE as MODEL
 from vpp_fmu.native import Simulator
 
 START, SLOPE = 2400.0, 1800.0
-"""rpm and rpm/s of a rotor that speeds up evenly."""
+"""rpm and rpm/s of a rotor with constant acceleration."""
 
 RNG = np.random.default_rng(0)
 
 
 def speeding_up(seconds=1.5):
-    """From a second before 0 on, its speed and turns in closed form."""
+    """Constant acceleration from 1 s before 0 on: speed and turns in closed form."""
     time = np.arange(-1.0, seconds, FINE)
     return Motion(time, START + SLOPE * time, (START * time + 0.5 * SLOPE * time**2) / 60.0)
 
@@ -60,7 +60,7 @@ def test_telemetry_answers_a_step_as_a_first_order_filter_does():
 
 
 def stepped(rate, lag=0.0, span=0.0):
-    """What is read of a step from half of full speed to 0.9, sent after 0.4 s; the rows' times [s] behind the step."""
+    """Readings of a step from 0.5 to 0.9 of full speed, sent at 0.4 s; the rows' times [s] after the step."""
     rows = round(2.4 * rate)
     w = np.where(np.arange(rows) < 0.4 * rate, 0.5, 0.9)
     read = LoggedRig(PAPER, rate=rate, logger=Logger(lag, span)).read(np.random.default_rng(3), (w, w))
@@ -68,14 +68,14 @@ def stepped(rate, lag=0.0, span=0.0):
 
 
 def integral(t):
-    """Of the speed's answer to the step, per unit, from 0 on: s."""
+    """Integral [s] of the unit step response of the speed."""
     a, c = PAPER["tau_w1"], PAPER["tau_w2"]
     t = np.maximum(t, 0.0)
     return t - (a + c) + (a**2 * np.exp(-t / a) - c**2 * np.exp(-t / c)) / (a - c)
 
 
 def answer(t):
-    """rpm at times [s] behind the step."""
+    """Speed [rpm] at times [s] after the step."""
     a, c = PAPER["tau_w1"], PAPER["tau_w2"]
     t = np.maximum(t, 0.0)
     return 6000.0 * (0.9 - 0.4 * (a * np.exp(-t / a) - c * np.exp(-t / c)) / (a - c))
@@ -104,7 +104,7 @@ def test_readings_are_means_over_the_row():
     [
         (Encoder(), 100.0, 0.0),
         (Telemetry(0.03, 0.04), 1000.0, 0.0305),  # a new value is seen within a row of 1 ms
-        (Telemetry(0.02, 0.0071), 25.0, 0.02355),  # rows take, at any time, what comes every 7.1 ms
+        (Telemetry(0.02, 0.0071), 25.0, 0.02355),  # values come every 7.1 ms, at any time within a row
     ],
 )
 def test_a_speed_is_behind_its_thrust_by_filter_and_hold(sensor, rate, delay):
@@ -114,7 +114,7 @@ def test_a_speed_is_behind_its_thrust_by_filter_and_hold(sensor, rate, delay):
     assert rig.read(np.random.default_rng(5), (w, np.full(len(w), 0.5))).delay == pytest.approx(delay, abs=3e-4)
 
 
-def test_the_loggers_nuisances_take_what_is_the_loggers_and_nothing_else():
+def test_nuisance_parameters_of_the_logger_explain_its_delays_alone():
     def nats(settings, **nuisances):
         rig = LoggedRig(PAPER | settings, rate=100.0)
         sent = rig.size.commands(*command_sequences.open_loop(np.random.default_rng(6), rig.clock, 20.0))
@@ -130,7 +130,7 @@ def test_the_loggers_nuisances_take_what_is_the_loggers_and_nothing_else():
 
 
 @pytest.mark.parametrize("number", range(4))
-def test_the_record_that_judges_is_the_true_models_read_by_the_true_logger(number):
+def test_the_hold_out_record_is_the_true_model_read_by_the_true_logger(number):
     case = Case("nothing", 1, number)
     rig, (record, delay), fine = case.rig, case.unseen(), 0.001
     many = round(1.0 / rig.rate / fine)
@@ -144,7 +144,7 @@ def test_the_record_that_judges_is_the_true_models_read_by_the_true_logger(numbe
     assert np.std((force - record["thrust"])[known]) < 0.03 * rig.noise.std
     new = known & (np.diff(record["omega"], prepend=0.0) != 0.0)
     rate = np.gradient(speed)[new] * rig.rate
-    assert abs(np.polyfit(rate, (record["omega"] - speed)[new], 1)[0]) < 0.003  # s; how old a held value is goes with speed
+    assert abs(np.polyfit(rate, (record["omega"] - speed)[new], 1)[0]) < 0.003  # s; a held value's age depends on speed
 
 
 def test_cases_are_balanced_and_depend_on_their_number_alone():
@@ -210,7 +210,7 @@ def test_outcomes_of_a_pair(change, counts):
     assert "pairs: both: no cases" in loggers.table("pairs", [judged(case, **change, evidence=LIMIT - 1.0)])
 
 
-def test_a_study_that_was_cut_short_goes_on(tmp_path, monkeypatch, capsys):
+def test_an_interrupted_study_continues(tmp_path, monkeypatch, capsys):
     asked = []
 
     def faked(cases, *options, work):

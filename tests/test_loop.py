@@ -1,4 +1,4 @@
-"""The control loop: the paper's figures of merit, FMUs and kernel alike, and the record it leaves."""
+"""The control loop: the paper's figures of merit, FMUs against kernel, and the record of a run."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ COLUMNS = ["time", "thrust_set", "omega_ref", "beta_ref", "thrust", "omega", "be
 
 
 def profile(*rows):
-    """Rows of time [s] and the wanted thrust [N] from then on; the last row ends the run."""
+    """A record from rows of time [s] and the set-point [N] from then on; the last row ends the run."""
     time, wanted = zip(*rows, strict=True)
     return Record({"time": np.array(time, float), "thrust_set": np.array(wanted, float)}, "test")
 
@@ -31,7 +31,7 @@ def kernel_pair(gains):
 
 @pytest.fixture(scope="module")
 def closed_loops(fmu_files):
-    """Up and down through FMUs: with both actuators, and with speed alone at 10 deg."""
+    """Steps up and down through FMUs: with both actuators, and with speed alone at 10 deg."""
     runs = {}
     for name, gains in (("dual", {}), ("speed only", SPEED_ONLY)):
         plant, controller = FmuPlant(fmu_files["fast_pitch"]), FmuController(fmu_files["controller"], gains)
@@ -89,8 +89,8 @@ def test_the_record_is_a_record_of_the_loop(closed_loops, name):
         assert record["thrust"][round(end / 0.004)] == pytest.approx(wanted, abs=1e-3)
 
 
-def test_a_runs_commands_give_its_measurements_again(closed_loops):
-    """A row's measurement stands before its commands act: the record replayed in open loop is itself."""
+def test_the_commands_of_a_run_in_open_loop_reproduce_its_measurements(closed_loops):
+    """A row is measured before its commands act, so the record can be replayed in open loop."""
     record, plant = closed_loops["dual"], KernelPlant(parameters=FAST_PITCH)
     shown = [plant.start(0.0, 0.0)]
     shown += [plant.step(*commands) for commands in zip(record["omega_ref"][:-1], record["beta_ref"][:-1], strict=True)]
@@ -109,7 +109,7 @@ def test_a_fmu_pair_can_run_twice(fmu_files, closed_loops):
 
 
 class Echo:
-    """A plant whose thrust is the last commanded speed; it counts what it is asked."""
+    """A plant whose thrust is the last commanded speed; it records its calls."""
 
     def __init__(self, dt):
         self.dt, self.asked = dt, []
@@ -127,7 +127,7 @@ class Echo:
 
 
 class Follow:
-    """A controller that commands the wanted thrust as speed, the seen one as pitch."""
+    """A controller that commands the set-point as speed and the measured thrust as pitch."""
 
     def start(self, thrust_set, thrust):
         self.started = thrust_set, thrust
@@ -140,7 +140,7 @@ class Follow:
 
 
 def test_a_profile_is_held_from_row_to_row():
-    """Rows between communication points act from the next point on; one on a point, from that point, also past rounding."""
+    """A row between communication points acts from the next point on; a row on a point from that point on, despite rounding."""
     rows = profile((0.0, 1.0), (0.012, 2.0), (0.0139, 3.0), (0.0141, 4.0), (0.3 * 0.1, 5.0), (0.04, 6.0))
     record = run(Echo(0.004), Follow(), rows)
     assert record["thrust_set"].tolist() == [1, 1, 1, 2, 4, 4, 4, 4, 5, 5, 6]
@@ -175,7 +175,7 @@ def native_files(tmp_path_factory):
 
 
 def run_both_ways(native_files, monkeypatch, references, dt=0.004):
-    """The loop of native FMUs through the compiled master, and call by call from Python: (one, other)."""
+    """The loop of native FMUs through the compiled master, and call by call from Python."""
     found = []
     for compiled in (True, False):
         if not compiled:
@@ -200,8 +200,8 @@ def test_the_compiled_master_gives_the_same_bits(native_files, monkeypatch):
     np.testing.assert_array_equal(compiled["thrust"], run(plant, controller, UP_AND_DOWN)["thrust"])
 
 
-def test_a_failure_is_told_alike(native_files, monkeypatch):
-    """An impossible wish in the midst of a run: which FMU, when, and why."""
+def test_both_masters_report_a_failure_in_the_same_words(native_files, monkeypatch):
+    """An invalid set-point within a run: the message names the FMU, the time and the reason."""
     references = profile((0.0, 1.5), (5.0, np.nan), (9.0, 1.5))
     (compiled, _), (interpreted, _) = run_both_ways(native_files, monkeypatch, references)
     assert compiled == interpreted
@@ -209,7 +209,7 @@ def test_a_failure_is_told_alike(native_files, monkeypatch):
     assert "thrust_set: found nan" in compiled
 
 
-def test_without_a_compiler_the_loop_goes_call_by_call(native_files, monkeypatch):
+def test_without_a_compiler_the_loop_runs_call_by_call(native_files, monkeypatch):
     def missing(*_):
         raise CompilerMissing("none here")
 

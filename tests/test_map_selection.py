@@ -1,4 +1,4 @@
-"""Which terms of the static map are chosen, and what the scores mean."""
+"""Selection of the static map's terms, and the meaning of the scores."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ SCALES = BASE.values()
 
 
 def campaign(noise: float, seed: int = 0, terms=PAPER, values=None, scales=SCALES, speeds: int = 10) -> StaticMap:
-    """Points of a polynomial of these terms, the paper's unless told; each mean errs by `noise` [N]."""
+    """Points of a polynomial of these terms, by default the paper's; each mean has an error of `noise` [N]."""
     axes = np.linspace(2000.0, 6000.0, speeds), np.linspace(-5.0, 10.0, 8)
     omega, beta = (axis.ravel() for axis in np.meshgrid(*axes))
     values = [SCALES[f"c{i}{j}"] for i, j in terms] if values is None else values
@@ -86,8 +86,8 @@ def test_the_table_has_the_best_of_each_size_and_the_papers():
     assert all(row[4] > 0 for row in rows)
 
 
-def test_a_shift_of_pitch_asks_for_other_terms():
-    """The paper's polynomial in degrees, told from -5 deg on, holds a term in the speed alone: (1, 0)."""
+def test_a_shift_of_the_pitch_scale_needs_other_terms():
+    """A polynomial in degrees, rewritten with the paper's origin of -5 deg, has a term in the speed alone, (1, 0)."""
     degrees = {**SCALES, "beta_offset": 0.0}
     static = campaign(0.002, values=[-0.2, -0.2, 0.4, 0.3, -0.1], scales=degrees)
     assert set(select_terms(static, degrees).best().terms) == set(PAPER)
@@ -96,7 +96,7 @@ def test_a_shift_of_pitch_asks_for_other_terms():
     assert shifted.of().loo > 10.0 * shifted.of((*PAPER, (1, 0))).loo
 
 
-def test_terms_that_cannot_be_told_apart_are_left_out():
+def test_terms_that_the_grid_does_not_distinguish_are_left_out():
     found = select_terms(campaign(0.02, speeds=3), SCALES)
     assert found.points == 24
     assert found.of(((1, 0), (2, 0), (3, 0))) is not None

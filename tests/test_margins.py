@@ -1,4 +1,4 @@
-"""Margins against closed forms, and against the gain and the delay at which the simulated loop itself goes unstable."""
+"""Margins against closed forms, and against the gain and the delay that destabilise the simulated loop."""
 
 from dataclasses import replace
 
@@ -40,7 +40,7 @@ def test_a_sampled_integrator_has_the_textbooks_margins(k):
     assert found.reduction == 0.0
 
 
-def test_a_third_order_loop_bears_its_gain_margin():
+def test_a_third_order_loop_has_its_gain_margin():
     """a / (s (s + 1) (s + 2)) passes -180 deg at sqrt 2 rad/s, where it is a / 6."""
     s = 1j * OMEGA
     for a, stable in ((1.5, True), (5.9, True), (6.1, False)):
@@ -75,7 +75,7 @@ def test_the_plants_response_is_the_maps_slope_times_the_held_lags(channel, omeg
 @pytest.mark.parametrize("channel", ["omega", "beta"])
 @pytest.mark.parametrize("frequency", [2.0, 30.0, 300.0])
 def test_the_controllers_response_is_what_a_sine_shows(channel, frequency):
-    """Amplitude and phase of the command under a small sine of the error, once the start has died out."""
+    """Amplitude and phase of the command under a small sine of the error, after the initial transient."""
     simulation = Simulation(
         CONTROLLER, {**SETTINGS, "omega_min": 0.0, "omega_max": 30000.0, "beta_min": -45.0, "beta_max": 45.0}
     )
@@ -118,7 +118,7 @@ def at_rest(request):
 
 
 def ringing(gains, point, factor=1.0, delay=0.0):
-    """How much more, or less, a loop rings 3 to 4 s after a small step than in the second before."""
+    """Ratio of the oscillation 3 to 4 s after a small step to that of the second before."""
     effects = ("speed_delay", "pitch_delay")
     model = plant(effects)
     values = {**FAST_PITCH, "speed_delay.delay": delay, "pitch_delay.delay": delay}
@@ -136,26 +136,26 @@ def ringing(gains, point, factor=1.0, delay=0.0):
 
 
 def settled(controller, gains, point):
-    """Integrals that hold the point's commands, without error."""
+    """Set the integrals to hold the point's commands without error."""
     omega, beta = point.commands
     controller.states |= {"omega_integral": omega / 6000.0 / gains["ki_omega"], "running": 1.0}
     if gains.get("ki_beta"):
         controller.states |= {"beta_integral": (beta + 5.0) / 15.0 / gains["ki_beta"]}
 
 
-def test_the_loop_bears_its_delay_margin_and_no_more(at_rest):
+def test_the_loop_is_stable_up_to_its_delay_margin(at_rest):
     gains, point, found = at_rest
     assert ringing(gains, point, delay=0.93 * found.delay) < 0.95
     assert ringing(gains, point, delay=1.07 * found.delay) > 1.05
 
 
-def test_the_loop_bears_its_gain_margin_and_no_more(at_rest):
+def test_the_loop_is_stable_up_to_its_gain_margin(at_rest):
     gains, point, found = at_rest
     assert ringing(gains, point, factor=0.93 * found.gain) < 0.95
     assert ringing(gains, point, factor=1.07 * found.gain) > 1.05
 
 
-def test_operating_points_hold_the_thrust_they_stand_for():
+def test_operating_points_hold_their_thrust():
     objective = an_objective(DUAL)
     points = operating_points(objective, objective.gains)
     assert [round(p.thrust, 9) for p in points] == [3.0, 5.0, 7.0, 9.0, 11.0, 9.0, 7.0, 5.0, 3.0]
@@ -184,7 +184,7 @@ ALLOCATED = CONTROLLER.values({**PAIRS, "mode": 2.0, "k_mid": 0.8, "ki_beta": 17
 
 @pytest.mark.parametrize(("channel", "scale", "rest"), [("omega", 6000.0, 4000.0), ("beta", 15.0, 4.0)])
 def test_on_the_best_pairs_the_response_is_that_of_the_simulated_law_to_a_growing_error(channel, scale, rest):
-    """An error z^k outgrows the law's own modes, whose poles are at 1 and below: what is left is C(z) z^k."""
+    """An error z^k outgrows the law's own modes, whose poles are at 1 and below, so that C(z) z^k remains."""
     growth, rows = 1.05, 400
     error = 1e-3 * growth ** np.arange(-rows, 0.0)
     inputs = {"thrust_set": np.full(rows, 8.0), "thrust": 8.0 - 15.0 * error}
@@ -198,7 +198,7 @@ def test_on_the_best_pairs_the_response_is_that_of_the_simulated_law_to_a_growin
 
 
 def test_a_search_on_the_best_pairs_sees_the_sensitivity_of_its_margins():
-    """Its sum over the gains, of which two are multiplied, against the response as it is."""
+    """Its sum over the gains, two of which are multiplied, against the response itself."""
     searched = an_objective(ALLOCATED)
     points = operating_points(searched, searched.gains)
     searched = replace(searched, points=points)

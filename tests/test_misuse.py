@@ -1,4 +1,4 @@
-"""Calls out of order and with bad arguments: both flavours refuse the same, in the same words, and no process dies of it."""
+"""Calls out of order and with bad arguments: both flavours refuse them in the same words, and no process crashes."""
 
 import misuse
 import pytest

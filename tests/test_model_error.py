@@ -1,4 +1,4 @@
-"""How far a model is off by itself: of errors whose size is known, at places that are counted."""
+"""Size of the model error, from errors of known size at a known number of places."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ VALUES = BASE.values()
 
 @pytest.fixture(scope="module")
 def visits():
-    """200 places of the map in random order, 4 s each, where the reading is off by as much as each place's own error [N]."""
+    """200 places of the map in random order, 4 s each; each place has its own constant error of the reading [N]."""
     dice = np.random.default_rng(3)
     grid = [(w, b) for w in np.linspace(2100.0, 5900.0, 10) for b in np.linspace(-4.9, 9.9, 20)]
     order, rows = dice.permutation(len(grid)), round(STAY / DT)
@@ -27,28 +27,28 @@ def visits():
     return Prediction(Record(columns, "visits"), *shown.T)
 
 
-def test_of_places_that_no_fit_has_seen_it_is_their_rms(visits):
+def test_at_places_that_were_not_fitted_the_model_error_is_their_rms(visits):
     found = model_error([], [visits], VALUES, 9, noise=0.0)
     assert found.steady == pytest.approx(ERROR, rel=4.0 / (2 * 200) ** 0.5)
     assert found.freedom == 4 * 5  # boxes of 0.2 by 0.2 from 0.35 to 0.98 and from 0.01 to 0.99
 
 
-def test_of_what_was_fitted_to_it_is_scaled_by_the_parameters_that_took_part(visits):
+def test_at_fitted_places_the_model_error_is_scaled_by_the_degrees_of_freedom(visits):
     unseen, fitted = (model_error(*records, VALUES, 9, noise=0.0) for records in (([], [visits]), ([visits], [])))
     assert fitted.freedom == unseen.freedom - 9
     assert (fitted.steady / unseen.steady) ** 2 == pytest.approx(unseen.freedom / fitted.freedom)
-    assert model_error([visits], [], VALUES, 400, noise=0.0) is None  # more parameters than places: it tells nothing
+    assert model_error([visits], [], VALUES, 400, noise=0.0) is None  # more parameters than places: no information
 
 
-def test_steady_points_count_with_the_terms_that_they_were_fitted_by():
+def test_steady_points_lose_the_degrees_of_freedom_of_their_map():
     points = np.full(25, 0.1)
     found = model_error([], [], VALUES, 9, 0.0, points, terms=5)
     assert found.steady == pytest.approx(0.1 * (25 / 20) ** 0.5)
     assert (found.moving, found.freedom) == (0.0, 20)
 
 
-def test_an_error_of_moves_goes_with_their_size(visits):
-    """A reading that is late by 0.1 s is off on the move alone."""
+def test_a_late_reading_is_an_error_of_the_moves_alone(visits):
+    """A reading that is 0.1 s late is wrong during moves alone."""
     late = visits.record.with_columns(thrust=np.concatenate([np.full(10, visits.thrust[0]), visits.thrust[:-10]]))
     found = model_error([], [Prediction(late, visits.thrust, visits.omega, visits.beta)], VALUES, 9, noise=0.0)
     assert found.steady < 0.02

@@ -1,4 +1,4 @@
-"""Compiled and generated code over whole records: the functions' own bits, true derivatives, and life without a compiler."""
+"""Compiled and generated code over whole records: the bits of the functions, derivatives, and operation without a compiler."""
 
 import subprocess
 import tempfile
@@ -30,11 +30,6 @@ def test_2000_compiled_steps_are_the_functions_to_the_bit(long_run):
     assert np.ptp(exact, axis=0).min() > 3.0
 
 
-def test_2000_generated_steps_are_the_functions_to_the_bit(long_run, no_compiler, recwarn):
-    commands, steps, exact = long_run
-    np.testing.assert_array_equal(Simulator(ALL_ON).simulate(PROBES, commands, steps), exact)
-
-
 @pytest.mark.parametrize("model", MODELS)
 def test_uneven_steps_are_the_functions_to_the_bit(model, request, recwarn):
     model, values = MODELS[model]
@@ -47,8 +42,8 @@ def test_uneven_steps_are_the_functions_to_the_bit(model, request, recwarn):
 
 @pytest.mark.sampled("effect")
 @pytest.mark.parametrize("effect", OPTIONAL)
-def test_runs_side_by_side_are_each_by_itself_to_the_bit(effect):
-    """More than one bundle, where their longest steps are not the same, or one delays its inputs; late commands, too."""
+def test_parallel_runs_equal_single_runs_to_the_bit(effect):
+    """More runs than one bundle, with different longest steps, delayed inputs, and late commands."""
     model = plant([effect.name])
     inputs, made = random_steps(301, 60, model=model), Simulator(model)
     probes = {effect.full(n): v for n, v in effect.probe.items()}
@@ -61,8 +56,8 @@ def test_runs_side_by_side_are_each_by_itself_to_the_bit(effect):
             np.testing.assert_array_equal(found[:, :, k], made.simulate(point, inputs, steps, late))
 
 
-def test_vectors_of_any_width_have_the_same_bits(monkeypatch):
-    """Each that this processor has, and none."""
+def test_every_vector_width_gives_the_same_bits(monkeypatch):
+    """Each vector width of this processor, and none."""
     cpu = Path("/proc/cpuinfo")
     known = cpu.read_text(encoding="utf-8").split() if cpu.exists() else []
     flags, found = [(), *((f'-DVECTORS="{name}"',) for name in compiler.VECTORS if name in known)], []
@@ -77,8 +72,8 @@ def test_vectors_of_any_width_have_the_same_bits(monkeypatch):
 
 
 @pytest.mark.parametrize("compiler", [True, False])
-def test_pieces_are_the_whole(compiler, request, recwarn):
-    """Of any length, to the bit: outputs and derivatives."""
+def test_simulation_in_pieces_equals_the_whole_run(compiler, request, recwarn):
+    """Outputs and derivatives, in pieces of any length."""
     if not compiler:
         request.getfixturevalue("no_compiler")
     model, wrt = plant(["pitch_delay", "pitch_backlash"]), ("tau_beta_1", "pitch_delay.delay")
@@ -121,7 +116,7 @@ def off_by(model, values, inputs, steps, wrt):
 
 @pytest.mark.parametrize(("model", "even"), [("plain", True), ("plain", False), ("two delays", False)])
 def test_sensitivities_are_central_differences(model, even):
-    """In every parameter that is always present and every delay; each effect's own are looked at in test_effects."""
+    """In every base parameter and every delay; test_effects covers the parameters of each effect."""
     model, values = MODELS[model]
     uneven = np.random.default_rng(5).uniform(5e-4, 0.03, 2000)
     inputs, steps = random_steps(2001, 150, model=model), np.full(2000, 0.004) if even else uneven
@@ -132,11 +127,11 @@ def test_sensitivities_are_central_differences(model, even):
 
 @pytest.mark.parametrize("without", ["late readings", "delayed commands"])
 def test_sensitivities_with_all_effects_on_are_central_differences(without):
-    """Of even steps: long uneven ones switch so often that no difference quotient can be trusted there.
+    """At even steps: with long uneven ones thresholds switch so often that no difference quotient is valid.
 
-    A late reading takes what it reads as straight over each piece of a step. A delayed command that begins to act
-    cuts a step in two, and where it is cut moves the error of that: a quotient in the delay holds this error's slope, 2 % of
-    the whole, and the tangent, which is that of the exact response, does not. So each is looked at without the other.
+    A late reading interpolates linearly over each piece of a step. A delayed command that begins to act cuts a step in two, and
+    the place of the cut changes the interpolation error. A difference quotient in the delay includes the slope of that error,
+    2 % of the whole; the tangent, that of the exact response, does not. So each kind is tested without the other.
     """
     left = [e for e in OPTIONAL if not (e.name in LATE if without == "late readings" else e.delays)]
     model = plant(e.name for e in left)
@@ -164,7 +159,7 @@ def test_sensitivities_in_equal_time_constants_are_central_differences(taus):
     assert max(shares.values()) < 3e-3, shares
 
 
-def test_without_a_compiler_the_numbers_are_the_same_and_it_is_said_once(request):
+def test_without_a_compiler_the_numbers_are_the_same_and_one_warning_is_given(request):
     models = (ALL_ON, PROBES, ("tau_beta_1", PITCH)), (BASE, {}, ("c20",)), (CONTROLLER, {}, ("ki_omega",))
     noise = {"thrust_set": np.full(500, 9.0), "thrust": np.random.default_rng(0).normal(9.0, 1.0, 500)}
     inputs, steps = random_steps(500, 40, model=ALL_ON) | noise, np.full(499, 0.0043)
@@ -181,7 +176,7 @@ def test_without_a_compiler_the_numbers_are_the_same_and_it_is_said_once(request
 
 @pytest.fixture
 def own_cache(monkeypatch, tmp_path):
-    """A compiler cache that only this test knows."""
+    """A compiler cache of this test alone."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(Model, "memo", property(lambda model: {}))  # a process's own memory must not serve
     monkeypatch.setattr(simulators, "_runner", simulators._runner.__wrapped__)
@@ -190,18 +185,18 @@ def own_cache(monkeypatch, tmp_path):
     compiler.cache_folder.cache_clear()
 
 
-def test_what_was_compiled_is_kept(own_cache, monkeypatch):
+def test_compiled_models_are_cached(own_cache, monkeypatch):
     inputs, steps = random_steps(50, 5), np.full(49, 0.004)
     first = Simulator(BASE).simulate({}, inputs, steps)
     kept = list(own_cache.iterdir())
     assert len(kept) == 1
     Simulator(plant(["pitch_delay"]))
     assert len(list(own_cache.iterdir())) == 2
-    monkeypatch.setattr(subprocess, "run", None)  # whoever compiles again fails
+    monkeypatch.setattr(subprocess, "run", None)  # compiling again would fail
     np.testing.assert_array_equal(Simulator(BASE).simulate({}, inputs, steps), first)
 
 
-def test_a_library_effect_is_traced_once_and_ones_own_of_its_name_anew(own_cache, monkeypatch):
+def test_a_user_defined_effect_with_the_name_of_a_traced_one_is_traced_anew(own_cache, monkeypatch):
     inputs, steps, name = random_steps(50, 5), np.full(49, 0.004), "sensor_gain"
     values = {f"{name}.gain": 1.2}
     theirs = Simulator(plant([name])).simulate(values, inputs, steps)
@@ -211,7 +206,7 @@ def test_a_library_effect_is_traced_once_and_ones_own_of_its_name_anew(own_cache
 
     own = [replace(e, step=squared, declared=None) if e.name == name else e for e in LIBRARY]
     np.testing.assert_allclose(Simulator(plant([name], own)).simulate(values, inputs, steps)[:, 0], 1.2 * theirs[:, 0])
-    monkeypatch.setattr(simulators, "trace", None)  # whoever traces again fails
+    monkeypatch.setattr(simulators, "trace", None)  # tracing again would fail
     np.testing.assert_array_equal(Simulator(plant([name])).simulate(values, inputs, steps), theirs)
 
 
@@ -237,7 +232,7 @@ def test_one_row_is_the_settled_plant():
 
 
 def test_a_delay_that_holds_thousands_of_changes_does_the_same_with_and_without_a_compiler(request, recwarn):
-    """0.3 s at 50 us: 6000 changes wait."""
+    """0.3 s at 50 us: 6000 pending changes."""
     model, values = plant(["pitch_delay"]), {PITCH: 0.3}
     inputs, steps = random_steps(8000, 1), np.full(7999, 5e-5)
 

@@ -1,4 +1,4 @@
-"""The native FMU's C interface: the order of the calls, what is refused, derivatives, lives, threads."""
+"""The C interface of the native FMU: order of calls, refusals, derivatives, memory, threads."""
 
 import ctypes
 import threading
@@ -14,13 +14,13 @@ from fuzz import fuzz, fuzzer
 from vpp_fmu.fmu import FmuInstance
 from vpp_fmu.kernel.controller import CONTROLLER
 
-# What has no compiler is skipped with that module.
+# Without a compiler all is skipped together with that module.
 MODELS, OUTPUTS, each_fmu = test_native_fmu.MODELS, test_native_fmu.OUTPUTS, test_native_fmu.each_fmu
 fmu_files, fmus = test_native_fmu.fmu_files, test_native_fmu.fmus
 
 
 class Raw:
-    """The library's functions as they are, and what it logs."""
+    """The library's functions without fmpy, and its messages."""
 
     LOGGER = ctypes.CFUNCTYPE(None, ctypes.c_void_p, *[ctypes.c_char_p] * 1, ctypes.c_int, *[ctypes.c_char_p] * 2)
 
@@ -114,7 +114,7 @@ def test_calls_are_taken_in_the_order_of_the_standard(fmus, state):
         raw("fmi2FreeInstance")
 
 
-def test_no_instance_without_what_the_standard_asks_for(fmus):
+def test_no_instance_without_the_arguments_that_the_standard_requires(fmus):
     raw = Raw(fmus["plain"])
     for bad, word in (({"guid": b"{0}"}, "found {0}, expected {"), ({"kind": 0}, "co-simulation"), ({"name": b""}, "name")):
         assert raw.instantiate(**bad) is None
@@ -122,7 +122,7 @@ def test_no_instance_without_what_the_standard_asks_for(fmus):
     assert raw.instantiate(guid=b"{0}", callbacks=False) is None
 
 
-def test_no_callbacks_no_instance_and_null_pointers_are_survived(fmus):
+def test_missing_callbacks_and_null_pointers_are_refused(fmus):
     raw, silent = Raw(fmus["plain"]), Raw(fmus["plain"], logger=False)
     assert silent.instantiate(callbacks=True) is None
     assert silent.instantiate(callbacks=False) is None
@@ -217,7 +217,7 @@ def derivative(slave, unknowns, knowns, moves):
 
 @each_fmu
 def test_derivatives_at_the_start_are_differences(fmus, name):
-    """Of outputs and states in inputs and parameters, one by one and along a mixed direction."""
+    """Of outputs and states with respect to inputs and parameters, one by one and along a mixed direction."""
     model = MODELS[name][0]
     # At no limit of the controller, and at no jump of a command that is executed in steps.
     inputs = {u.name: (0.424 - 0.05 * k) * u.nominal for k, u in enumerate(model.inputs)}
@@ -226,18 +226,12 @@ def test_derivatives_at_the_start_are_differences(fmus, name):
     sizes = {q.name: 1e-5 * max(abs(values[q.name]), 1e-3 * q.nominal) for q in (*model.inputs, *model.parameters)}
 
     def settled(**changes):
-        slave = Slave(fmus[name], initialised=False)
-        slave.fmi.setupExperiment(startTime=0.0)
-        slave.fmi.enterInitializationMode()
-        slave.set(**{**values, **changes})
+        slave = Slave(fmus[name], initialised=False).enter(**{**values, **changes})
         found = np.array(slave.get(*unknowns))
         slave.free()
         return found
 
-    slave = Slave(fmus[name], initialised=False)
-    slave.fmi.setupExperiment(startTime=0.0)
-    slave.fmi.enterInitializationMode()
-    slave.set(**values)
+    slave = Slave(fmus[name], initialised=False).enter(**values)
     total, size = 0.0, np.maximum(np.abs(settled()), 1.0)
     for known, h in sizes.items():
         found = np.array(derivative(slave, unknowns, [known], [1.0]))
@@ -253,10 +247,7 @@ def test_derivatives_at_communication_points_are_the_simulators(fmus, name):
     wrt = tuple(p.name for p in model.parameters)[:: 1 if name == "plain" else 7]  # all take half a minute to compile
     inputs, steps = random_steps(400, 40, model=model), np.full(399, 0.0037)
     exact = simulator(model, wrt).sensitivities(values, inputs, steps)[1]
-    slave = Slave(fmus[name], initialised=False)
-    slave.fmi.setupExperiment(startTime=0.0)
-    slave.fmi.enterInitializationMode()
-    slave.set(**{n: float(column[0]) for n, column in inputs.items()})
+    slave = Slave(fmus[name], initialised=False).enter(**{n: float(column[0]) for n, column in inputs.items()})
     derivative(slave, OUTPUTS, wrt[:1], [1.0])
     slave.fmi.exitInitializationMode()
     size = np.abs(exact).max(axis=0) + 1e-12
@@ -271,14 +262,11 @@ def test_derivatives_at_communication_points_are_the_simulators(fmus, name):
 
 
 def test_the_controllers_derivatives_are_differences(fmus):
-    """Also in its sample time: 37 samples of each length, under thrust that stands still."""
+    """Also with respect to its sample time: 37 samples of each length, at constant thrust."""
     held, unknowns = {"thrust_set": 7.0, "thrust": 6.99}, ["omega_ref", "beta_ref"]
 
     def run(samples, **values):
-        slave = Slave(fmus["controller"], initialised=False)
-        slave.fmi.setupExperiment(startTime=0.0)
-        slave.fmi.enterInitializationMode()
-        slave.set(**values)
+        slave = Slave(fmus["controller"], initialised=False).enter(**values)
         derivative(slave, unknowns, ["kp_omega"], [1.0])
         slave.fmi.exitInitializationMode()
         slave.step(held, samples * values.get("sample_time", 0.004))
@@ -292,7 +280,7 @@ def test_the_controllers_derivatives_are_differences(fmus):
         np.testing.assert_allclose(found, (above - below) / (2.0 * h), rtol=1e-5, atol=1e-6)
 
 
-def test_derivatives_that_are_not_there_are_refused_in_words(fmus):
+def test_unavailable_derivatives_are_refused_with_the_reason(fmus):
     cases = {
         ("thrust", "tau_omega_1"): "found the known tau_omega_1 after initialisation",
         ("thrust", "omega"): "found the known omega",
@@ -315,7 +303,7 @@ def resident():
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="no /proc")
-def test_a_thousand_lives_leave_no_memory_behind(fmus):
+def test_a_thousand_instances_leak_no_memory(fmus):
     raw, references = Raw(fmus["all_on"]), {n: v.valueReference for n, v in fmus["all_on"].variables.items()}
     asked = *one(references["thrust"]), *one(references["tau_omega_1"]), (ctypes.c_double * 1)(1.0), (ctypes.c_double * 1)()
 

@@ -1,6 +1,5 @@
-"""The native FMU: what holds for the Python flavour holds for it; the archive, its bits, what it is built by and for."""
+"""The native FMU: the tests of the Python flavour, the archive, reproducible builds, compilers and platforms."""
 
-import ctypes
 import io
 import os
 import platform
@@ -24,8 +23,7 @@ from builders import ALL_ON, MODELS, PROBES, Slave, native, random_steps, refere
 from fmpy.build import build_platform_binary
 from fmpy.model_description import read_build_description
 
-from vpp_fmu.app.cli import main
-from vpp_fmu.errors import CompilerMissing, SimulationFailed
+from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.export import native_fmu, toolchain
 from vpp_fmu.export.c_text import c_text
 from vpp_fmu.export.cross_check import reference_files
@@ -33,7 +31,6 @@ from vpp_fmu.export.description import Experiment
 from vpp_fmu.fmu import Fmu, FmuInstance
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE
-from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.native import compiler
 
 try:
@@ -76,7 +73,6 @@ test_a_state_kept_during_the_initialisation = test_fmu.test_a_state_kept_during_
 test_reset_gives_a_fresh_instance = test_fmu.test_reset_gives_a_fresh_instance
 test_a_state_begins_where_it_is_set = test_fmu.test_a_state_begins_where_it_is_set
 test_gains_are_tuned_while_the_controller_runs = test_fmu.test_gains_are_tuned_while_the_controller_runs
-test_what_is_refused_is_said = test_fmu.test_what_is_refused_is_said
 test_a_parameter_out_of_range = test_fmu.test_a_parameter_out_of_range_is_refused_by_name
 
 
@@ -132,10 +128,6 @@ def test_two_builds_in_different_folders_have_the_same_bytes(fmu_files, name, tm
             assert all(place.encode() not in packed.read(entry) for entry in packed.namelist())
 
 
-def test_other_values_give_another_fmu(fmu_files):
-    assert native_fmu(CONTROLLER, {"kp_omega": 0.5}) != fmu_files["controller"].read_bytes()
-
-
 @pytest.mark.skipif(not shutil.which("cmake", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}"), reason="no cmake")
 def test_fmpy_compiles_it_from_its_sources(fmu_files, long_run, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")
@@ -158,7 +150,7 @@ def test_fmpy_compiles_it_from_its_sources(fmu_files, long_run, tmp_path, monkey
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 @each_fmu
 def test_its_build_description_is_valid(name, version):
-    """After FMI 3.0's schema, and after its table of a SourceFileSet: options are those of a compiler that is named."""
+    """By FMI 3.0's schema and its table of SourceFileSet: options require the name of a compiler."""
     fmu = io.BytesIO(native(name, version))
     (build,) = read_build_description(fmu)
     assert build.modelIdentifier == MODELS[name][0].name
@@ -171,7 +163,7 @@ def test_its_build_description_is_valid(name, version):
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="the flag is x86-64's")
 def test_its_source_allows_no_fused_multiply_add(tmp_path):
-    """Whatever the compiler is told: the build description names no options."""
+    """Whatever the compiler's options: the build description names none."""
     (tmp_path / "plant.c").write_text(c_text(BASE, BASE.values(), "{}"))
     command = [CC, "-std=gnu99", "-O3", "-w", "-mfma", "-S", "-o", "plant.s", "plant.c"]
     subprocess.run(command, cwd=tmp_path, check=True)
@@ -211,18 +203,6 @@ def test_after_a_step_without_numbers_the_last_ones_can_be_read(way, tmp_path):
     test_fmu.keeps_the_last_numbers(native_fmu, test_fmu.WAYS[way], tmp_path)
 
 
-def test_without_callbacks_there_is_no_instance(fmus):
-    """The standard wants them: the struct, and the logger in it. What allocates memory is not used, and not asked for."""
-    fmu = fmus["plain"]
-    library = ctypes.CDLL(str(fmu.library))
-    library.fmi2Instantiate.restype = ctypes.c_void_p
-    logger = ctypes.CFUNCTYPE(None)(lambda: None)
-    some, none = (ctypes.c_void_p * 5)(ctypes.cast(logger, ctypes.c_void_p).value), (ctypes.c_void_p * 5)()
-    made = [library.fmi2Instantiate(b"a", 1, fmu.description.guid.encode(), None, given, 0, 0) for given in (None, none, some)]
-    assert [at is not None for at in made] == [False, False, True]
-    library.fmi2FreeInstance(ctypes.c_void_p(made[-1]))
-
-
 @zig
 def test_all_platforms_fit_into_150_kb_and_are_reproducible(tmp_path):
     for model in (BASE, CONTROLLER):
@@ -248,10 +228,11 @@ def test_64_bit_arm_gives_the_same_bits():
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the GNU C library is Linux's")
-def test_the_command_says_what_the_fmus_were_linked_to(tmp_path, capsys):
-    """What `objdump` finds is the yardstick, where it is installed."""
-    assert main(["export", "--flavour", "native", "-o", str(tmp_path)]) == 0
-    said = next(line for line in capsys.readouterr().out.splitlines() if "GNU C library" in line)
+def test_the_command_says_what_the_fmus_were_linked_to(tmp_path, printed):
+    """Compared with `objdump`, where it is installed."""
+    said = next(
+        line for line in printed("export", "--flavour", "native", "-o", tmp_path).splitlines() if "GNU C library" in line
+    )
     with zipfile.ZipFile(tmp_path / "VppPlant.native.fmu") as packed:
         library = next(name for name in packed.namelist() if name.endswith(".so"))
         packed.extract(library, tmp_path)
@@ -269,7 +250,7 @@ def test_an_fmu_made_on_64_bit_arm_is_found_under_both_names(monkeypatch):
     assert set(toolchain.binaries("M", "", "host")) == {"binaries/aarch64-linux/M.so", "binaries/linux64/M.so"}
 
 
-def test_the_loader_finds_it_there_under_fmis_name(fmus, monkeypatch):
+def test_the_loader_finds_the_library_under_the_name_of_fmi(fmus, monkeypatch):
     fmu, own = fmus["plain"], Path(fmus["plain"].folder, "binaries", "aarch64-linux", "VppPlant.so")
     fmpys = fmu.library
     assert fmpys.is_file()
@@ -281,57 +262,8 @@ def test_the_loader_finds_it_there_under_fmis_name(fmus, monkeypatch):
     shutil.rmtree(own.parent)
 
 
-def test_without_a_compiler_it_is_said_in_one_line(no_compiler, monkeypatch, capsys, tmp_path):
+def test_without_a_compiler_the_export_is_refused_in_one_line(no_compiler, monkeypatch, refused, tmp_path):
     monkeypatch.setattr(toolchain, "find_spec", lambda name: None)
     for platforms, words in (("host", "no C compiler found"), ("all", "pip install 'vpp-fmu[cross]'")):
-        assert main(["export", "--flavour", "native", "--platforms", platforms, "-o", str(tmp_path)]) == 2
-        said = capsys.readouterr().err
-        assert words in said
-        assert len(said.splitlines()) == 1
+        assert words in refused("export", "--flavour", "native", "--platforms", platforms, "-o", tmp_path)
     assert not list(tmp_path.iterdir())
-
-
-OWN_MODEL = '''
-"""A low-pass filter: tau dv/dt = input - v, exact for a held input."""
-
-from vpp_fmu.kernel.types import Effect, Model, Parameter, Signal, State
-
-
-def step(ops, s, x, p, dt):
-    v = ops.lag(x.v, s.input, p.tau, dt)
-    return {"output": v}, {"v": v}
-
-
-TAU = Parameter("tau", "s", 0.1, 0.001, 10.0, "time constant", 0.1)
-V = State("v", "V", "voltage of the capacitor", lambda ops, s, p: s.input)
-LOW_PASS = Effect("low_pass", "one resistor, one capacitor", step, (TAU,), (V,))
-INPUT, OUTPUT = (Signal(n, "V", f"voltage at the {n}", -100.0, 100.0) for n in ("input", "output"))
-MODEL = Model("RcFilter", "Low-pass filter", (INPUT,), (OUTPUT,), (LOW_PASS,))
-'''
-
-
-def test_a_model_of_ones_own_becomes_an_fmu(tmp_path, monkeypatch, capsys):
-    (tmp_path / "rc_filter.py").write_text(OWN_MODEL)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    assert main(["export", "--model", "rc_filter:MODEL", "--flavour", "both", "-o", "out"]) == 0
-    time = np.arange(251) * 0.004
-    for suffix in ("", ".native"):
-        slave = Slave(Fmu(f"out/RcFilter{suffix}.fmu"))
-        shown = [slave.step({"input": 5.0}, 0.004, "output")[0] for _ in time[1:]]
-        np.testing.assert_allclose(shown, 5.0 * (1.0 - np.exp(-time[1:] / 0.1)), rtol=1e-12)
-    capsys.readouterr()
-    (tmp_path / "odd_unit.py").write_text(OWN_MODEL.replace('"V"', '"bit"'))
-    for wrong in ("odd_unit:MODEL", "rc_filter:TAU", "rc_filter:NONE", "no_such_module:MODEL", "rc_filter", ":"):
-        assert main(["export", "--model", wrong, "-o", "out"]) == 2
-        said = capsys.readouterr().err
-        assert wrong in said
-        assert len(said.splitlines()) == 1
-
-
-def test_simulation_failures_name_the_fmu(fmus):
-    instance = FmuInstance(fmus["plain"], ["omega_ref"], ["thrust"])
-    instance.start([0.0])
-    with pytest.raises(SimulationFailed, match="omega_ref: found nan"):
-        instance.stepper(0.004)([float("nan")])
-    assert Simulation(BASE).outputs["thrust"] == 0.0

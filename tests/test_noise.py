@@ -1,4 +1,4 @@
-"""The noise of a record: filters against the processes that they are made of, block means, what a fit takes of it."""
+"""The noise of a record: filters against known processes, block means, and the noise that a fit removes."""
 
 import os
 import shutil
@@ -14,8 +14,8 @@ from identification.fit.noise import Blocks, Colour, colour_of
 RNG = np.random.default_rng(20)
 
 
-def test_a_filter_knows_the_noise_that_it_was_made_of():
-    """An autoregression of two lags: its coefficients, and what is left is white and as large as what drove it."""
+def test_a_filter_recovers_its_autoregression():
+    """An autoregression of two lags: its coefficients are found; the residual is white with the innovations' power."""
     driving = 0.3 * RNG.standard_normal(40000)
     noise = np.zeros(40000)
     for k in range(2, 40000):
@@ -30,7 +30,7 @@ def test_a_filter_knows_the_noise_that_it_was_made_of():
 
 
 def risen(rng: np.random.Generator, rows: int, corner: float, power: int) -> np.ndarray:
-    """(rows,) white noise and noise that rises below a corner [cycles a row], cut out of twice the length."""
+    """(rows,) white noise plus noise that increases below a corner [cycles a row], cut out of twice the length."""
     frequency = np.fft.rfftfreq(2 * rows)
     frequency[0] = np.inf
     slow = np.fft.rfft(rng.standard_normal(2 * rows)) * (corner / frequency) ** (0.5 * power)
@@ -38,17 +38,17 @@ def risen(rng: np.random.Generator, rows: int, corner: float, power: int) -> np.
 
 
 def test_white_noise_has_no_colour():
-    """The BIC is wrong at times: in 40 draws of 2000 rows hardly ever."""
+    """The BIC rarely selects a wrong order: at most 4 of 40 draws of 2000 rows."""
     rng = np.random.default_rng(12)
     found = [colour_of([rng.standard_normal(2000)]) for _ in range(40)]
     assert sum(c.order > 0 or c.corner > 0.0 for c in found) <= 4
 
 
 @pytest.mark.parametrize(("corner", "power"), [(0.02, 1), (0.1, 1), (0.02, 2)])
-def test_noise_that_rises_towards_rest_is_white_there_too_behind_its_filter(corner, power):
-    """Flicker noise and a random walk: the power of another draw in the ten slowest ordinates, 1 of white noise, in the mean of
-    40. In the slowest of all it was 1 + (corner / frequency)^power, 81 to 6400, of which a tenth is left at most of flicker
-    noise, and a hundredth of a random walk."""
+def test_noise_that_increases_at_low_frequencies_is_whitened(corner, power):
+    """Flicker noise and a random walk: the mean power of the ten lowest ordinates of another draw, 1 for white noise, over 40
+    draws. At the lowest ordinate it was 1 + (corner / frequency)^power, 81 to 6400; at most a tenth remains for flicker noise,
+    a hundredth for a random walk."""
     rng, ordinates = np.random.default_rng(13), []
     for _ in range(40):
         colour, other = colour_of([risen(rng, 2000, corner, power)]), risen(rng, 2000, corner, power)
@@ -57,7 +57,7 @@ def test_noise_that_rises_towards_rest_is_white_there_too_behind_its_filter(corn
     assert np.mean(ordinates, axis=0)[0] < 0.1**power * (1.0 + (corner * 2.0 * 2000.0) ** power)
 
 
-def test_what_is_evened_out_leaves_gaps_where_they_are():
+def test_whitening_of_low_frequencies_keeps_gaps_in_place():
     colour, values = Colour((), (), 1.0, 0.05, 1), RNG.standard_normal((300, 2))
     holed = values.copy()
     holed[100:103, 1] = np.nan
@@ -87,9 +87,9 @@ def test_block_means_leave_empty_cells_out():
 
 
 @pytest.mark.parametrize("phi", [0.5, 0.99999])
-def test_what_is_put_back_is_as_uncertain_as_brute_force_says(phi):
-    """Products of what is restored, with itself rows later, over rows that have a whole past: also of a level that a filter
-    near a random walk leaves all but open, whose products at the ends would pass for innovations."""
+def test_products_of_restored_columns_are_those_of_brute_force(phi):
+    """Products of restored columns with their later rows, over rows that have a full past. A filter near a random walk leaves
+    the level almost undetermined; its products at the ends would be taken for innovations."""
     columns = np.column_stack([np.full(300, 50.0 / (1.0 - phi)), np.cumsum(np.random.default_rng(2).standard_normal(300))])
     found = noise._with_later(columns, 9)
     brute = [[sum(columns[t - i] @ columns[t - j] for t in range(9, 300)) for j in range(10)] for i in range(10)]
@@ -100,9 +100,9 @@ def test_what_is_put_back_is_as_uncertain_as_brute_force_says(phi):
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.6])
-def test_a_filter_gives_back_what_a_fit_has_taken(rho):
-    """600 rows of an autoregression less their share in 30 slow directions: power at rest, 1 / (1 - rho)^2, and innovation, 1,
-    come back in the mean of 60 draws; what is left by itself has lost most of that power."""
+def test_a_filter_corrects_for_the_power_that_a_fit_removed(rho):
+    """600 rows of an autoregression without their part in 30 slow directions. The mean of 60 draws recovers the power at rest,
+    1 / (1 - rho)^2, and the innovation, 1; the residual alone has lost most of that power."""
     rng, rows = np.random.default_rng(9), 600
     slow = np.linalg.qr(np.cos(np.pi * np.arange(30) * (np.arange(rows)[:, None] + 0.5) / rows))[0]
     noises = [lfilter([1.0], [1.0, -rho], rng.standard_normal(rows + 50))[50:] for _ in range(60)]
@@ -117,7 +117,7 @@ def test_a_filter_gives_back_what_a_fit_has_taken(rho):
 @pytest.mark.parametrize("shape", [(400,), (400, 3), (2000, 1)])
 @pytest.mark.parametrize("spans", [(), ((1, 1), (2, 2)), ((1, 1), (2, 5), (6, 96))])
 def test_compiled_and_interpreted_filters_give_the_same_bits_and_those_of_the_sums_as_they_are_written(shape, spans):
-    """400 numbers are fewer than the part that the compiled loop goes by, 1200 and 2000 several."""
+    """400 numbers are fewer than one part of the compiled loop, 1200 and 2000 are several."""
     values, factors = np.random.default_rng(5).standard_normal(shape), [0.7, -0.2, 0.01][: len(spans)]
     found = ar_filter.ar_residuals(values, spans, factors, 0.3)
     order = max((last for _, last in spans), default=0)

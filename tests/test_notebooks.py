@@ -1,4 +1,4 @@
-"""The notebooks run from top to bottom in a kernel of their own, and their numbers make sense."""
+"""The notebooks run from top to bottom in their own kernel, with plausible numbers."""
 
 import ast
 import asyncio
@@ -19,7 +19,7 @@ NOTEBOOKS = ROOT / "identification" / "notebooks"
 
 
 def run(name: str, folder: Path, asked: str, **replaced: str):
-    """The value of an expression after the last cell of a notebook that ran in `folder`, some lines replaced."""
+    """The value of an expression after the last cell of a notebook run in `folder`, with some lines replaced."""
     notebook = nbformat.read(NOTEBOOKS / name, as_version=4)
     for old, new in replaced.items():
         cell = next(cell for cell in notebook.cells if re.search(rf"^{old} = .*$", cell.source, re.MULTILINE))
@@ -32,14 +32,14 @@ def run(name: str, folder: Path, asked: str, **replaced: str):
 
 @pytest.fixture(autouse=True)
 def kernel(monkeypatch, tmp_path):
-    """This checkout is what the kernel imports; it leaves nothing in the home."""
+    """The kernel imports this checkout and leaves nothing in the home folder."""
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH")))))
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
     monkeypatch.setenv("JUPYTER_PLATFORM_DIRS", "1")
 
 
 @pytest.mark.parametrize("path", sorted(NOTEBOOKS.glob("*.ipynb")), ids=lambda path: path.stem)
-def test_a_notebook_is_valid_and_bears_no_outputs(path):
+def test_a_notebook_is_valid_and_has_no_outputs(path):
     notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
     for cell in notebook.cells:
@@ -49,7 +49,7 @@ def test_a_notebook_is_valid_and_bears_no_outputs(path):
 
 @pytest.fixture
 def short(tmp_path):
-    """The first minute of the example's long records, and nothing else: all is done sooner."""
+    """The first minute of the example's long records, to save time."""
     campaign, folder = vpp.read_campaign(vpp.example_campaign()), OutputFolder(tmp_path / "short")
     for name in ("open_loop", "repeat", "validation"):
         write_record(folder, f"{name}.csv", getattr(campaign, name).part(slice(15_000)))
@@ -85,7 +85,7 @@ def test_an_effect_of_ones_own(tmp_path):
         assert abs(value - truth) < 5.0 * std
         assert std < 0.1 * truth
     assert float(start) == pytest.approx(values[0], rel=1e-6)
-    share, time_constant = values  # a step of thrust: at once all but the share, which comes with its time constant
+    share, time_constant = values  # a step of thrust: immediate but for the share, which follows with its time constant
     assert before < stepped < crept
     shown, whole = 1.0 + share * (1.0 - 2.718281828 ** (-1.0 / time_constant)), 1.0 + share
     whole_step, seen_step = (crept - before) / whole, stepped - before
@@ -93,7 +93,7 @@ def test_an_effect_of_ones_own(tmp_path):
 
 
 def test_a_learned_controller(tmp_path):
-    """The environment rewards a law that sees the error; the learned one flies the emulated rig to its end."""
+    """The environment rewards a law that sees the error; the learned law completes a run on the emulated rig."""
     asked = "(sorted(rewards, key=rewards.get), observation.shape, code, sorted(p.name for p in Path('policy').iterdir()),"
     asked += " len(list(Path('flight').glob('runs/*/run.csv'))))"
     order, observed, code, files, runs = run("campaign_to_policy.ipynb", tmp_path, asked, GENERATIONS="3")

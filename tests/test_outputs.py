@@ -1,4 +1,4 @@
-"""A run's files come as a set, whole or not at all; what an earlier run left and would now lie goes, nothing else does."""
+"""The files of a run appear together or not at all; outdated files of an earlier run are removed, and no others."""
 
 import json
 import os
@@ -18,7 +18,7 @@ ONE, OTHER = "0123456789ab", "ba9876543210"
 
 
 def ran(folder, verb, identity, **files):
-    """A run of `verb` that wrote these files, of parameters of that identity."""
+    """A run of `verb` that wrote these files, from parameters of that identity."""
     done = OutputSet(folder, verb)
     for name, text in files.items():
         done.write(name.replace("_json", ".json").replace("_fmu", ".fmu"), text)
@@ -30,7 +30,7 @@ def names(folder):
     return sorted(name for name in os.listdir(folder) if name != WRITTEN)
 
 
-def test_nothing_stands_there_before_the_end(tmp_path):
+def test_files_appear_when_the_run_ends(tmp_path):
     (tmp_path / "parameters.json").write_text("old")
     run = OutputSet(tmp_path, "identify")
     staged = run.write("parameters.json", "new")
@@ -53,7 +53,7 @@ def test_a_run_that_fails_leaves_what_was_there(tmp_path):
     assert {name: (tmp_path / name).read_bytes() for name in os.listdir(tmp_path)} == before
 
 
-def test_a_folder_in_a_file_s_place_is_found_before_anything_is_replaced(tmp_path):
+def test_a_folder_in_the_place_of_a_file_is_refused_before_anything_is_replaced(tmp_path):
     (tmp_path / "parameters.json").write_text("old")
     (tmp_path / "report.html").mkdir()
     run = OutputSet(tmp_path, "identify")
@@ -64,7 +64,7 @@ def test_a_folder_in_a_file_s_place_is_found_before_anything_is_replaced(tmp_pat
     assert (tmp_path / "parameters.json").read_text() == "old"
 
 
-def test_a_signal_in_the_middle_of_it_comes_behind_it(tmp_path, monkeypatch):
+def test_a_signal_waits_until_all_files_are_in_place(tmp_path, monkeypatch):
     run = OutputSet(tmp_path, "identify")
     for name in "abc":
         run.write(name, name)
@@ -94,7 +94,7 @@ except BadInput as error:
 """
 
 
-def test_a_disk_that_takes_no_more(tmp_path):
+def test_a_full_disk_is_refused_and_changes_nothing(tmp_path):
     (tmp_path / "parameters.json").write_text("old")
     done = subprocess.run([sys.executable, "-c", FULL, str(tmp_path)], capture_output=True, text=True, check=True)
     assert done.stdout.startswith(f"{tmp_path / 'report.html'}: output file: found not writable (file too large)")
@@ -113,7 +113,7 @@ def test_one_folder_holds_one_model(tmp_path, first, second):
     assert names(tmp_path) == ["empirical.json", "identification.json", "notes.txt", "parameters.json"]
 
 
-def test_a_file_that_someone_has_changed_is_theirs(tmp_path):
+def test_a_file_that_the_user_has_changed_is_kept(tmp_path):
     ran(tmp_path, "diagnose", ONE, parameters_json="1", diagnosis_json="1")
     (tmp_path / "diagnosis.json").write_text("1, and a remark")
     run = ran(tmp_path, "diagnose", OTHER, parameters_json="2")
@@ -123,7 +123,7 @@ def test_a_file_that_someone_has_changed_is_theirs(tmp_path):
     assert (again.kept, again.removed) == ((), ())
 
 
-def test_what_other_verbs_made_of_other_parameters_stays_and_is_named(tmp_path):
+def test_files_that_other_verbs_made_of_other_parameters_are_kept_and_named(tmp_path):
     ran(tmp_path, "identify", ONE, parameters_json="1")
     ran(tmp_path, "tune", ONE, gains_json="1")
     ran(tmp_path, "export", ONE, VppPlant_fmu="1")
@@ -142,7 +142,7 @@ def test_a_verb_replaces_its_own_set(tmp_path):
     assert run.replaced == ("VppController.fmu",)
 
 
-def test_what_speaks_of_no_parameters_leaves_no_note_of_itself(tmp_path):
+def test_a_run_without_parameters_leaves_no_list_of_its_files(tmp_path):
     run = OutputSet(tmp_path, "compare")
     run.write("comparison.json", "{}")
     run.finish()
@@ -153,7 +153,7 @@ def test_what_speaks_of_no_parameters_leaves_no_note_of_itself(tmp_path):
     "noted",
     ["", "[]", "{}", '{"format": "vpp-written/2", "files": {}}', '{"format": "vpp-written/1", "files": {"a": 1}}', "outside"],
 )
-def test_a_note_that_is_none_removes_nothing(tmp_path, noted):
+def test_an_invalid_list_of_files_removes_nothing(tmp_path, noted):
     folder, outside = tmp_path / "out", tmp_path / "a.json"
     folder.mkdir()
     for path in (outside, folder / "a.json"):
@@ -170,7 +170,7 @@ def test_a_note_that_is_none_removes_nothing(tmp_path, noted):
     assert names(folder) == ["a.json", "c.json"]
 
 
-def test_a_scratch_folder_goes_with_its_owner(tmp_path):
+def test_a_scratch_folder_is_removed_with_its_owner(tmp_path):
     scratch = Scratch(tmp_path)
     path = scratch.path
     (path / "file").write_text("x")
@@ -193,7 +193,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
-def test_what_a_killed_process_left_goes_with_the_next(tmp_path):
+def test_the_next_process_removes_the_scratch_folder_of_a_killed_one(tmp_path):
     assert subprocess.run([sys.executable, "-c", DIES, str(tmp_path)], check=False).returncode == -signal.SIGKILL
     (left,) = tmp_path.iterdir()
     assert (left / "large").exists()

@@ -1,4 +1,4 @@
-"""Effects and verbs from outside the package: by a file, by an entry point, and what is checked of them."""
+"""Effects and verbs from outside the package, by a file or by an entry point, and the checks of them."""
 
 import json
 import re
@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from builders import refusal
 
 import vpp_fmu as vpp
 from identification.tune.objective import closed_loop
@@ -33,12 +34,11 @@ BROKEN = {
     "free of the communication step": SOURCE.replace("s.thrust)\n    return", "s.thrust) + p.tau * dt * 1e3\n    return"),
     "sensitivities are differences": None,
 }
-"""A file that each invariant catches; a wrong tangent can't be written by a user."""
+"""A file that each invariant refuses; a user can't write a wrong tangent."""
 
 
-def test_the_effect_of_the_readme_is_tried(capsys):
-    assert main(["check-effect", str(FILE)]) == 0
-    assert capsys.readouterr().out.count("  yes  ") == len(INVARIANTS)
+def test_the_effect_of_the_readme_keeps_every_invariant(printed):
+    assert printed("check-effect", FILE).count("  yes  ") == len(INVARIANTS)
 
 
 def test_every_invariant_has_a_file_that_it_catches():
@@ -46,14 +46,14 @@ def test_every_invariant_has_a_file_that_it_catches():
 
 
 @pytest.mark.parametrize("name", [name for name, source in BROKEN.items() if source])
-def test_what_breaks_an_invariant_is_caught(name, tmp_path, capsys):
+def test_an_effect_that_breaks_an_invariant_is_refused(name, tmp_path, capsys):
     path = tmp_path / "broken.py"
     path.write_text(BROKEN[name])
     assert BROKEN[name] != SOURCE
     assert main(["check-effect", str(path)]) == 2
     said = capsys.readouterr()
     assert said.err.count("\n") == 1
-    if name == "declares itself":  # it is refused as it is read
+    if name == "declares itself":  # it is refused when it is read
         assert said.err.startswith(f"vpp check-effect: {path}: EFFECT: found tau = 0.5, outside 0 to 0.3, expected")
     else:
         assert re.search(rf"  {name} +NO ", said.out)
@@ -83,25 +83,22 @@ def test_what_breaks_an_invariant_is_caught(name, tmp_path, capsys):
         ('reading="thrust"', 'says="slow by {"', "EFFECT, says: found 'slow by {' ("),
     ],
 )
-def test_parts_of_an_effect_are_of_their_kind(word, other, says, tmp_path):
+def test_invalid_parts_of_an_effect_are_refused(word, other, says, tmp_path):
     path = tmp_path / "wrong.py"
     path.write_text(SOURCE.replace(word, other))
-    with pytest.raises(BadInput) as refused:
-        library_with([path])
-    assert str(refused.value).startswith(f"{path}: {says}")
+    assert refusal(library_with, [path]).startswith(f"{path}: {says}")
 
 
 @pytest.mark.parametrize("verb", ["check-effect {}", "effects --effects-from {}", "diagnose {} --effects-from {}"])
-def test_what_cannot_be_traced_is_refused_by_every_verb_with_its_line(verb, tmp_path, capsys):
+def test_python_that_cannot_be_traced_is_refused_by_every_verb_with_its_line(verb, tmp_path, refused):
     path = tmp_path / "branches.py"
     path.write_text(SOURCE.replace("ops.where(p.tau > 0.0, reading, s.thrust)", "reading if p.tau > 0.0 else s.thrust"))
     line = SOURCE[: SOURCE.index("reading = ops.where(p.tau")].count("\n") + 1
-    assert main([word.format(path) for word in verb.split()]) == 2
     said = f"{path}: effect cell_lag, step, branches.py line {line}: found if, which can't be traced, expected ops.where"
-    assert said in capsys.readouterr().err
+    assert said in refused(*(word.format(path) for word in verb.split()))
 
 
-def test_an_effect_says_its_sentence_or_else_its_description(tmp_path):
+def test_an_effect_is_described_by_its_sentence_or_its_description(tmp_path):
     path = tmp_path / "with_a_sentence.py"
     path.write_text(SOURCE.replace('reading="thrust"', 'says="the reading lags by {tau}"'))
     for file, said in ((FILE, "the load cell's amplifier is slow"), (path, "the reading lags by 0.0500 s")):
@@ -137,11 +134,10 @@ def library_model(effects):
     return plant(effects, library_with([FILE]))
 
 
-def test_verbs_take_the_file(parameters, tmp_path, capsys):
+def test_verbs_take_the_file(parameters, tmp_path, refused):
     record, out = str(vpp.example_campaign() / "validation.csv.gz"), str(tmp_path / "out")
     call = ["simulate", record, "--parameters", str(parameters), "-o", out]
-    assert main(call) == 2
-    assert "cell_lag" in capsys.readouterr().err
+    assert "cell_lag" in refused(*call)
     assert main([*call, "--effects-from", str(FILE)]) == 0
     rig = tmp_path / "rig.json"
     ranges = {"speed": {"min": 2000, "max": 6000}, "pitch": {"min": -5, "max": 10}, "thrust": {"min": 0, "max": 15}}
@@ -160,7 +156,7 @@ def test_the_loop_that_gains_are_tuned_on_has_the_effect(parameters):
         vpp.tune(held)
 
 
-def test_a_diagnosis_tries_it():
+def test_a_diagnosis_tries_a_user_defined_effect():
     found = vpp.diagnose(vpp.example_campaign(), effects=["cell_lag", "pitch_command_deadband"], effects_from=[FILE])
     assert {"cell_lag", "pitch_command_deadband"} <= {
         str(c.get("name", c.get("effects"))) for c in found.to_dict()["candidates"]
@@ -170,7 +166,7 @@ def test_a_diagnosis_tries_it():
 
 @pytest.fixture
 def installed(tmp_path, monkeypatch):
-    """Puts a package with entry points onto the path: (group, name, value), its modules by name."""
+    """Puts a package with entry points (group, name, value) and modules (source by name) onto the path."""
 
     def install(entries, modules):
         info = tmp_path / "a_plugin-1.0.dist-info"
@@ -185,7 +181,7 @@ def installed(tmp_path, monkeypatch):
     return install
 
 
-def test_nobody_installed_is_the_library_itself():
+def test_without_installed_packages_the_library_is_unchanged():
     assert library_with(()) is LIBRARY
 
 
@@ -195,7 +191,7 @@ def test_an_installed_package_brings_effects(installed, value):
     assert [e.name for e in library_with(())] == [*(e.name for e in LIBRARY), "cell_lag"]
 
 
-def test_a_broken_package_is_one_line(installed):
+def test_a_broken_package_is_refused_in_one_line(installed):
     installed([("vpp.effects", "cell", "a_broken_effect")], {"a_broken_effect": "1 / 0"})
     with pytest.raises(BadInput, match=r"entry point cell of vpp.effects: a_broken_effect: found ZeroDivisionError"):
         library_with(())
@@ -204,16 +200,14 @@ def test_a_broken_package_is_one_line(installed):
 VERB = 'EXAMPLE = "vpp greet"\n\n\ndef configure(parser):\n    pass\n\n\ndef run(options):\n    print("hello")\n'
 
 
-def test_an_installed_package_brings_verbs(installed, capsys):
+def test_an_installed_package_brings_verbs(installed, printed, capsys):
     installed([("vpp.verbs", "greet", "a_plugin_verb")], {"a_plugin_verb": VERB})
-    assert main(["greet"]) == 0
-    assert capsys.readouterr().out == "hello\n"
+    assert printed("greet") == "hello\n"
     with pytest.raises(SystemExit):
         main(["--help"])
     assert re.search(r"greet +of a-plugin", capsys.readouterr().out)
 
 
-def test_a_verb_that_is_none_is_one_line(installed, capsys):
+def test_an_installed_verb_without_an_example_is_refused_in_one_line(installed, refused):
     installed([("vpp.verbs", "greet", "a_plugin_verb")], {"a_plugin_verb": VERB.replace("EXAMPLE", "OTHER")})
-    assert main(["greet"]) == 2
-    assert "no EXAMPLE" in capsys.readouterr().err
+    assert "no EXAMPLE" in refused("greet")

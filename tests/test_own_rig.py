@@ -1,4 +1,4 @@
-"""The README's commands on rigs that are not the paper's: nothing that is written holds the paper's limits."""
+"""The README's commands on rigs other than the paper's: no written file has the paper's limits."""
 
 import functools
 import io
@@ -35,7 +35,7 @@ RIGS = {
     "rig_h": {"speed": (2269.5, 5519.1), "pitch": (4.0, 4.0), "period": 0.004},
     "log": {"speed": (2230.31, 5764.29), "pitch": (0.0, 0.0), "period": 0.02},
 }
-"""What the files command, and the period of their rows; the log's speeds are those of its map from throttle to speed."""
+"""Commanded ranges of the files, and the period of their rows; the log's speeds are those of its map from throttle to speed."""
 
 SHORTER = {
     "diagnose": ["--effects", "pitch_backlash", "--workers", "1"],
@@ -51,7 +51,7 @@ of_each_rig = pytest.mark.sampled("written")
 
 @pytest.fixture(scope="module", params=RIGS)
 def written(request, tmp_path_factory):
-    """(rig, folder, by verb: exit code and text): all of the README's commands on it, one after the other, in its order."""
+    """(rig, folder, by verb: exit code and text): all commands of the README on it, in order."""
     rig, folder = request.param, tmp_path_factory.mktemp(request.param)
     with pytest.MonkeyPatch.context() as quick:
         quick.chdir(folder)
@@ -79,7 +79,7 @@ def written(request, tmp_path_factory):
 
 
 def _profile(rig):
-    """step.csv: a fifth of the rig's largest thrust, and half of it."""
+    """step.csv: a quarter of the rig's largest thrust, and then half of it."""
     parameters = read_parameters("out/parameters.json", plant)
     low, high = (share * parameters.rig.thrust[1] for share in (0.25, 0.5))
     Path("step.csv").write_text(f"time,thrust_set\n0,{low}\n2,{high}\n5,{high}\n")
@@ -94,7 +94,7 @@ def _ran(quick, words):
 
 
 @of_each_rig
-def test_every_command_ends_well_or_says_a_way_out(written):
+def test_every_command_succeeds_or_suggests_a_remedy(written):
     rig, _, found = written
     for verb, (code, said) in found.items():
         refused = {"hil", "twin"} if rig in BEYOND_THE_EMULATOR else {"twin"}
@@ -138,7 +138,7 @@ def test_every_controller_that_is_written_has_the_rigs_limits_and_sampling(writt
 
 
 @of_each_rig
-def test_every_command_that_is_written_is_the_rigs(written):
+def test_every_written_command_is_within_the_ranges_of_the_rig(written):
     rig, folder, _ = written
     (low, high), (least, most) = RIGS[rig]["speed"], RIGS[rig]["pitch"]
     for name in ("loop/run.csv", "next/plan.csv", "out/next_experiment.csv"):
@@ -148,11 +148,11 @@ def test_every_command_that_is_written_is_the_rigs(written):
 
 
 PAPERS = re.compile(r"(?<![\w.,])(6000(\.0)?|2000(\.0)?|20000? to 6000)(?![\w.])")
-"""The paper's speeds; the other numbers of its rig are too common to look for."""
+"""The paper's speeds; the other numbers of its rig are too common to search for."""
 
 
 def texts(folder):
-    """(name, text) of what was written, archives opened; of a page what is read, of a table of numbers nothing."""
+    """(name, text) of the written files, with archives opened; of a page its visible text, of a table of numbers nothing."""
     for path in sorted(folder.rglob("*")):
         if path.suffix in (".fmu", ".ssp"):
             yield from _packed(path.name, path.read_bytes())
@@ -193,7 +193,7 @@ def test_without_parameters_the_papers_values_are_said_to_be_a_default(tmp_path,
 
 CAMPAIGN = dict.fromkeys(("speed", "pitch", "thrust"), "the campaign")
 WIDE = Rig("wide", (0.0, 5573.0), (-4.0, 12.0), (0.0, 15.0), origin=CAMPAIGN)
-"""Of the paper's size, and its blades go further than the emulated rig's calibration has them."""
+"""A rig of the paper's size whose blades go beyond the calibration of the emulated rig."""
 
 
 @pytest.fixture
@@ -202,7 +202,7 @@ def wide(tmp_path):
     return tmp_path
 
 
-def test_the_emulated_rig_goes_as_far_as_the_parameters_rig(wide, monkeypatch):
+def test_the_emulated_rig_covers_the_ranges_of_the_parameters(wide, monkeypatch):
     monkeypatch.chdir(wide)
     Path("step.csv").write_text("time,thrust_set\n0,2\n1,14.9\n4,14.9\n")
     assert cli.main(["hil", "run", "--virtual", "--parameters", ".", "--profile", "step.csv", "-o", "run"]) == 0
@@ -223,8 +223,8 @@ def test_twin_and_hil_take_the_same_emulated_rig(wide):
     assert hil_verb.gains_of(options).values["beta_max"] == WIDE.pitch[1]
 
 
-def test_a_way_out_that_is_named_is_one(tmp_path, capsys):
-    """A rig of the paper's size that turns faster than the emulated one does what the message says."""
+def test_the_suggested_remedy_works(tmp_path, printed, refused):
+    """A rig of the paper's size that turns faster than the emulated one, with the option that the message suggests."""
     fast = Rig("fast", (2000.0, 9000.0), (-5.0, 10.0), (0.0, 15.0), origin=CAMPAIGN)
     (tmp_path / "parameters.json").write_text(to_json(ParameterSet(plant(), source={"rig": fast.summary()})))
     (tmp_path / "step.csv").write_text("time,thrust_set\n0,2\n1,4\n2,4\n")
@@ -232,24 +232,21 @@ def test_a_way_out_that_is_named_is_one(tmp_path, capsys):
     (tmp_path / "RIG.json").write_text(json.dumps(narrower))
     words = ["hil", "run", "--virtual", "--parameters", str(tmp_path), "--profile", str(tmp_path / "step.csv")]
     words += ["-o", str(tmp_path / "run")]
-    assert cli.main(words) == 2
-    assert "Try: --rig emulated RIG.json, which declares narrower ranges" in capsys.readouterr().err
-    assert cli.main([*words, "--rig", "emulated", str(tmp_path / "RIG.json")]) == 0
-    assert "within 2000 to 6500 rpm" in capsys.readouterr().out
+    assert "Try: --rig emulated RIG.json, which declares narrower ranges" in refused(*words)
+    assert "within 2000 to 6500 rpm" in printed(*words, "--rig", "emulated", tmp_path / "RIG.json")
 
 
-def test_gains_that_leave_the_parameters_rig_are_not_exported(wide, capsys):
+def test_gains_beyond_the_limits_of_the_rig_are_not_exported(wide, refused):
     gains = ParameterSet(CONTROLLER).replaced({**DUAL, "omega_max": 6000.0})
     (wide / "gains.json").write_text(to_json(gains))
-    words = ["export", "--parameters", str(wide), "--gains", str(wide / "gains.json"), "-o", str(wide / "fmus")]
-    assert cli.main(words) == 2
-    assert "omega_max: found 6000 rpm, expected 0 to 5573 rpm (the campaign)" in capsys.readouterr().err
+    said = refused("export", "--parameters", wide, "--gains", wide / "gains.json", "-o", wide / "fmus")
+    assert "omega_max: found 6000 rpm, expected 0 to 5573 rpm (the campaign)" in said
     assert not (wide / "fmus" / "VppController.fmu").exists()
 
 
 @pytest.mark.parametrize(("period", "expected"), [(0.01, 0.01), (0.002, 0.002), (0.5, 0.02)])
 def test_the_controller_samples_as_the_log_did_where_the_plant_allows(period, expected):
-    """Ten samples in the faster channel's lags of 0.2 s, at least."""
+    """At least ten samples in the faster channel's lags of 0.2 s."""
     lags = {"tau_omega_1": 0.15, "tau_omega_2": 0.05, "tau_beta_1": 0.15, "tau_beta_2": 0.1}
     own = ParameterSet(plant(), source={"rig": WIDE.summary(), "sample_period": period}).replaced(lags)
     assert rig_controller(own).values["sample_time"] == pytest.approx(expected)
@@ -262,7 +259,7 @@ def test_a_rig_that_names_a_part_of_its_ranges_takes_the_rest_from_its_own_scale
     assert (own.pitch, own.thrust) == ((1.0, 20.0), (0.0, 200.0))
 
 
-def test_a_loop_of_parameters_flies_within_their_rig():
+def test_a_loop_of_parameters_stays_within_the_ranges_of_their_rig():
     own = ParameterSet(plant(), source={"rig": WIDE.summary(), "sample_period": 0.01})
     profile = {"time": [0.0, 1.0, 6.0], "thrust_set": [2.0, 40.0, 40.0]}
     found = vpp.run_loop(own, {}, profile)

@@ -1,4 +1,4 @@
-"""Every kind of report as a reader has it: on a phone and on a desk, light and dark; nothing overlaps, nothing is empty."""
+"""Every kind of report as a reader sees it, on a phone and on a desk, light and dark: nothing overlaps, nothing is empty."""
 
 from datetime import date, timedelta
 
@@ -20,7 +20,7 @@ from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.record import Record
 
 BOUND = 1.5e6
-"""Bytes of a report."""
+"""Largest report, bytes."""
 
 READERS = {"phone": (390, 844), "desk": (1100, 900)}
 
@@ -67,7 +67,7 @@ FAULTS = """(() => {
   }
   return [...new Set(faults)];
 })()"""
-"""What is wrong with how a page stands, a line each."""
+"""Faults in the layout of a page, one a line."""
 
 CONTRAST = """(() => {
   const light = (colour) => {
@@ -82,11 +82,11 @@ CONTRAST = """(() => {
   return { ground, text: least("p, td, figcaption, h3, .key", "color"), labels: least(".sheet .tick, .sheet .title", "fill"),
     lines: least(".sheet .line.mark", "stroke") };
 })()"""
-"""Contrast of text, labels and lines to the page's own colour, as WCAG 2 has it."""
+"""Contrast of text, labels and lines to the background of the page, as in WCAG 2."""
 
 
 def figures_page() -> Page:
-    """All kinds of figures that the page of an identification has not."""
+    """All kinds of figures that the page of an identification does not have."""
     page = Page("Figures", "One of each kind.", "campaign made up, no date of measurement")
     page.tiles([("pitch_command_deadband.half_width", "1.70 deg", "95 %: 1.69 to 1.71 deg")] * 3)
     for name, fig in test_report.figures().items():
@@ -178,7 +178,7 @@ def test_nothing_overlaps_is_cut_off_or_empty_and_all_can_be_read(pages, browser
     for seen in (light, dark):
         assert seen["text"] > 4.5
         assert seen["labels"] > 4.5
-        assert seen["lines"] > 1.5  # what is faint on purpose is still there
+        assert seen["lines"] > 1.5  # faint lines are still visible
     assert browser.problems == []
 
 
@@ -192,8 +192,8 @@ def test_faults_that_are_planted_are_found(pages, browser):
         assert wanted in faults
 
 
-def test_lines_stand_where_their_values_are(pages, browser):
-    """Between two ticks of an axis a value's place is theirs in proportion: checked on the drawn path, by its own labels."""
+def test_lines_are_drawn_at_their_values(pages, browser):
+    """The heights of the drawn path are converted to values by the labels of the axis."""
     browser.show(pages["figures"], *READERS["desk"], dark=False)
     ticks, path = browser.run("""(() => {
       const sheet = document.querySelector("#figure-1 .sheet svg");

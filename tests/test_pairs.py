@@ -1,5 +1,4 @@
-"""The order in which a channel's two lags are written: agreed where nothing tells it, the data's where an effect stands
-between."""
+"""The order of a channel's two lags: a convention if the data do not determine it, else that of the data."""
 
 import numpy as np
 import pytest

@@ -51,7 +51,7 @@ def quick(tmp_path_factory, request):
     return Quick(out, "\n".join(lines))
 
 
-def test_the_papers_numbers_hang_together():
+def test_the_papers_numbers_are_consistent():
     initial = {name: AVERAGED[name] for name in STATIC_MAP}
     assert normalised_map(**STATIC_MAP) == pytest.approx(initial)
     assert NUMBERS["cost_fall"].value == pytest.approx(100.0 * (1.0 - COST_END / COST_START), abs=0.05)
@@ -62,7 +62,7 @@ def test_the_papers_numbers_hang_together():
     assert {n: NUMBERS[f"dual.{n}"].value for n in DUAL} == DUAL
 
 
-def test_every_number_of_the_paper_has_a_row_that_says_why(quick):
+def test_every_number_of_the_paper_has_a_row_with_an_explanation(quick):
     assert list(quick.rows) == list(NUMBERS)
     for name, row in quick.rows.items():
         assert row["value"] == NUMBERS[name].value
@@ -83,7 +83,7 @@ def test_every_figure_of_the_paper_is_on_the_page(quick):
             assert f'id="figure-{here}"' in quick.page
 
 
-def test_the_page_stands_alone_and_says_that_it_is_quick(quick):
+def test_the_page_needs_no_network_and_says_that_the_study_is_quick(quick):
     assert "default-src 'none'" in quick.page
     assert not re.search(r"<(script|link|img|iframe)[^>]*\s(src|href)=", quick.page)
     assert "A quick study" in quick.page
@@ -130,8 +130,8 @@ def test_the_static_rows_are_a_plain_fit_in_the_papers_units(quick):
     assert on_paper == pytest.approx([STATIC_MAP["c20"], STATIC_MAP["c21"]], rel=0.1)
 
 
-def test_pitch_steps_take_as_long_as_the_area_above_them_says(quick):
-    """Two lags add up to the area that a step response leaves above it."""
+def test_the_sum_of_the_pitch_lags_is_the_area_above_the_step_response(quick):
+    """For two lags the area above the step response is the sum of their time constants."""
     sums = {}
     for record in quick.campaign.steps:
         size = abs(record["beta_ref"][-1] - record["beta_ref"][0])
@@ -148,7 +148,7 @@ def test_pitch_steps_take_as_long_as_the_area_above_them_says(quick):
     assert np.mean(sums[20.0]) > 1.5 * np.mean(sums[8.0])
 
 
-def test_fine_tuning_comes_back_to_the_papers_own_model(quick):
+def test_fine_tuning_recovers_the_papers_model(quick):
     assert quick.rows["cost_end"]["model"] == pytest.approx(COST_END, rel=0.1)
     assert quick.rows["cost_start"]["rig"] > quick.rows["cost_end"]["rig"]
     for which in ("rig", "model"):
@@ -171,7 +171,7 @@ def test_the_step_test_of_the_papers_model_is_the_kernels_own_loop(quick, contro
 
 
 def test_the_lag_beside_the_assumed_one_is_the_rigs_own_of_that_name(quick):
-    """The paper assumes its slower pitch lag to be 0.05 s; a fit writes the slower one first."""
+    """The paper assumes 0.05 s for its slower pitch lag; a fit writes the slower one first."""
     lags = sorted(quick.rows[f"fine_tuned.tau_beta_{k}"]["rig"] for k in (1, 2))
     found = read_parameters(quick.out / "parameters.json", plant).values
     assert lags == sorted(found[f"tau_beta_{k}"] for k in (1, 2))
@@ -179,7 +179,7 @@ def test_the_lag_beside_the_assumed_one_is_the_rigs_own_of_that_name(quick):
     assert quick.rows["assumed"]["model"] == 0.05
 
 
-def test_a_row_of_the_setup_says_as_the_paper_only_where_the_rig_has_the_papers_value(quick):
+def test_a_row_of_the_setup_reads_as_the_paper_only_if_the_rig_has_the_papers_value(quick):
     files = quick.campaign
     at = np.argmax(np.diff(files.steps[0]["omega_ref"]) != 0.0) + 1
     read = {
@@ -200,13 +200,13 @@ def test_a_row_of_the_setup_says_as_the_paper_only_where_the_rig_has_the_papers_
     assert as_paper("kv", 550.0, "the same part") == "as the paper; the same part"
 
 
-def test_a_cost_that_agrees_by_construction_says_so_first(quick):
+def test_a_cost_that_agrees_by_construction_is_marked(quick):
     assert quick.rows["cost_end"]["why"].startswith("agrees by construction on the paper's model")
 
 
 def test_the_pages_table_is_what_the_study_prints(quick):
-    """Of a full study. What does not depend on the size of the campaign must be today's: the paper's column, and what the
-    paper's gains do on the paper's model. The rig's column takes minutes: `python -m tests.studies paper --write`."""
+    """The table is of a full study. Columns that do not depend on the size of the campaign must agree: the paper's, and the
+    results of its gains on its model. The rig's column takes minutes: `python -m tests.studies paper --write`."""
     today, page = ([line.split(" | ") for line in text.splitlines()] for text in (numbers(quick.told), stored("paper")))
     assert [line[:2] for line in page] == [line[:2] for line in today]
     names = ("reached", "overshoot", "up", "down")
@@ -232,7 +232,7 @@ def test_the_verdict_is_what_the_step_tests_say(quick):
     assert dual["down"]["squared_error"] < alone["down"]["squared_error"], "the paper's claim"
 
 
-def test_two_errors_that_noise_does_not_tell_apart_are_as_good():
+def test_errors_within_their_uncertainty_count_as_equal():
     sure, unsure = Merit(0.5, 0.0, 0.0635, 0.0002), Merit(0.5, 0.0, 0.0612, 0.002)
     assert sure.against(Merit(0.5, 0.0, 0.0612, 0.0002)) == "worse"
     assert Merit(0.5, 0.0, 0.0612).against(sure) == "better"
@@ -247,8 +247,8 @@ def test_gains_and_fmus_are_those_of_the_rows(quick):
     assert len(list(quick.out.glob("Vpp*.fmu"))) == 2
 
 
-def test_every_stage_is_told_as_it_begins(quick):
-    """Minutes of silence in a pipe pass for a hang."""
+def test_every_stage_is_printed_as_it_begins(quick):
+    """Minutes without output would look like a hang."""
     told = re.findall(r"^vpp paper: (.*) \(\d+ s\)$", quick.said, re.MULTILINE)
     assert told[-2:] == ["export", "report"]
     assert {"steps the paper's way", "the paper's descent"} <= set(told)
@@ -261,12 +261,6 @@ def test_the_time_of_every_stage_and_of_the_whole_is_printed(quick):
     for name in seconds:
         assert re.search(rf"^{re.escape(name)}: [\d.]+ s$", quick.said, re.MULTILINE)
     assert re.search(r"^the whole study: [\d.]+ s$", quick.said, re.MULTILINE)
-
-
-def test_a_seed_that_is_none_is_refused(tmp_path, capsys):
-    assert main(["paper", "--seed", "-1", "-o", str(tmp_path / "out")]) == 2
-    assert "--seed" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
 
 
 def test_values_in_cells_stay_short():

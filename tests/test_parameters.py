@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from builders import refusal
 
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.controller import CONTROLLER
@@ -55,7 +56,7 @@ def test_read_parameters(tmp_path):
     assert parameters.values == {**plant(["pitch_delay"]).values(), "tau_omega_1": 0.2, "pitch_delay.delay": 0.05}
 
 
-def test_what_is_not_named_keeps_its_default(tmp_path):
+def test_parameters_not_in_the_file_keep_their_defaults(tmp_path):
     parameters = read_parameters(written(tmp_path, '{"format": "vpp-parameters/1"}'), plant)
     assert parameters.model.optional == ()
     assert {name: parameters.values[name] for name in FINE_TUNED} == FINE_TUNED
@@ -78,18 +79,10 @@ def test_the_ends_of_the_range_are_allowed(tmp_path):
 
 BAD = {
     "no JSON": ('{\n"format": "vpp-parameters/1",\n}', "line 3: found no JSON from column 1 on"),
-    "empty": ("", "line 1: found no JSON from column 1 on"),
-    "a list": ("[]", "file: found [], expected an object in braces"),
     "no format": ({"parameters": {}}, 'format: found null, expected "vpp-parameters/1"'),
     "other format": (content(format="vpp-parameters/2"), 'format: found "vpp-parameters/2", expected "vpp-parameters/1"'),
     "unknown field": (content(parameter={}), '"parameter": found an unknown field, expected format, parameters, '),
-    "name twice": (
-        '{"format": "vpp-parameters/1", "parameters": {"c20": {}, "c20": {}}}',
-        '"c20": found this name more than once, expected each name once',
-    ),
     "parameters no object": (content(parameters=[1]), "parameters: found [1], expected an object in braces"),
-    "source no object": (content(source="me"), 'source: found "me", expected an object in braces'),
-    "NaN in source": (content(source={"rmse": float("nan")}), "source, rmse: found NaN, expected finite numbers"),
     "effects no list": (content(effects="pitch_delay"), 'effects: found "pitch_delay", expected a list of effects'),
     "effects no names": (content(effects=[1]), "effects: found [1], expected a list of effects"),
     "unknown effect": (content(effects=["pitch_dellay"]), 'effects: found "pitch_dellay", expected pitch_delay'),
@@ -110,10 +103,7 @@ BAD = {
     "other unit": (entry("tau_beta_1", unit="ms"), 'parameters, tau_beta_1, unit: found "ms", expected "s"'),
     "text": (entry(value="0.3"), 'parameters, c20, value: found "0.3", expected a number from -10 to 10'),
     "truth": (entry(value=True), "parameters, c20, value: found true, expected a number from -10 to 10"),
-    "nothing": (entry(value=None), "parameters, c20, value: found null, expected a number from -10 to 10"),
     "NaN": (entry(value=float("nan")), "parameters, c20, value: found NaN, expected finite numbers"),
-    "infinite": (entry(value=float("inf")), "parameters, c20, value: found Infinity, expected finite numbers"),
-    "no float": (entry(value=10**400), "parameters, c20, value: found Infinity, expected finite numbers"),
     "too small": (
         entry("tau_beta_2", value=0.0, unit="s"),
         "parameters, tau_beta_2, value: found 0.0, expected a number from 0.001 to 30 s",
@@ -121,18 +111,15 @@ BAD = {
     "too large": (entry(value=10.5), "parameters, c20, value: found 10.5, expected a number from -10 to 10"),
     "std negative": (entry(std=-0.1), "parameters, c20, std: found -0.1, expected a number from 0, or null"),
     "std text": (entry(std="small"), 'parameters, c20, std: found "small", expected a number from 0, or null'),
-    "std NaN": (entry(std=float("nan")), "parameters, c20, std: found NaN, expected finite numbers"),
 }
 
 
 @pytest.mark.parametrize(("what", "message"), BAD.values(), ids=BAD)
 def test_bad_files(tmp_path, what, message):
     path = written(tmp_path, what)
-    with pytest.raises(BadInput) as error:
-        read_parameters(path, plant)
-    assert str(error.value).startswith(f"{path}: {message}")
-    assert ", expected " in str(error.value)
-    assert "\n" not in str(error.value)
+    said = refusal(read_parameters, path, plant)
+    assert said.startswith(f"{path}: {message}")
+    assert ", expected " in said
 
 
 def test_a_parameter_of_an_effect_that_is_not_on(tmp_path):
@@ -153,11 +140,6 @@ def test_an_error_in_the_builder_stays_one(tmp_path):
 
     with pytest.raises(KeyError, match="something else"):
         read_parameters(written(tmp_path, content()), broken)
-
-
-def test_missing_file(tmp_path):
-    with pytest.raises(BadInput, match=r"none\.json: file: found no such file, expected a file that exists"):
-        read_parameters(tmp_path / "none.json", plant)
 
 
 def test_replaced_takes_units_from_the_model():
@@ -200,7 +182,6 @@ def test_json_has_the_contract_s_form():
     text = to_json(ParameterSet(plant(["pitch_delay"])).replaced({"tau_omega_1": 0.1}, {"tau_omega_1": 1 / 3}))
     found = json.loads(text)
     assert text.startswith('{\n  "format": "vpp-parameters/1",\n  "parameters": {\n    "')
-    assert found["parameters"]["tau_omega_1"] == {"value": 0.1, "std": 1 / 3, "unit": "s"}
     assert text.endswith("}\n")
     assert list(found) == ["format", "parameters", "effects", "source"]
     assert list(found["parameters"]) == [p.name for p in plant(["pitch_delay"]).parameters]
@@ -280,13 +261,13 @@ def test_base_units(unit, expected):
         ("N", "kgf", 1.0 / 9.80665),
     ],
 )
-def test_what_is_shown_is_the_factor_times_the_value(unit, shown, factor):
+def test_display_units_have_their_factors(unit, shown, factor):
     """FMI 2.0, section 2.2.2: display value = factor * value in the unit."""
     assert float(display_units(unit)[shown]["factor"]) == pytest.approx(factor, rel=1e-14)
 
 
 @pytest.mark.parametrize("value", [0.37, -1, 2])
-def test_a_switch_is_on_or_off(tmp_path, value):
+def test_a_switch_must_be_0_or_1(tmp_path, value):
     path = tmp_path / "gains.json"
     content = {"format": "vpp-parameters/1", "parameters": {"speed_only": {"value": value, "unit": "1"}}}
     path.write_text(json.dumps(content))

@@ -1,13 +1,13 @@
-"""The next experiment: within the rig's range, better than the paper's, and right about what it will bring."""
+"""The next experiment: within the rig's range, better than the paper's, with a correct forecast of the uncertainty."""
 
 import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders import simulator
+from builders import refusal, simulator
 
-from identification.assessment.information import Information, read_knowledge
+from identification.assessment.information import Information
 from identification.fit.problem import Prior, Problem
 from identification.fit.refine import BASE_PARAMETERS, independent_readings
 from identification.plan.excitation import candidate, paper_plan
@@ -69,7 +69,7 @@ def test_every_family_stays_within_the_limits_and_some_reach_them():
 
 
 @pytest.mark.parametrize("fixed", [{"pitch": (4.0, 4.0)}, {"speed": (3000.0, 3000.0)}])
-def test_what_stands_is_not_moved_and_the_other_always_is(fixed):
+def test_a_fixed_channel_is_not_moved_and_the_other_always_is(fixed):
     rng, rig = np.random.default_rng(0), Rig(**fixed)
     channel = 1 if "pitch" in fixed else 0
     drawn = np.array([candidate(rng, 500, 0.02, rig) for _ in range(100)])
@@ -100,7 +100,7 @@ def test_the_same_seed_gives_the_same_plan(narrow):
 
 
 def test_it_beats_the_paper_s_plan(planned, narrow):
-    """Steps every 0.2 to 0.8 s on both channels cut tau_beta_1 to a third (notes); the weakest direction follows."""
+    """Steps every 0.2 to 0.8 s on both channels cut the error of tau_beta_1 and of the weakest direction to a third (notes)."""
     assert planned.gain > 2.0
     assert planned.after.typical < 0.5 * planned.paper.typical
     taus = [planned.after.names.index(f"tau_beta_{k}") for k in (1, 2)]
@@ -110,7 +110,7 @@ def test_it_beats_the_paper_s_plan(planned, narrow):
 
 
 def test_a_rig_ten_times_as_slow_gets_the_same_plan_ten_times_as_slowly():
-    """Time has no other scale than the rig's: the same draws, the same shares of the ranges, the same information a reading."""
+    """Time has no other scale than the rig's: the same draws, shares of the ranges, and information per reading."""
     slow_values = {name: 10.0 * value if name.startswith("tau") else value for name, value in SORTED.items()}
     fast, slow = (
         plan(BASE, values, Rig().timed(unit), 20.0 * unit, 0.3, evaluations=20)
@@ -123,7 +123,7 @@ def test_a_rig_ten_times_as_slow_gets_the_same_plan_ten_times_as_slowly():
     np.testing.assert_allclose(slow.after.relative, fast.after.relative, rtol=1e-6)
 
 
-def test_noise_and_length_nobody_tells_are_the_rig_s():
+def test_default_noise_and_length_are_those_of_the_rig():
     found = plan(BASE, SORTED, replace(Rig(), scales=Scales(thrust_scale=150.0)).timed(1.0), evaluations=1)
     assert (found.noise_std, found.commands.time[-1], found.step) == (3.0, 120.0, 0.008)
 
@@ -137,7 +137,7 @@ def test_information_on_a_coefficient_is_the_closed_form():
         assert told[0, 0] == pytest.approx(wanted, rel=1e-12)
 
 
-def test_forecast_is_what_refits_scatter_by(planned):
+def test_the_forecast_is_the_scatter_of_refits(planned):
     """60 records of the planned commands with noise, each fitted: per parameter, and all of them together."""
     truth, rng, count = BASE.values(SORTED), np.random.default_rng(1), 60
     record = planned.commands
@@ -158,8 +158,8 @@ def test_forecast_is_what_refits_scatter_by(planned):
     assert inside.mean() == pytest.approx(0.95, abs=0.04)
 
 
-def test_what_is_known_adds_up_and_steers():
-    """Gaussian knowledge: inverse covariances add. With the map known, the search turns to the time constants."""
+def test_prior_knowledge_adds_to_the_information_and_steers_the_search():
+    """Gaussian knowledge: inverse covariances add. If the map is known, the search concentrates on the time constants."""
     names = BASE_PARAMETERS[4:]
     mean = np.array([SORTED[n] for n in names])
     knowledge = Prior(names, mean, np.diag((1e-3 * mean) ** 2))
@@ -177,8 +177,8 @@ def test_what_is_known_adds_up_and_steers():
     assert np.sum(found.after.relative[:4] ** 2) < np.sum(told.relative[:4] ** 2)
 
 
-def test_a_model_with_effects_is_planned_for_and_what_cannot_be_told_is_said():
-    """A threshold has no slope anywhere; under much noise some coefficients drown before others."""
+def test_a_plan_for_effects_names_parameters_that_are_not_identifiable():
+    """A threshold has no derivative; under much noise some coefficients become unidentifiable before others."""
     model, delay = plant(["pitch_delay", "pitch_command_deadband"]), "pitch_delay.delay"
     values = {delay: 0.0413, "pitch_command_deadband.half_width": 1.5}
     found = plan(model, values, Rig(), 20.0, 0.1, evaluations=20)
@@ -211,7 +211,7 @@ WIND = Effect(
 )
 
 
-def test_a_form_is_not_planned_for_and_other_inputs_stand_at_their_nominal_value():
+def test_forms_are_not_planned_for_and_other_inputs_are_nominal():
     model = plant(["wind"], (*LIBRARY, WIND))
     assert free_parameters(model) == (*BASE_PARAMETERS, "wind.share")
     found = plan(model, {"wind.share": 0.05}, Rig(), 5.0, 0.3, names=("wind.share", "tau_beta_1"), evaluations=1)
@@ -221,19 +221,18 @@ def test_a_form_is_not_planned_for_and_other_inputs_stand_at_their_nominal_value
     np.testing.assert_allclose(rest, none * (1.0 - 0.05 * 2.0), rtol=1e-14)
 
 
-def test_a_tachometer_tells_of_the_speed_channel():
+def test_a_tachometer_adds_information_on_the_speed_channel():
     deaf, hearing = (plan(BASE, SORTED, Rig(), 10.0, 0.3, evaluations=1, omega_std=std) for std in (None, 20.0))
     improved = hearing.after.relative / deaf.after.relative
     assert (improved[:2] < 0.7).all()
 
 
-def test_noise_that_drowns_everything_is_said():
+def test_noise_above_all_information_is_refused():
     with pytest.raises(NotIdentifiable, match="no parameter is identifiable"):
         plan(BASE, SORTED, Rig(), 10.0, 1e6, evaluations=1)
 
 
 BAD = [
-    (lambda: plan(BASE, {}, Rig(), 1.0), "seconds: found 1 s, expected 5 to 3600 s"),
     (lambda: plan(BASE, {}, Rig().timed(5.0), 20.0), "seconds: found 20 s, expected 50 to 36000 s"),
     (lambda: plan(BASE, {}, Rig(), step=0.1), "step: found 0.1 s, expected 0.0001 to 0.05 s"),
     (lambda: plan(BASE, {}, Rig(), step=float("nan")), "step"),
@@ -243,11 +242,8 @@ BAD = [
 
 
 @pytest.mark.parametrize(("call", "says"), BAD)
-def test_what_makes_no_sense_is_bad_input_in_one_line(call, says):
-    with pytest.raises(BadInput) as bad:
-        call()
-    assert says in str(bad.value)
-    assert "\n" not in str(bad.value)
+def test_impossible_arguments_are_refused_in_one_line(call, says):
+    assert says in refusal(call)
 
 
 MEASURED = Rig(speed=(2100.0, 5800.0), pitch=(-5.0, 10.0), origin={"speed": "the campaign", "pitch": "the campaign"})
@@ -302,54 +298,49 @@ def ranges(record):
     return record["omega_ref"].min(), record["omega_ref"].max(), record["beta_ref"].min(), record["beta_ref"].max()
 
 
-def test_a_plan_goes_where_the_campaign_was_and_further_only_where_a_rig_json_says_so(parameters, tmp_path, capsys):
+def test_a_plan_stays_in_the_measured_ranges_unless_a_rig_json_widens_them(parameters, tmp_path, printed, capsys, refused):
     words = ["plan", "--parameters", str(parameters), "--seconds", "8", "-o", str(tmp_path)]
     assert cli.main(words) == 0
     low, high, *pitch = ranges(read_record(tmp_path / "plan.csv"))
     assert (low >= 2100.0, high <= 5800.0) == (True, True)
     assert (min(pitch) >= -5.0, max(pitch) <= 10.0) == (True, True)
     assert "commands within speed 2100 to 5800 rpm (the campaign), pitch -5 to 10 deg (the campaign)" in capsys.readouterr().out
-    assert cli.main([*words, "--omega", "2100", "6000"]) == 2
-    assert "--omega: found 2100 to 6000 rpm, expected within 2100 to 5800 rpm" in capsys.readouterr().err
+    said = refused(*words, "--omega", "2100", "6000")
+    assert "--omega: found 2100 to 6000 rpm, expected within 2100 to 5800 rpm" in said
     rig = {"format": "vpp-rig/1", "speed": {"min": 2100, "max": 6500}, "thrust": {"min": 0, "max": 4}, "slew": {"speed": 9000}}
     (tmp_path / "rig.json").write_text(json.dumps(rig))
     words += ["--rig", str(tmp_path / "rig.json")]
-    assert cli.main([*words, "--omega", "5900", "6500"]) == 0
-    told = capsys.readouterr().out
+    told = printed(*words, "--omega", "5900", "6500")
     assert "speed 5900 to 6500 rpm (the command line, within 2100 to 6500 of rig.json)" in told
     assert "the rig is declared for 0 to 4 N" in told
     low, high, *pitch = ranges(read_record(tmp_path / "plan.csv"))
     assert (low >= 5900.0, high <= 6500.0, min(pitch) >= -5.0, max(pitch) <= 10.0) == (True,) * 4
-    assert cli.main([*words, "--omega-slew", "9001"]) == 2
-    assert "--omega-slew: found 9001 rpm/s, expected more than 0 and at most 9000" in capsys.readouterr().err
+    said = refused(*words, "--omega-slew", "9001")
+    assert "--omega-slew: found 9001 rpm/s, expected more than 0 and at most 9000" in said
 
 
-def test_nothing_is_planned_for_a_rig_that_nobody_knows(tmp_path, capsys):
+def test_a_plan_needs_a_measured_or_declared_range(tmp_path, printed, refused):
     path = tmp_path / "unknown.json"
     path.write_text(to_json(ParameterSet(BASE).replaced(SORTED)))
     words = ["plan", "--parameters", str(path), "--seconds", "5", "-o", str(tmp_path)]
-    assert cli.main(words) == 2
-    assert (
-        "range of speed and pitch: found none, expected a measured or declared range. Try: --campaign DIR"
-        in capsys.readouterr().err
-    )
+    missing = "range of speed and pitch: found none, expected a measured or declared range. Try: --campaign DIR"
+    assert missing in refused(*words)
     assert not (tmp_path / "plan.csv").exists()
-    assert cli.main([*words, "--omega", "3000", "4000"]) == 2
-    assert "range of pitch: found none" in capsys.readouterr().err
-    assert cli.main([*words, "--omega", "3000", "4000", "--pitch", "2", "2"]) == 0
-    assert "pitch 2 deg, fixed (the command line)" in capsys.readouterr().out
+    assert "range of pitch: found none" in refused(*words, "--omega", "3000", "4000")
+    assert "pitch 2 deg, fixed (the command line)" in printed(*words, "--omega", "3000", "4000", "--pitch", "2", "2")
     assert ranges(read_record(tmp_path / "plan.csv"))[2:] == (2.0, 2.0)
 
 
-def test_a_slow_logger_does_not_keep_its_user_from_a_plan(parameters, tmp_path):
-    """A rig's commands are at most a tenth of its time scale apart: 0.05 s for the paper's, whose log has a row each 0.2 s."""
+def test_a_plan_for_a_slow_logger_is_sampled_faster(parameters, tmp_path):
+    """Commands are at most a tenth of the rig's time scale apart: 0.05 s for the paper's rig, although its log has a row each
+    0.2 s."""
     slow = ParameterSet(BASE, source=SOURCE | {"sample_period": 0.2}).replaced(SORTED)
     parameters.write_text(to_json(slow))
     assert cli.main(["plan", "--parameters", str(parameters), "--seconds", "8", "-o", str(tmp_path / "out")]) == 0
     assert read_record(tmp_path / "out" / "plan.csv").period == pytest.approx(0.1 * slow.rig.scales.time_scale, rel=1e-9)
 
 
-def test_a_campaign_tells_range_sampling_and_noise(parameters, tmp_path, capsys):
+def test_range_sampling_and_noise_come_from_the_campaign(parameters, tmp_path, printed):
     rng, time = np.random.default_rng(0), 0.01 * np.arange(3000)
     commands = {"time": time, "omega_ref": 2000.0 + 500.0 * (time // 3 % 3), "beta_ref": 6.0 * (time // 1 % 2)}
     folder = tmp_path / "campaign"
@@ -357,14 +348,13 @@ def test_a_campaign_tells_range_sampling_and_noise(parameters, tmp_path, capsys)
         noisy = Record({**commands, "thrust": 5.0 + rng.normal(0.0, 0.07, len(time))}, "")
         write_record(OutputFolder(folder), f"{name}.csv", noisy)
     words = ["plan", "--parameters", str(parameters), "--campaign", str(folder), "--seconds", "8", "-o", str(tmp_path / "out")]
-    assert cli.main(words) == 0
-    told = capsys.readouterr().out
+    told = printed(*words)
     assert "speed 2000 to 3000 rpm (the campaign), pitch 0 to 6 deg (the campaign)" in told
     assert float(told.partition("noise of a thrust reading ")[2].split()[0]) == pytest.approx(0.07, rel=0.05)
     assert read_record(tmp_path / "out" / "plan.csv").period == 0.01
 
 
-def test_bad_calls_are_one_line_and_exit_2(parameters, tmp_path, capsys):
+def test_bad_calls_are_refused_in_one_line(parameters, tmp_path, refused):
     broken = tmp_path / "broken.json"
     broken.write_text(json.dumps({"parameters": {}, "correlation": {"names": ["c11"], "matrix": [[1.0]]}}))
     singular = tmp_path / "singular.json"
@@ -373,50 +363,35 @@ def test_bad_calls_are_one_line_and_exit_2(parameters, tmp_path, capsys):
     singular.write_text(json.dumps({"parameters": {"c11": entry, "c20": entry}, "correlation": both}))
     calls = [
         (["--pitch", "10", "-5"], "--pitch"),
-        (["--pitch-slew", "-3"], "--pitch-slew"),
-        (["--step", "0"], "step"),
         (["--rig", str(broken)], "broken.json"),
-        (["--seconds", "1e9"], "seconds"),
-        (["--noise", "nan"], "noise"),
         (["--knowledge", str(parameters)], "parameters.json"),
         (["--knowledge", str(broken)], "broken.json"),
         (["--knowledge", str(singular)], "singular.json"),
     ]
     for arguments, says in calls:
-        assert cli.main(["plan", "--parameters", str(parameters), *arguments, "-o", str(tmp_path / "bad")]) == 2
-        said = capsys.readouterr().err
-        assert said.count("\n") == 1
+        said = refused("plan", "--parameters", parameters, *arguments, "-o", tmp_path / "bad")
         for word in (says, "found", "expected"):
             assert word in said
     assert not (tmp_path / "bad" / "plan.csv").exists()
 
 
-def test_knowledge_is_read_as_written(parameters):
-    prior, inflation = read_knowledge(parameters.parent / "identification.json")
-    assert prior.names == BASE_PARAMETERS
-    np.testing.assert_allclose(np.sqrt(np.diag(prior.covariance)), [0.1 * abs(SORTED[n]) for n in BASE_PARAMETERS])
-    assert inflation == 4.0
-
-
-def test_a_range_in_which_the_thrust_hardly_changes_is_asked_about(tmp_path, capsys, monkeypatch):
+def test_a_range_without_a_measurable_change_of_thrust_needs_the_option_yes(tmp_path, refused, monkeypatch):
     """At 500 rpm the paper's rig makes at most 0.15 N, half of the noise of a reading."""
     rig = Rig(speed=(0.0, 6000.0), origin=dict.fromkeys(("speed", "pitch", "thrust"), "the campaign"))
     (tmp_path / "parameters.json").write_text(to_json(ParameterSet(plant(), source={"rig": rig.summary()})))
     tried = []
     monkeypatch.setattr("vpp_fmu.app.cli.plan.plan", lambda *given, **more: tried.append(given) or pytest.fail("planned"))
     words = ["plan", "--parameters", str(tmp_path), "--omega", "100", "500", "-o", str(tmp_path / "next")]
-    assert cli.main(words) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert "less than the 0.3 N of noise of a reading, expected a wider range. Try: --yes to go on" in said
+    said = "less than the 0.3 N of noise of a reading, expected a wider range. Try: --yes to go on"
+    assert said in refused(*words)
     assert not tried
     for more in (["--yes"], ["--omega", "100", "3000"]):
         with pytest.raises(pytest.fail.Exception):
             cli.main([*words, *more])
 
 
-def test_what_is_known_is_found_beside_the_parameters(tmp_path, capsys, monkeypatch):
-    """An identification.json that nobody named counts if it is of the same model, and is passed over if it is not."""
+def test_an_identification_beside_the_parameters_is_used_as_knowledge(tmp_path, capsys, monkeypatch):
+    """identification.json is used without an option if it is of the same model, and ignored if it is not."""
     seen = []
 
     def planned(*given, **more):

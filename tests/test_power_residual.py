@@ -1,4 +1,4 @@
-"""Effects of power in time: named with their true size, none where nothing is hidden, no section without power."""
+"""Dynamic effects of power: named with their true size, none if nothing is hidden, no section without power."""
 
 import json
 from dataclasses import replace
@@ -12,7 +12,6 @@ from studies.power_residual import Rig, truth
 from identification.power.diagnose import diagnose_power
 from identification.power.effects import HEATING, Signals
 from identification.power.records import respond
-from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import write_static
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BASE
@@ -107,12 +106,11 @@ def campaign(tmp_path_factory):
     return folder
 
 
-def test_a_diagnosis_has_the_power_beside_an_unchanged_thrust(campaign, monkeypatch, capsys):
+def test_a_diagnosis_has_the_power_beside_an_unchanged_thrust(campaign, monkeypatch, printed):
     monkeypatch.chdir(campaign)
     found, text = {}, {}
     for name in ("with", "without"):
-        assert main(["diagnose", name, "--effects", "pitch_backlash", "-o", f"out_{name}"]) == 0
-        text[name] = capsys.readouterr().out
+        text[name] = printed("diagnose", name, "--effects", "pitch_backlash", "-o", f"out_{name}")
         found[name] = json.loads((campaign / f"out_{name}" / "diagnosis.json").read_text())
     power = found["with"].pop("power")
     assert found["with"] == found["without"]

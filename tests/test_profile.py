@@ -1,4 +1,4 @@
-"""Profile-likelihood intervals: where a closed form, or a search by other means, says what they must be."""
+"""Profile-likelihood intervals against closed forms or an independent search."""
 
 from dataclasses import replace
 
@@ -53,15 +53,15 @@ class Level:
 
 @pytest.fixture
 def readings():
-    """Twenty of them about 1, of standard deviation 1, exactly."""
+    """Twenty readings with a mean of exactly 1 and a standard deviation of exactly 1."""
     values = np.random.default_rng(0).normal(size=20)
     values -= values.mean()
     return 1.0 + values / values.std(ddof=1)
 
 
 @pytest.mark.parametrize("inflation", [1.0, 2.0])
-def test_interval_of_a_curved_parameter_is_that_of_what_is_linear(readings, inflation):
-    """Of exp(p) the interval is that of a mean, so that of p goes from log to log, whatever the colour's inflation."""
+def test_the_interval_of_a_logarithm_is_the_logarithm_of_the_interval(readings, inflation):
+    """The interval of exp(p) is that of a mean, so that of p is its logarithm, whatever the inflation for coloured noise."""
     found = Level(readings, np.exp, np.exp).interval(inflation)
     half = inflation * NORMAL_95 / np.sqrt(20.0)
     assert found.profiled == ("p",)
@@ -76,8 +76,8 @@ def test_a_parabola_keeps_its_interval(readings):
     assert found.intervals[0] == pytest.approx([0.5 - half, 0.5 + half], rel=1e-6)
 
 
-def test_interval_at_a_bound_is_what_the_cost_leaves_open(readings):
-    """A mean of -0.3 that may not be negative: the cost n (t + 0.3)^2 / 2 rises by 1.92 from t = 0 on."""
+def test_the_interval_at_a_bound_is_the_likelihood_interval(readings):
+    """A mean of -0.3 that may not be negative: the cost n (t + 0.3)^2 / 2 increases by 1.92 from t = 0 on."""
     level = Level(readings - 1.3, lambda p: p, lambda p: 1.0, minimum=0.0)
     found = level.interval(std=0.0)
     variance = 2.0 * level.solution().cost / 19.0
@@ -92,13 +92,13 @@ def test_interval_ends_at_a_bound_that_the_cost_does_not_reach(readings):
 
 
 def test_an_interval_reaches_other_optima_that_the_data_leave_open(readings):
-    """cos(p) has the same minimum at p and at -p: a search from the one never meets the other."""
+    """cos(p) has the same minimum at p and at -p: a search from one never reaches the other."""
     level = Level(readings - 0.5, np.cos, lambda p: -np.sin(p))
     found = level.solution()
     own = np.sqrt(2.0 * found.cost / 19.0 / 20.0) / abs(np.sin(float(found.value[0])))
     uncertainty = Uncertainty(("p",), found.value, np.array([[own**2]]), np.ones(1))
     mirrored = replace(found, value=-found.value)
-    worse = replace(mirrored, value=-2.0 * found.value, costs=(found.cost + 3.0,))  # 1.92 is what 95 % allow
+    worse = replace(mirrored, value=-2.0 * found.value, costs=(found.cost + 3.0,))  # 95 % allow 1.92
     for others in ((mirrored,), (mirrored, worse)):
         told = profiled(level, found, uncertainty, others)
         assert told.intervals[0, 0] == pytest.approx(-float(found.value[0]))
@@ -106,7 +106,7 @@ def test_an_interval_reaches_other_optima_that_the_data_leave_open(readings):
 
 
 class Plane(Level):
-    """Two parameters: readings of p + q, and as many of q alone, which may not be negative."""
+    """Two parameters: readings of p + q, and as many of q alone; q may not be negative."""
 
     def __init__(self, first, second):
         parameters = (Parameter("p", "1", 0.5, -10.0, 10.0, ""), Parameter("q", "1", 0.5, 0.0, 10.0, ""))
@@ -124,14 +124,14 @@ class Plane(Level):
         return self.rows(values)[0]
 
 
-def test_beside_one_on_its_bound_an_interval_is_that_of_the_others_alone(readings):
-    """q would be -5 and stands on 0: p is then a plain mean of twenty readings, whatever q's column is."""
+def test_a_parameter_on_its_bound_is_excluded_from_the_intervals_of_others(readings):
+    """q would be -5 and is at its bound 0, so p is the plain mean of twenty readings, whatever q's column."""
     plane = Plane(readings, readings - 6.0)
     found = solve(lambda x: plane.rows(dict(zip("pq", x, strict=True))), np.ones(2), *[[-10.0, 0.0], [10.0, 10.0]])
     variance = 2.0 * found.cost / (len(found.residual) - 2)
     uncertainty = Uncertainty(("p", "q"), found.value, np.diag([variance / 20.0, 0.0]), np.ones(2))
     half = NORMAL_95 * np.sqrt(variance / 20.0)
-    # Upwards q stays on 0; downwards it would have to be more than 0 to help, which costs more than it brings.
+    # Upwards q stays at 0; downwards only q > 0 would help, which costs more than it gains.
     assert profiled(plane, found, uncertainty).intervals[0] == pytest.approx([1.0 - half, 1.0 + half], rel=0.01)
 
 
@@ -151,7 +151,7 @@ def near_double_pole():
 
 
 def least_cost(problem, name, value, start) -> float:
-    """The cost with one constant of the pitch held, by scipy and in the parameters themselves."""
+    """The cost with one constant of the pitch fixed, by scipy, in the parameters themselves."""
     names = [n for n in BASE_PARAMETERS if n != name]
     columns = [BASE_PARAMETERS.index(n) for n in names]
 
@@ -184,7 +184,7 @@ def test_ends_near_a_double_pole_are_where_another_search_finds_them(near_double
 
 
 def test_a_profile_is_cheap(near_double_pole):
-    """Two of nine parameters searched: each evaluation is as dear as one step of the fit."""
+    """Two of nine parameters are searched; each evaluation costs one step of the fit."""
     found, _ = near_double_pole
     count, rows = 0, found.problem.rows
 

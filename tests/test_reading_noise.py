@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from studies.synthetic import NOISE, STEP, TRUTH, commands, measured
+from studies.synthetic import NOISE, STEP, TRUTH, commands
 
 from identification.assessment.prediction import Prediction, predict
 from identification.assessment.reading_noise import HOLDS, NEIGHBOURS, POINTS, REPEATS, reading_noise
@@ -36,7 +36,7 @@ def flicker(noise: np.ndarray) -> np.ndarray:
 
 
 def shown(rng: np.random.Generator, noise, count: float = 0.0, record: Record | None = None) -> tuple[Prediction, float]:
-    """(a record beside the true model's thrust, the rms of its readings' error), read by a converter of `count` N."""
+    """(a record with the true model's prediction, the rms error of its readings), read by a converter of `count` N."""
     record = record or commands(rng)
     true = predict(BASE, TRUTH, record)
     reading = true.thrust + NOISE * noise(rng.standard_normal(len(record)))
@@ -46,7 +46,7 @@ def shown(rng: np.random.Generator, noise, count: float = 0.0, record: Record | 
 
 
 def white(noise: np.ndarray) -> np.ndarray:
-    """As it is."""
+    """White noise, unchanged."""
     return noise
 
 
@@ -76,7 +76,7 @@ def test_the_range_holds_the_error_of_other_noise_without_a_repeat(noise, count)
     assert sum(held) >= 34
 
 
-def test_records_of_the_same_commands_tell_slow_noise_that_holds_do_not():
+def test_repeated_records_include_slow_noise_that_steady_holds_miss():
     rng = np.random.default_rng(1)
     first, error = shown(rng, flicker)
     second, other = shown(rng, flicker, record=first.record)
@@ -94,7 +94,7 @@ def test_a_tare_that_moves_between_repeated_records_is_no_noise():
     assert reading_noise([first, moved], None, TRUTH).std == pytest.approx(error, rel=0.05)
 
 
-def test_without_a_hold_that_ends_at_rest_neighbours_tell_the_least_and_the_residual_the_most():
+def test_without_steady_holds_the_range_is_from_neighbours_to_the_residual():
     rng = np.random.default_rng(3)
     time = np.arange(15000) * STEP
     restless = Record({"time": time, "omega_ref": 4000.0 + 500.0 * np.sin(time), "beta_ref": 0.0 * time}, "restless")
@@ -106,7 +106,7 @@ def test_without_a_hold_that_ends_at_rest_neighbours_tell_the_least_and_the_resi
     assert found.low < error < found.high
 
 
-def test_steady_points_tell_the_noise_by_their_samples():
+def test_the_noise_from_steady_points_is_weighted_by_their_samples():
     std, samples = np.array([0.1, 0.1, 0.2]), np.array([100.0, 100.0, 200.0])
     points = StaticMap(*(np.arange(3.0),) * 4, std, samples, "static.csv")
     found = reading_noise([], points, TRUTH)
@@ -125,16 +125,16 @@ def test_noise_that_grows_with_speed_widens_the_range_of_a_record_to_that_of_the
 
 
 def alone(**changes) -> Campaign:
-    """The campaign that ships with the project without its repeat."""
+    """The campaign of the project without its repeat."""
     return replace(read_campaign(example_folder()), repeat=None, **changes)
 
 
 TRUE = 0.128
-"""N: of the campaign that ships with the project, by its repeat."""
+"""Noise [N] of the project's campaign, from its repeat."""
 
 
 @pytest.mark.parametrize("changes", [{}, {"static": None}], ids=["with steady points", "records alone"])
-def test_what_the_model_lacks_is_not_taken_for_noise(changes):
+def test_an_effect_outside_the_model_is_not_taken_for_noise(changes):
     found = identify(alone(**changes), starts=1)
     # The model lacks a dead band of 1.7 deg.
     assert found.predictions["open_loop"].rmse_thrust > 1.5 * TRUE
@@ -146,7 +146,7 @@ def test_what_the_model_lacks_is_not_taken_for_noise(changes):
     assert said["noise_floor_thrust_from"] == (HOLDS if changes else POINTS)
 
 
-def test_nor_does_a_diagnosis_that_may_not_name_it():
+def test_an_effect_outside_the_library_of_a_diagnosis_is_not_taken_for_noise():
     library = [e for e in LIBRARY if e.off is None or e.name == "pitch_offset"]
     found = diagnose(alone(static=None, validation=None), library, thorough=False)
     assert found.errors(found.final)[0] > 1.4 * TRUE
@@ -154,14 +154,7 @@ def test_nor_does_a_diagnosis_that_may_not_name_it():
     assert summary(found)["noise_floor_thrust_from"] == HOLDS
 
 
-def test_steps_alone_tell_the_noise_too():
+def test_the_noise_is_estimated_from_steps_alone():
     found = identify(alone(static=None, open_loop=None, validation=None))
     assert found.noise.source == HOLDS
     assert found.noise.std == pytest.approx(TRUE, rel=0.1)
-
-
-def test_a_measured_record_s_noise_survives_its_fit():
-    rng = np.random.default_rng(5)
-    record = measured(commands(rng), rng)
-    found = identify(Campaign(example_folder(), None, (), record, None, None), starts=1)
-    assert found.noise.std == pytest.approx(NOISE, rel=0.1)

@@ -1,4 +1,4 @@
-"""What the pages of the project claim can be run, found and cited."""
+"""Commands of the project's pages parse, links lead somewhere, and the README's script and demo run."""
 
 import contextlib
 import io
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from vpp_fmu.app.cli import main, parser_of
+from vpp_fmu.app.cli import parser_of
 
 ROOT = Path(__file__).parents[1]
 PAGES = ("README.md", "tests/README.md", "identification/README.md", "fmu_src/README.md", "CONTRIBUTING.md", "CHANGELOG.md")
@@ -22,13 +22,13 @@ def test_the_readme_is_short():
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_is_one_that_there_is(command):
+def test_every_command_parses(command):
     verb, *options = shlex.split(command, comments=True)
     parser_of(verb)[0].parse_args(options)
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_every_link_leads_somewhere(page):
+def test_every_link_has_a_target(page):
     for link in re.findall(r"\]\((?!http)([^)#]+)\)", (ROOT / page).read_text()):
         assert ((ROOT / page).parent / link).exists(), link
 
@@ -52,8 +52,8 @@ def test_the_script_runs(script):
     assert "LoopResult(1.5 → 12 N: " in said
 
 
-def test_demo_does_the_whole_job(script, tmp_path, capsys, monkeypatch):
-    """The diagnosis is the script's: the same campaign, the same library."""
+def test_demo_does_the_whole_job(script, tmp_path, printed, monkeypatch):
+    """The diagnosis is taken from the script: the same campaign and library."""
     diagnosis = script[1]["found"].found
 
     def diagnosed(campaign, **_):
@@ -61,16 +61,15 @@ def test_demo_does_the_whole_job(script, tmp_path, capsys, monkeypatch):
         return diagnosis
 
     monkeypatch.setattr("identification.demo.diagnose", diagnosed)
-    assert main(["demo", "-o", str(tmp_path)]) == 0
-    said = capsys.readouterr().out
+    said = printed("demo", "-o", tmp_path)
     before, after = map(float, re.search(r"FMU in fmpy: ([\d.]+) → ([\d.]+) N", said).groups())
     floor = float(re.search(r"noise ([\d.]+) N", said)[1])
-    assert floor < after < before < 2 * floor  # the example's model lacks something, but not more than the noise itself
+    assert floor < after < before < 2 * floor  # what the example's model lacks is about as large as the noise
     for name in (
         *("parameters.json", "parameters.ssv", "parameters_base.json", "identification.json", "diagnosis.json", "report.html"),
         *("VppPlant.fmu", "VppPlant_base.fmu", "VppController.fmu", "VppLoop.ssp", "gains.json", "run_dual.csv"),
     ):
         assert (tmp_path / name).stat().st_size > 0
     found = json.loads((tmp_path / "diagnosis.json").read_text())
-    for printed, entry in ((before, found["before"]), (after, found["after"])):
-        assert printed == pytest.approx(entry["rmse_thrust"], abs=5.1e-4)  # three digits are printed
+    for shown, entry in ((before, found["before"]), (after, found["after"])):
+        assert shown == pytest.approx(entry["rmse_thrust"], abs=5.1e-4)  # three digits are printed

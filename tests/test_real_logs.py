@@ -1,4 +1,4 @@
-"""Logs of one's own, from the folder to the table: which are taken, both directions; a logger told from a rotor."""
+"""Logs of a user, from the folder to the table: which are accepted, fits in both directions, and effects of the logger."""
 
 import csv
 from dataclasses import replace
@@ -15,20 +15,20 @@ from vpp_fmu.kernel.plant import LIBRARY
 
 SECONDS, NOISE = 20.0, 0.05
 LEFT = np.exp(-0.001 / 0.1)
-"""Of a lag of 0.1 s after a ms."""
+"""Remainder of a lag of 0.1 s after 1 ms."""
 
 G = 9.80665e-3
-"""N a gf."""
+"""N per gf."""
 
 
 def stand(path, day: int, columns=("Zeit [ms]", "Soll [rpm]", "Ist [rpm]", "Schub [gf]"), every: int = 20):
-    """A day's log of a fixed-pitch stand in a table of its own, a row `every` ms: one lag, a mark a revolution, a steady map
-    that is 2 % more the next day."""
+    """A day's log of a fixed-pitch stand in its own table, a row `every` ms: one lag, one mark a revolution, and a steady map
+    that is 2 % larger the next day."""
     rng = np.random.default_rng(day)
     time = np.arange(0.0, SECONDS, 0.001)
     command = rng.uniform(2500.0, 5800.0, 40)[(time / 0.5).astype(int)]
     speed = lfilter([0.0, 1.0 - LEFT], [1.0, -LEFT], command, zi=command[:1])[0]
-    turn = 60.0 / speed  # the pulse came half a revolution ago in the mean, and tells of the whole one before
+    turn = 60.0 / speed  # the pulse came half a revolution ago on average, with the mean of the whole one before
     covered = np.cumsum(speed) * 0.001
     mean = (np.interp(time - 0.5 * turn, time, covered) - np.interp(time - 1.5 * turn, time, covered)) / turn
     thrust = (1.0 + 0.02 * day) * 10.0 * (speed / 6000.0) ** 2 + rng.normal(0.0, NOISE, len(time))
@@ -52,7 +52,8 @@ thrust = "Schub [gf]:gf"
 
 
 def test_two_logs_beside_a_mapping_are_fitted_one_way_and_the_other(tmp_path, capsys):
-    """A lag and the steady map describe a day; the other has 2 % more thrust, which its own map takes, and noise stays."""
+    """A lag and the steady map describe each day. The other day's thrust is 2 % larger, which its own map absorbs, so that
+    noise remains."""
     folder = tmp_path / "logs" / "stand"
     folder.mkdir(parents=True)
     for day in (0, 1):
@@ -66,7 +67,7 @@ def test_two_logs_beside_a_mapping_are_fitted_one_way_and_the_other(tmp_path, ca
     assert "day0 fitted" in capsys.readouterr().out
 
 
-def test_what_is_no_campaign_and_no_log_is_said(tmp_path, capsys):
+def test_files_that_are_neither_campaign_nor_log_are_named(tmp_path, capsys):
     stand(tmp_path / "day0.csv", 0)
     (tmp_path / "notes.txt").write_text("a windy day")
     with pytest.raises(BadInput, match=r"two logs of RCbenchmark, or two tables beside an import\.toml"):
@@ -84,9 +85,9 @@ SOME = tuple(e for e in LIBRARY if e.off is None or e.name in NAMES)
 @pytest.mark.parametrize(
     "case", [Logged(50.0, True), Logged(50.0, False, age=1.0), Logged(50.0, True, late=0.03)], ids=lambda case: case.name
 )
-def test_what_a_logger_does_is_named(case):
-    """As `python -m tests.studies readings`, with fewer rivals and half the record; told to half a row. A delay and a lag of
-    the load cell of a row and a half may not be distinguished; the verdict then names both."""
+def test_effects_of_the_logger_are_named(case):
+    """As `python -m tests.studies readings`, with fewer rivals and half the record; times to half a row. A delay and a lag of
+    the load cell of 1.5 rows may not be distinguished; the verdict then names both."""
     found = outcome(replace(case, seconds=30.0), library=SOME)
     assert found["word"] in ("right", "family")
     assert all("not your rotor" in said for said in found["said"].values())

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from builders import refusal
 
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
@@ -98,7 +99,7 @@ def test_gaps_in_measured_columns_become_nan(tmp_path):
         read_record(tmp_path / "record.csv", NEED_THRUST)
 
 
-def test_a_simulation_has_the_voltage_between_its_readings():
+def test_a_simulation_interpolates_the_voltage_between_its_readings():
     columns = {"time": [0.0, 1.0, 3.0, 4.0], "voltage": [10.0, np.nan, 40.0, np.nan], "omega": [1.0, np.nan, 2.0, 3.0]}
     record = Record(columns, "made up")
     inputs, *_ = record.run
@@ -135,27 +136,18 @@ def changed(line, text):
 
 
 BAD = {
-    "empty file": ("", "file: found an empty file, expected a header and at least one row"),
-    "no rows": ("time,omega_ref,beta_ref,thrust\n", "file: found a header without rows"),
     "missing column": (
         "time,omega_ref,thrust\n0,1,2\n",
         "column beta_ref: found only time, omega_ref, thrust, expected a header with time, omega_ref, beta_ref, thrust",
     ),
     "semicolons": ("time;omega_ref;beta_ref;thrust\n0;1;2;3\n", "column time: found only time;omega_ref;beta_ref;thrust, "),
-    "duplicate column": ("time,omega_ref,beta_ref,thrust,time\n0,1,2,3,0\n", "column time: found more than one of that name"),
     "empty cell": (changed(3, "0.004,,5,7"), "omega_ref, line 3: found an empty cell, expected a finite number"),
     "NaN": (changed(3, "0.004,4000,nan,7"), "beta_ref, line 3: found 'nan', expected a finite number"),
-    "infinite": (changed(4, "0.008,4000,5,-inf"), "thrust, line 4: found '-inf', expected a finite number"),
-    "too large": (changed(4, "0.008,4000,5,1e999"), "thrust, line 4: found '1e999', expected a finite number"),
     "no number": (changed(2, "0,4000,5,7 N"), "thrust, line 2: found '7 N', expected a finite number"),
     "long cell": (changed(2, f"0,4000,5,{'x' * 99}"), f"thrust, line 2: found '{'x' * 37}...', expected a finite number"),
     "broken cell": (changed(2, '0,4000,5,"7\n8"'), r"thrust, line 3: found '7\n8', expected a finite number"),
-    "commented out": (changed(3, "#0.004,4000,5,7"), "time, line 3: found '#0.004', expected a finite number"),
     "no time": (changed(3, ",4000,5,7"), "time, line 3: found an empty cell, expected a finite number"),
-    "decimal comma": (changed(3, "0,004,4000,5,7"), "line 3: found 5 cells, expected 4 cells, as in the header"),
-    "ragged": (changed(4, "0.008,4000"), "line 4: found 2 cells, expected 4 cells, as in the header"),
     "late start": (changed(2, "0.002,4000,5,7"), "time, line 2: found 0.002, expected 0 in the first row of a record"),
-    "early start": (changed(2, "-1,4000,5,7"), "time, line 2: found -1, expected 0 in the first row of a record"),
     "time goes back": (
         changed(4, "0.003,4000,5,7"),
         "time, line 4: found 0.003 after 0.004 (time goes back), expected a time after that of the row before",
@@ -169,15 +161,12 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("name", ["record.csv", "record.csv.gz"])
 @pytest.mark.parametrize(("text", "message"), BAD.values(), ids=BAD)
-def test_bad_records(tmp_path, text, message, name):
-    path = written(tmp_path, text, name)
-    with pytest.raises(BadInput) as error:
-        read_record(path, NEED_THRUST)
-    assert str(error.value).startswith(f"{path}: {message}")
-    assert ", expected " in str(error.value)
-    assert "\n" not in str(error.value)
+def test_bad_records(tmp_path, text, message):
+    path = written(tmp_path, text)
+    said = refusal(read_record, path, NEED_THRUST)
+    assert said.startswith(f"{path}: {message}")
+    assert ", expected " in said
 
 
 def test_the_line_is_right_behind_blank_lines(tmp_path):
@@ -202,24 +191,16 @@ def test_the_line_is_right_behind_blank_lines(tmp_path):
 )
 def test_bad_columns_beyond_the_needed_ones(tmp_path, name, value, allowed):
     path = written(tmp_path, f"time,omega_ref,beta_ref,{name}\n0,1,2,0\n1,1,2,{value}\n")
-    with pytest.raises(BadInput) as error:
-        read_record(path)
-    assert str(error.value).startswith(f"{path}: {name}, line 3: found ")
-    assert value in str(error.value)
-    assert str(error.value).endswith(f", expected {allowed}")
+    said = refusal(read_record, path)
+    assert said.startswith(f"{path}: {name}, line 3: found ")
+    assert value in said
+    assert said.endswith(f", expected {allowed}")
 
 
 def test_the_ends_of_the_ranges_are_allowed(tmp_path):
     text = f"time,omega_ref,beta_ref,thrust\n0,{OMEGA_REF.minimum},{BETA_REF.minimum},{THRUST.minimum}\n"
     text += f"1,{OMEGA_REF.maximum},{BETA_REF.maximum},{THRUST.maximum}\n"
     assert len(read_record(written(tmp_path, text), NEED_THRUST)) == 2
-
-
-def test_missing_file_and_folder(tmp_path):
-    with pytest.raises(BadInput, match=r"none\.csv: file: found no such file, expected a file that exists"):
-        read_record(tmp_path / "none.csv")
-    with pytest.raises(BadInput, match="file: found a folder, expected a file"):
-        read_record(tmp_path)
 
 
 def test_read_profile(tmp_path):
@@ -239,9 +220,7 @@ def test_read_profile(tmp_path):
 )
 def test_bad_profiles(tmp_path, text, message):
     path = written(tmp_path, text)
-    with pytest.raises(BadInput) as error:
-        read_profile(path)
-    assert str(error.value).startswith(f"{path}: {message}")
+    assert refusal(read_profile, path).startswith(f"{path}: {message}")
 
 
 def test_written_values_are_short(tmp_path):
@@ -287,15 +266,6 @@ def test_gzipped_bytes_do_not_depend_on_clock_or_name(tmp_path, monkeypatch):
     assert first == second
     assert first[4:8] == bytes(4)
     assert gzip.decompress(first) == b"time,thrust\n0.0,1\n1.0,1\n2.0,1\n"
-
-
-@pytest.mark.skipif(not DATA.is_dir(), reason="the shared data are not here")
-@pytest.mark.parametrize("rig", ["rig_a", "rig_b", "rig_c", "rig_d"])
-@pytest.mark.parametrize(("name", "rows"), [("open_loop", 22_500), ("repeat", 22_500), ("validation", 15_000)])
-def test_the_rigs_records(rig, name, rows):
-    record = read_record(DATA / rig / f"{name}.csv", NEED_THRUST)
-    assert len(record) == rows
-    assert set(record.steps.tolist()) == {0.004}
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="the shared data are not here")

@@ -1,4 +1,4 @@
-"""The fit of the Wiener model against formulas of its own: transfer functions in scipy, and scipy's solver on them."""
+"""The fit of the Wiener model against transfer functions in scipy, and scipy's solver on them."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def record():
 
 
 def two_lags(command, tau_1, tau_2):
-    """Response (rows,) of two lags in a row to a held command, from the step response; also of complex constants."""
+    """Response (rows,) of two lags in series to a held command, from the step response; the constants may be complex."""
     e_1, e_2 = np.exp(-STEP / tau_1), np.exp(-STEP / tau_2)
     first = 1.0 - (tau_1 * e_1 - tau_2 * e_2) / (tau_1 - tau_2)
     poles, moved = [1.0, -e_1 - e_2, e_1 * e_2], command - command[0]
@@ -79,7 +79,7 @@ def decay(amplitude, rate):
 @pytest.mark.parametrize("is_chord", [True, False])
 @pytest.mark.parametrize("most", [10.0, 1.0])
 def test_a_fit_in_other_coordinates_has_the_same_minimum(is_chord, most):
-    """Of the rate's logarithm, with the Jacobian in the rate itself, free and at its bound."""
+    """In the logarithm of the rate, with the Jacobian in the rate itself, free and at its bound."""
     expected = least_squares(lambda p: decay(*p)[0], [1.0, 0.5], bounds=([0.0, 0.1], [10.0, most]), xtol=1e-15, gtol=1e-15)
     rows = lambda x: decay(x[0], np.exp(x[1]))  # noqa: E731
     residual_at = (lambda x: rows(x)[0]) if is_chord else None

@@ -1,4 +1,4 @@
-"""The table of refusals (python -m tests.studies refusals), as the study makes it: each in order, and for its own reason."""
+"""The table of refusals (python -m tests.studies refusals): each row is refused as required, for the right reason."""
 
 import os
 import tempfile
@@ -26,13 +26,13 @@ NO_PERMISSION = {
 
 @pytest.fixture(scope="module")
 def found():
-    """Every row, made in a folder that others may enter, too."""
+    """Every row, in a folder that other users may enter."""
     with tempfile.TemporaryDirectory() as name:
         Path(name).chmod(0o755)
         return list(refusals(Path(name)))
 
 
-def test_every_row_is_as_aimed_at(found):
+def test_every_row_is_refused_as_required(found):
     assert len(found) > 50
     assert [(each.what, each.code, each.said, each.wrote) for each in found if not each.in_order] == []
 
@@ -54,6 +54,6 @@ def test_the_reason_is_the_right_one(found, what):
 
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no users on this system")
 @pytest.mark.parametrize("what", NO_PERMISSION)
-def test_what_is_not_allowed_is_said(found, what):
+def test_missing_permission_is_the_reason_given(found, what):
     (said,) = [each.said for each in found if each.what == what]
     assert NO_PERMISSION[what] in said

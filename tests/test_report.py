@@ -1,4 +1,4 @@
-"""The report: a page that needs no network, and figures that say what they show."""
+"""The report: a page that needs no network, and figures with titles, units and correct data."""
 
 import re
 from html.parser import HTMLParser
@@ -114,7 +114,7 @@ def _of_models(title: str) -> dict:
         "map residuals": map_residuals(omega[:-1], beta[:-1], thrust[:-1] - 3, title),
         "loop": closed_loop({"dual": r, "speed only": {k: v for k, v in other.items() if k != "beta"}}, title),
         "two": two_records(("a", r["time"], r["thrust"]), ("b", other["time"], other["thrust"]), title, "thrust", "N"),
-        "change": parameter_change(names, [0.1, 0.3, 0.0], [0.2, 0.2, 0.8], [0.1, 0.1, 0.7], [0.3, np.nan, 0.9], title),
+        "parameters": parameter_change(names, [0.1, 0.3, 0.0], [0.2, 0.2, 0.8], [0.1, 0.1, 0.7], [0.3, np.nan, 0.9], title),
         "sections": residual_by_section(["1", "2"], [0.9, 0.8], [0.4, 0.5], 0.3, title),
         "autocorrelation": autocorrelation(lags, np.exp(-lags), 0.05, title),
         "cross-correlation": cross_correlation(lags, {"omega_ref": lags, "beta_ref": -lags}, 0.05, title),
@@ -179,7 +179,7 @@ def page() -> Page:
 
 
 class Markup(HTMLParser):
-    """Tags with attributes, and texts by the tag they stand in."""
+    """Tags with attributes, and texts by the tag around them."""
 
     def __init__(self, html: str):
         super().__init__()
@@ -196,7 +196,7 @@ class Markup(HTMLParser):
 
 def test_page_loads_nothing_from_outside():
     html = page().html()
-    own = html.replace("http://www.w3.org/2000/svg", "")  # a name, which nobody fetches
+    own = html.replace("http://www.w3.org/2000/svg", "")  # a name, which is not fetched
     assert "http:" not in own
     assert "https:" not in own
     assert not re.search(r"@import|@font-face|url\((?!#)|fetch\(|XMLHttpRequest|import\(", own)
@@ -237,7 +237,7 @@ def test_page_escapes_every_text():
     assert not any("<a href" in text for tag, text in markup.texts if tag == "script")
 
 
-def test_figures_show_tags_in_names_to_the_letter():
+def test_tags_in_names_are_escaped_in_figures():
     fig = prediction(HOSTILE, name="<b>loud</b>")
     assert "<a" not in fig.layout.title.text
     assert not any("<b>" in trace.name for trace in fig.data)
@@ -277,7 +277,7 @@ def test_names_are_words_and_an_unreached_limit_is_none():
     assert [limited(limit, value) for value in (0.9999 * limit.unlimited, 5400.0)] == ["no limit", "5400 rpm"]
 
 
-def test_a_moment_near_an_end_is_shown_as_long_as_any_other():
+def test_a_section_near_an_end_is_as_long_as_any_other():
     time = np.linspace(0.0, 60.0, 6001)
     for center in (0.5, 30.0, 59.9):
         shown = time[around(time, center, 3.0)]
@@ -295,7 +295,7 @@ def test_every_axis_names_its_quantity_and_unit(name):
             axes.append(value)
     assert len(axes) >= 2
     for axis in axes:
-        if axis.get("type") == "category":  # its names say what they are
+        if axis.get("type") == "category":  # its labels are names
             continue
         assert re.search(r"\w.*\[.+\]$", axis["title"]["text"].replace("<br>", " "))
 
@@ -446,7 +446,7 @@ def test_one_legend_entry_a_line_and_one_for_the_band_over_all_panels():
     assert len({t.yaxis for t in fig.data}) == 2
 
 
-def test_candidates_are_ranked_and_say_at_which_gate_they_failed():
+def test_candidates_are_ranked_and_show_the_gate_at_which_they_failed():
     fig = FIGURES["evidence"]
     assert fig.layout.yaxis.categoryarray[-1] == "pitch command deadband"  # plotly draws the last on top
     assert fig.layout.yaxis.categoryarray[0] == "sensor gain"
@@ -459,13 +459,13 @@ def test_candidates_are_ranked_and_say_at_which_gate_they_failed():
     assert fig.layout.shapes[0].x0 == 10.0
 
 
-def test_no_reason_runs_out_of_the_figure():
+def test_the_axis_leaves_room_for_the_reasons():
     low, high = FIGURES["evidence"].layout.xaxis.range
     assert low == -4.0
     assert high >= 2.0 * 5000.0
 
 
-def test_moves_that_reverse_are_told_from_those_that_go_on():
+def test_reversing_moves_are_distinguished_from_others():
     fig = FIGURES["moves"]
     points = {trace.name: trace for trace in fig.data}
     assert set(points) == {f"{name}, {kind}" for name in ("before", "after") for kind in ("onwards", "reversed")}
@@ -483,7 +483,7 @@ def test_each_pair_is_shown_once_and_only_what_is_close_has_a_number():
 
 
 def test_how_often_a_limit_is_reached_is_counted():
-    """Three pulses of 1 s beyond the limit: it acts while they last and until two lags have forgotten them."""
+    """Three pulses of 1 s beyond the limit: it is active during the pulses and until the two lags have settled."""
     name, maximum = "speed_saturation", 5000.0
     time = np.arange(0.0, 20.0, 0.01)
     fast = (time % 6.0 >= 3.0) & (time % 6.0 < 4.0)
@@ -507,8 +507,8 @@ def test_how_often_a_limit_is_reached_is_counted():
 
 
 @pytest.mark.parametrize(("shipped", "errors"), [((), ["0.2 N"]), (("pitch_backlash",), ["0.3 -> 0.2 N"])])
-def test_an_effect_that_is_named_and_does_not_ship_is_in_the_headline_with_the_reason(shipped, errors):
-    """Beside one that ships, before and after are that one's."""
+def test_an_effect_left_out_of_the_model_is_in_the_headline_with_the_reason(shipped, errors):
+    """Beside an effect in the model, the errors before and after are those of that effect."""
     model = plant((*shipped, "rotor_vibration"))
     fit = {"problem": SimpleNamespace(model=model), "values": model.values({"rotor_vibration.amplitude": 0.31})}
     base, final = SimpleNamespace(effects=()), SimpleNamespace(effects=shipped, **fit)

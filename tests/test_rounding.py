@@ -1,4 +1,4 @@
-"""Commands that are executed in steps: the look at their levels, and whether a step is found, and none where there is none."""
+"""Commands executed in steps: the search over step sizes, and its result with and without such steps."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -28,7 +28,7 @@ NAMES = ("tau_omega_1", "tau_omega_2", "tau_beta_1", "tau_beta_2", "c20", "c11",
 
 
 def measured(record, rng, **steps):
-    """A record with thrust and speed of the paper's model whose commands are executed in `steps` of an effect."""
+    """A record with thrust and speed of the paper's model, whose commands are executed in the `steps` of an effect."""
     coarse = {u: rounded(record[u], steps.get(n, 0.0)) for n, u in ((PITCH, "beta_ref"), (SPEED, "omega_ref"))}
     shown = Simulator(plant(())).simulate(TRUTH, record.columns | coarse, record.steps)
     noise = rng.standard_normal((2, len(record)))
@@ -36,7 +36,7 @@ def measured(record, rng, **steps):
 
 
 def campaign(*records):
-    """Of these records, whose speed sensor is declared."""
+    """A campaign of these records with a declared speed sensor."""
     rig = infer_rig(records[:1], None, {"sensor": {"kind": "encoder"}})
     return Campaign(example_folder(), None, (), *records, *[None] * (3 - len(records)), rig=rig)
 
@@ -46,7 +46,7 @@ def effect_of(name):
 
 
 def look(name, step, seed=3):
-    """(the look beside the base model, its linearised fit, searcher, base) at a record with this step."""
+    """(the search beside the base model, its linearised fit, searcher, base) for a record with this step."""
     rng = np.random.default_rng(seed)
     record = measured(commands(rng, 20.0), rng, **{name: step})
     experiment = Experiment([Fitted("drawn", record)], independent(15.0))
@@ -73,8 +73,8 @@ def test_costs_from_the_levels_are_those_of_simulations(pitch):
 
 
 @pytest.mark.parametrize(("name", "step"), [(PITCH, 0.4), (PITCH, 0.273), (SPEED, 20.0), (SPEED, 63.7)])
-def test_the_step_is_among_the_few_that_are_simulated(name, step):
-    """To a tenth of the distance at which the multiple of the highest level is another one."""
+def test_the_true_step_is_among_the_simulated_ones(name, step):
+    """To a tenth of the distance at which the highest level is another multiple."""
     found = look(name, step)[0]
     highest = {PITCH: 10.0, SPEED: 6000.0}[name]
     assert min(abs(1.0 / s - 1.0 / step) for s in found.best()) * highest < 0.1
@@ -88,10 +88,9 @@ def test_neighbours_of_the_search_agree_in_the_multiples_of_all_levels(pitch):
     assert (steps[0], steps[-1]) == pytest.approx((largest / 30.0, largest))
 
 
-def test_no_more_points_are_counted_than_chance_needs_and_no_fewer(pitch, monkeypatch):
-    """In a rig without steps the products of residual and responses are normal, of covariance R' R: how often the
-    best of all steps then gains so much must be no more than what the counted points account for (Bonferroni), and not much
-    less."""
+def test_the_number_of_independent_comparisons_matches_chance(pitch, monkeypatch):
+    """Without steps the products of residual and responses are normal with covariance R' R. The best of all steps must exceed
+    the threshold at most as often as the counted points allow (Bonferroni), and not much less often."""
     found, judged = pitch[0], 4.0
     monkeypatch.setattr(rounding, "JUDGED", judged)
     closer = 1.0 / np.interp(np.arange(0.0, len(found.steps) - 1, 0.25), np.arange(len(found.steps)), 1.0 / found.steps)
@@ -138,8 +137,8 @@ def test_no_step_is_named_where_commands_are_executed_as_they_are():
     assert (found.verdict, found.final.effects) == ("none", ())
 
 
-def test_a_step_whose_refit_does_not_hold_what_its_linearisation_promised_ends_the_search(monkeypatch):
-    """Each of two steps promises to be better than the other."""
+def test_the_search_ends_if_a_refit_is_worse_than_its_linearisation(monkeypatch):
+    """The linearisation at each of two steps predicts that the other is better."""
     effect = next(e for e in LIBRARY if e.name == PITCH)
     name, costs = effect.full("step"), {0.5: 100.0, 1.1: 120.0}
 

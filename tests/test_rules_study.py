@@ -1,4 +1,4 @@
-"""The study of the rules: each is found in the diagnosis, observed where it decides, and gone where it is removed."""
+"""The study of the rules: each rule is in the diagnosis, observed if it decides, and inactive if it is removed."""
 
 import importlib
 

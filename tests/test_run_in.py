@@ -1,4 +1,4 @@
-"""Records that begin in motion, cut out of longer ones whose first command had been another until shortly before."""
+"""Records that begin in motion: parts of longer ones, after a move of both commands shortly before."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,6 @@ from identification.gate.gate import passed
 from identification.identify import identify
 from identification.logger_fit import as_logged
 from identification.run_in import run_in, without
-from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BASE, LIBRARY
@@ -41,7 +40,7 @@ def test_a_settled_record_has_no_run_in_and_one_in_motion_has_one(seed):
 
 
 @pytest.mark.parametrize("blind", ["thrust", "omega"])
-def test_thrust_and_speed_each_show_it(blind):
+def test_thrust_alone_or_speed_alone_shows_a_run_in(blind):
     record, shown = cut(0, 0.1)
     hidden = np.full(len(record), np.nan) if blind == "thrust" else shown[:, 1]
     assert run_in(record.with_columns(**{blind: hidden}), shown, LAG) > 0.0
@@ -57,7 +56,7 @@ ERRORS = {
 
 
 @pytest.mark.parametrize("name", ERRORS)
-def test_an_error_that_is_not_the_starts_alone_is_no_run_in(name):
+def test_an_error_beyond_the_start_is_not_taken_for_a_run_in(name):
     record, shown = cut(0)
     move = record.time[1 + np.argmax(np.diff(record["omega_ref"]) != 0.0)]
     assert LAG < move < 5.0 * LAG
@@ -109,7 +108,7 @@ def test_an_identification_is_as_good_as_without_the_transient(campaigns, name):
 
 
 @pytest.mark.parametrize("name", IN_MOTION)
-def test_a_diagnosis_misses_nothing(campaigns, name):
+def test_a_diagnosis_finds_no_lack_of_fit_after_the_run_in(campaigns, name):
     found = diagnose(campaigns[name], library=SOME, workers=1, thorough=False)
     assert (found.verdict, found.selection.final.effects) == ("none", ())
     thrust, omega = found.errors(found.final)
@@ -141,9 +140,8 @@ def test_of_step_runs_those_in_motion_lose_their_run_in(campaigns):
     assert [(f.code, f.file) for f in gate.findings] == [("run_in", "steps.csv")]
 
 
-def test_check_says_it_in_one_line(campaigns, capsys):
-    assert main(["check", str(campaigns["unseen"].folder)]) == 0
-    said = [line for line in capsys.readouterr().out.splitlines() if "run_in" in line]
+def test_check_reports_a_run_in_in_one_line(campaigns, printed):
+    said = [line for line in printed("check", campaigns["unseen"].folder).splitlines() if "run_in" in line]
     assert len(said) == 1
     assert "validation.csv" in said[0]
     assert "begins in motion: its first 2.9 s are excluded" in said[0]

@@ -1,4 +1,4 @@
-"""The documentation site: what its pages tell a reader to type is run, or says why not; what it includes is there."""
+"""The documentation site: commands on its pages are run or have a reason why not, and included files exist."""
 
 import ast
 import re
@@ -21,13 +21,13 @@ QUICK = ("reference/files.md", "how-to/learn-in-your-own-loop.md")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_is_one_that_there_is(command):
+def test_every_command_parses(command):
     verb, *options = shlex.split(re.split(r" (?:\|\|?|>) ", command)[0], comments=True)
     parser_of(verb)[0].parse_args(options)
 
 
 @pytest.mark.parametrize("name", [found.name for found in PAGES])
-def test_every_block_is_run_or_says_why_not(name):
+def test_every_block_is_run_or_has_a_reason_why_not(name):
     found = page(name)
     typed = [block for block in found.blocks if block.typed or block.file]
     to_run = [block for block in typed if not block.skipped]
@@ -40,11 +40,11 @@ def test_every_block_is_run_or_says_why_not(name):
 
 
 @pytest.mark.parametrize("name", QUICK)
-def test_a_page_does_what_it_says(name, tmp_path):
+def test_the_commands_of_a_page_print_what_it_shows(name, tmp_path):
     run(page(name), tmp_path, {})
 
 
-def test_a_page_that_says_what_is_not_printed_is_found(tmp_path, monkeypatch):
+def test_a_page_with_wrong_output_fails(tmp_path, monkeypatch):
     (tmp_path / "wrong.md").write_text("---\nseconds: 1\n---\n```sh\necho 1.70 deg\n```\n\n```text\n1.71 deg\n```\n")
     monkeypatch.setattr("tests.site.blocks.DOCS", tmp_path)
     with pytest.raises(Failed, match=r"1\.71 deg"):
@@ -52,8 +52,8 @@ def test_a_page_that_says_what_is_not_printed_is_found(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", [found.name for found in PAGES])
-def test_every_link_leads_somewhere(name):
-    """Anchors are checked by the build, which takes warnings for errors."""
+def test_every_link_has_a_target(name):
+    """The build checks anchors, and treats warnings as errors."""
     made = {*verbs.pages(), verbs.INDEX, "reference/api.md", "reference/effects.md"}
     folder = included.DOCS / Path(name).parent
     text = included.with_included(name, (included.DOCS / name).read_text())
@@ -65,7 +65,7 @@ def test_every_link_leads_somewhere(name):
             assert there in {included.picture(file) for file in included.pictures()}, link
 
 
-def test_a_section_that_is_not_there_is_named():
+def test_a_missing_section_is_named():
     with pytest.raises(included.Missing, match="no section 'Wirring'"):
         included.with_included("how-to/x.md", "<!-- include hil/README.md # Wirring -->")
 

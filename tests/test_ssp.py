@@ -1,4 +1,4 @@
-"""The closed loop as SSP: valid, within what importers share, with the values it was given; and run by those at hand."""
+"""The closed loop as SSP: valid, within the subset that importers support, with its values; run by those installed."""
 
 import io
 import json
@@ -43,7 +43,7 @@ def parts():
 
 @pytest.fixture(scope="module")
 def loop(parts):
-    """The archive's content by name."""
+    """Content of the archive by name."""
     with zipfile.ZipFile(io.BytesIO(loop_ssp(parts, {"thrust_set": 8.0}, 10.0))) as packed:
         return {name: packed.read(name) for name in packed.namelist()}
 
@@ -75,7 +75,7 @@ def connected(system):
     return {(c.startElement, c.startConnector, c.endElement, c.endConnector) for c in system.connections}
 
 
-def test_the_flat_one_is_the_same_without_connectors_of_its_own(parts, tmp_path):
+def test_the_flat_ssp_is_the_same_without_connectors_of_the_system(parts, tmp_path):
     path = tmp_path / "loop.flat.ssp"
     path.write_bytes(loop_ssp(parts, {}, 10.0, connectors=False))
     system = read_ssd(str(path)).system
@@ -83,8 +83,8 @@ def test_the_flat_one_is_the_same_without_connectors_of_its_own(parts, tmp_path)
     assert connected(system) == INNER
 
 
-def test_all_that_is_drawn_has_its_place(loop):
-    """Within the system, connectors on the edges of their components, lines from one to the other."""
+def test_the_diagram_has_valid_geometry(loop):
+    """Components within the system, connectors on the edges of their components, lines between them."""
     root = ElementTree.fromstring(loop["SystemStructure.ssd"])
     x1, y1, x2, y2 = (float(root.find(f".//{{{SSD}}}SystemGeometry").get(k)) for k in ("x1", "y1", "x2", "y2"))
     boxes = {}
@@ -113,18 +113,16 @@ def test_no_algebraic_loop_at_the_start(loop):
     order = list(TopologicalSorter(initial_graph(loop)).static_order())  # CycleError where there is one
     assert order.index(("VppController", "omega_ref")) < order.index(("VppPlant", "thrust"))
     assert order.index(("VppPlant", "thrust")) < order.index((None, "thrust"))
-    with pytest.raises(CycleError):  # as it would be, did the controller's outputs start from its inputs
+    with pytest.raises(CycleError):  # if the controller's outputs started from its inputs
         TopologicalSorter(initial_graph(loop) | {("VppController", "omega_ref"): {("VppController", "thrust")}}).prepare()
 
 
-def test_a_host_that_goes_by_that_order_starts_where_the_loop_does(parts, loop, tmp_path):
-    """Values are handed on in the graph's order, once, as a host without an algebraic loop to solve does."""
+def test_initialisation_in_the_order_of_the_graph_gives_the_start_of_the_loop(parts, loop, tmp_path):
+    """Each value is passed on once, as by a host that has no algebraic loop to solve."""
     slaves = {}
     for name, (_, fmu) in parts.items():
         (tmp_path / f"{name}.fmu").write_bytes(fmu)
-        slaves[name] = Slave(Fmu(tmp_path / f"{name}.fmu"), initialised=False)
-        slaves[name].fmi.setupExperiment(startTime=0.0)
-        slaves[name].fmi.enterInitializationMode()
+        slaves[name] = Slave(Fmu(tmp_path / f"{name}.fmu"), initialised=False).enter()
     known = {(None, "thrust_set"): 8.0}
     graph = initial_graph(loop)
     for node in TopologicalSorter(graph).static_order():
@@ -180,7 +178,7 @@ def test_the_command_writes_it_beside_the_fmus(tmp_path, capsys):
 
 
 def test_the_cross_check_has_its_folders_and_its_numbers(tmp_path):
-    """As the FMI project's rules name them; fmpy, run as the page there says, meets the references."""
+    """With the folder names of the FMI project's rules; fmpy, run by the command on the page, reproduces the references."""
     assert main(["export", "--cross-check", "-o", str(tmp_path / "out")]) == 0
     with zipfile.ZipFile(tmp_path / "out" / "cross_check.zip") as packed:
         packed.extractall(tmp_path)
@@ -196,7 +194,7 @@ def test_the_cross_check_has_its_folders_and_its_numbers(tmp_path):
 
 
 def test_libcosim_runs_it_with_its_values(parts, tmp_path):
-    """Its own loop: both parts step side by side."""
+    """In libcosim's own loop both parts step in parallel."""
     pytest.importorskip("libcosimpy", reason="libcosimpy is not installed")
     from libcosimpy.CosimExecution import CosimExecution
     from libcosimpy.CosimObserver import CosimObserver

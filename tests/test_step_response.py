@@ -1,4 +1,4 @@
-"""Start values from step responses: known constants come back, and runs that tell nothing are told from the others."""
+"""Start values from step responses: known constants are recovered, and unusable runs are left out."""
 
 import json
 from dataclasses import replace
@@ -62,7 +62,7 @@ FAST = {"tau_beta_1": 0.2, "tau_beta_2": 0.08}
 
 
 def runs(noise=NOISE, **values) -> list[Record]:
-    """Steps of both channels, at two levels of the other."""
+    """Steps of both channels, each at two levels of the other channel."""
     values = FAST | values
     made = []
     for channel, steps, levels in (("omega", SPEEDS, (0.0, 7.0)), ("beta", PITCHES, (4000.0, 6000.0))):
@@ -122,7 +122,7 @@ def test_without_a_map_the_lags_are_those_of_the_normalised_thrust():
     fit = fit_steps([record], VALUES).runs[0].fits["thrust"].plain
     assert (fit.slow, fit.fast) == pytest.approx((0.2, 0.08), abs=1e-6)
     bent = fit_steps([run("omega", 2000, 6000, 7, shown=False)], VALUES).runs[0].fits["thrust"].plain
-    assert bent.slow + bent.fast > 1.05 * 0.225  # thrust goes with the square of the speed: upwards it comes late
+    assert bent.slow + bent.fast > 1.05 * 0.225  # thrust is proportional to the square of the speed: upwards it is later
 
 
 def test_offset_and_gain_of_a_run_do_not_touch_its_lags():
@@ -199,7 +199,7 @@ def test_averages_are_near_the_truth_and_slow_comes_first(noisy):
         assert not noisy.delayed(channel)
 
 
-def test_the_speed_tells_its_lags_through_the_tachometer(noisy):
+def test_the_speed_lags_are_fitted_through_the_tachometer(noisy):
     average = found(noisy, "omega", "omega")
     assert not average.delayed
     assert (average.slow, average.fast) == pytest.approx((0.172, 0.053), rel=0.02)
@@ -210,18 +210,13 @@ def test_the_speed_tells_its_lags_through_the_tachometer(noisy):
 # Runs that are left out
 
 
-def test_good_runs_are_all_used(noisy):
-    assert [r.reason for r in noisy.runs] == [""] * 32
-    assert not noisy.unreadable
-
-
 @pytest.fixture(scope="module")
 def pitch_runs():
     return [run("beta", *s, 6000.0, noise=NOISE, seed=k, **FAST) for k, s in enumerate(PITCHES)]
 
 
 def reason(records, odd) -> str:
-    """Why `odd` is left out among `records`; all others must stay."""
+    """Why `odd` is left out among `records`, which must all be used."""
     summary = fit_steps([*records, odd], VALUES, MAP)
     assert not any(r.reason for r in summary.runs[:-1])
     return summary.runs[-1].reason
@@ -247,13 +242,13 @@ def test_a_run_unlike_the_model_is_left_out(pitch_runs):
     assert reason(pitch_runs, odd.with_columns(thrust=odd["thrust"] + swing)).startswith("the residual is ")
 
 
-def test_a_command_that_was_not_reached_is_told_by_the_thrust(pitch_runs):
+def test_a_command_not_reached_is_detected_by_the_thrust(pitch_runs):
     half = run("beta", -5, 2, 6000, noise=NOISE, seed=99, **FAST)
     odd = half.with_columns(beta_ref=np.where(half.time < AT - 1e-9, -5.0, 10.0))
     assert "thrust changes by 5" in reason(pitch_runs, odd)
 
 
-def test_a_command_that_was_not_reached_is_told_by_its_own_sensor():
+def test_a_command_not_reached_is_detected_by_its_own_sensor():
     record = run("omega", 2000, 6000, 7, noise=NOISE)
     odd = record.with_columns(omega_ref=np.where(record["omega_ref"] > 2000, 6600.0, 2000.0))
     assert "command not reached: omega ends at " in fit_steps([odd], VALUES, MAP).runs[0].reason

@@ -1,4 +1,4 @@
-"""Signals end a command in order: the exit code says which, one line says it, and nothing is left: no process, no file."""
+"""Signals end a command in order: exit code, one line, and no process or file left behind."""
 
 import gc
 import os
@@ -45,7 +45,7 @@ def test_a_bootstrap_and_its_workers_end_and_write_nothing(tmp_path):
 
 
 def at_work(process):
-    """Whether both workers are past their imports."""
+    """Whether both workers have finished their imports."""
     workers = [pid for pid in group(process.pid) if pid != process.pid]
     return sum(cpu_seconds(pid) > 1.0 for pid in workers) == 2
 
@@ -64,10 +64,10 @@ sys.exit(cli.main(["identify"]))
     ("number", "to_all"),
     [(signal.SIGINT, True), (signal.SIGTERM, False), (signal.SIGHUP, True), (signal.SIGKILL, False)],
 )
-def test_workers_end_with_whoever_started_them(number, to_all):
+def test_workers_end_with_the_process_that_started_them(number, to_all):
     ended = signalled([sys.executable, "-c", SPREAD], number, lambda process: len(group(process.pid)) == 4, to_all)
     assert ended.left == ()
-    if number == signal.SIGKILL:  # nothing was asked of the command itself: its workers noticed
+    if number == signal.SIGKILL:  # the command itself can't react: its workers noticed
         assert ended.code == -signal.SIGKILL
     else:
         assert ended.code == 128 + number
@@ -76,7 +76,7 @@ def test_workers_end_with_whoever_started_them(number, to_all):
 
 @has_proc
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL], ids=str)
-def test_an_unpacked_fmu_goes_with_the_command_or_with_the_next(fmu_files, tmp_path, monkeypatch, number):
+def test_an_unpacked_fmu_is_removed_by_the_command_or_by_the_next_one(fmu_files, tmp_path, monkeypatch, number):
     profile, temporary = tmp_path / "profile.csv", tmp_path / "temporary"
     profile.write_text("time,thrust_set\n0,5\n7900,5\n")
     temporary.mkdir()
@@ -107,7 +107,7 @@ with stopping.stoppable("vpp test"):
 """
 
 
-def test_code_that_never_comes_back_is_ended_all_the_same(tmp_path):
+def test_code_that_hangs_is_ended(tmp_path):
     environment = os.environ | {"TMPDIR": str(tmp_path)}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen([sys.executable, "-c", HANGS], env=environment, text=True, **pipes) as process:
@@ -142,13 +142,13 @@ def test_the_first_signal_raises_and_the_next_does_nothing(number):
     assert {each: signal.getsignal(each) for each in SIGNALS} == before
 
 
-def test_the_command_turns_it_into_a_line_and_the_code(monkeypatch, capsys):
+def test_the_command_reports_a_signal_in_one_line_and_the_exit_code(monkeypatch, capsys):
     monkeypatch.setattr("vpp_fmu.app.cli._run", lambda arguments: signal.raise_signal(signal.SIGTERM))
     assert main(["identify", "x"]) == 143
     assert capsys.readouterr().err.splitlines() == [told("vpp identify", signal.SIGTERM)]
 
 
-def test_what_is_ignored_stays_ignored():
+def test_an_ignored_signal_stays_ignored():
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
     try:
         with stoppable("vpp test"):
@@ -157,7 +157,7 @@ def test_what_is_ignored_stays_ignored():
         signal.signal(signal.SIGHUP, before)
 
 
-def test_a_signal_waits_for_what_may_not_be_torn():
+def test_a_signal_waits_for_an_unbroken_section():
     done = []
 
     def work():
@@ -191,7 +191,7 @@ def test_a_signal_within_an_fmus_own_python_is_no_error_of_its_model(fmu_files):
     fmu.close()
 
 
-def test_in_another_thread_there_are_no_signals_to_hear():
+def test_another_thread_leaves_the_signal_handlers_alone():
     found = []
 
     def elsewhere():
@@ -205,7 +205,7 @@ def test_in_another_thread_there_are_no_signals_to_hear():
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="Windows has no signal masks")
-def test_workers_are_started_whole_though_another_thread_hears_the_signal(monkeypatch):
+def test_a_signal_waits_until_a_worker_is_started(monkeypatch):
     own, done = ProcessPoolExecutor.submit, []
 
     def interrupted(*arguments):
@@ -220,12 +220,12 @@ def test_workers_are_started_whole_though_another_thread_hears_the_signal(monkey
     assert done == ["whole", "whole"]
 
 
-def test_a_worker_that_dies_is_said():
+def test_a_dead_worker_is_reported():
     with pytest.raises(WorkerLost, match="test: one of 2 processes has died"):
         spread(os._exit, [1, 1], workers=2, what="test")
 
 
-def test_what_a_worker_raises_arrives_here():
+def test_an_exception_of_a_worker_is_raised_here():
     with pytest.raises(ValueError, match="no number"):
         spread(float, ["1.0", "no number"], workers=2)
     assert spread(float, ["1.0", "2.0"], workers=2) == [1.0, 2.0]

@@ -1,4 +1,4 @@
-"""Standard streams that are closed, full or not UTF-8, and folder names that are not: each verb ends as it should."""
+"""Each verb works with standard streams that are closed, full or not UTF-8, and with folder names that are not UTF-8."""
 
 import json
 import os
@@ -21,7 +21,7 @@ PARAMETERS = {"format": "vpp-parameters/1", "parameters": {}, "effects": [], "so
 
 @pytest.fixture
 def here(tmp_path):
-    """A folder of that name with a record and parameters; the place's path in bytes."""
+    """A folder with that name, with a record and parameters; its path in bytes."""
     place = os.fsencode(tmp_path) + b"/" + NAME
     os.mkdir(place)
     for name, text in (
@@ -61,15 +61,15 @@ def test_streams_that_are_closed_or_not_utf_8_are_no_errors(environment, redirec
     assert said.count(b"\n") == (0 if "2>&-" in redirected else 1)
 
 
-def test_what_a_terminal_cannot_show_is_replaced(here):
-    """The page of an effect has arrows and Greek letters; so has the campaign's name."""
+def test_characters_that_a_terminal_cannot_show_are_replaced(here):
+    """The page of an effect has arrows and Greek letters; the campaign's name has some, too."""
     for words in (["check-effect", "none →.py"], ["export", "--parameters", here + b"/p.json", "-o", here + b"/fmus"]):
         _, out, said = run(words, **ASCII)
         (out + said).decode("ascii")
         assert b"?" in out + said
 
 
-def test_a_full_standard_output_is_told_after_the_results_are_written(here):
+def test_a_full_standard_output_is_reported_after_the_results_are_written(here):
     code, _, said = run(simulate(here), ">/dev/full")
     assert code == 2
     assert said.count(b"\n") == 1
@@ -82,8 +82,8 @@ def test_a_full_standard_error_changes_no_exit_code(here):
     assert run(["simulate", here + b"/none.csv", "--parameters", here + b"/p.json"], "2>/dev/full")[0] == 2
 
 
-def test_names_that_are_no_utf_8_stand_in_no_file_as_half_characters(here):
-    """Every file of a page's or FMU's verb can be read as UTF-8, JSON and all."""
+def test_files_stay_valid_utf_8_if_folder_names_are_not(here):
+    """Every file of a verb that writes pages can be read as UTF-8, JSON included."""
     assert run(["compare", here + b"/record.csv", here + b"/record.csv", "-o", here + b"/pair"])[0] == 0
     assert run(simulate(here))[0] == 0
     for folder in (b"/pair", b"/out"):
@@ -94,7 +94,7 @@ def test_names_that_are_no_utf_8_stand_in_no_file_as_half_characters(here):
                 json.dumps(json.loads(text), ensure_ascii=False).encode()
 
 
-def test_results_are_in_place_before_a_line_of_them_is_printed(here, monkeypatch, tmp_path):
+def test_results_are_written_before_anything_is_printed(here, monkeypatch, tmp_path):
     """A standard output that fails at the first character."""
 
     class Broken:
@@ -113,11 +113,11 @@ def test_results_are_in_place_before_a_line_of_them_is_printed(here, monkeypatch
 
 
 @pytest.mark.parametrize("verb", ["cosim", "check-effect", "simulate", "diagnose", "plan", "tune", "export"])
-def test_help_says_whose_code_is_run(verb):
+def test_help_warns_of_code_by_other_authors(verb):
     assert "its author's code" in " ".join(parser_of(verb)[0].format_help().split())
 
 
-def test_help_of_the_rig_says_so_too(capsys):
+def test_help_of_the_rig_warns_of_code_by_other_authors(capsys):
     for word in ("run", "replay"):
         with pytest.raises(SystemExit):
             main(["hil", word, "--help"])

@@ -1,4 +1,4 @@
-"""The identification study, short: enough records to see a wrong interval, not enough to see a slightly wrong one."""
+"""The identification study in short: enough records to detect a wrong interval, not a slightly wrong one."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def white():
 
 @pytest.fixture(scope="module")
 def coloured():
-    """Records whose noise remembers 0.1 s."""
+    """Records whose noise has a correlation time of 0.1 s."""
     return trials(RECORDS, memory=COLOURED)
 
 
@@ -49,15 +49,15 @@ def test_intervals_hold_the_truth_as_often_as_they_say(white):
 def test_intervals_hold_under_coloured_noise_where_white_ones_do_not(coloured):
     covered, error = share(coloured.covered[:, : len(BASE_PARAMETERS)])
     assert covered == pytest.approx(0.95, abs=3.0 * error)
-    # Also each by itself, so the pitch channel's pair, whose fits often end on a double pole at this noise.
+    # Also each alone, such as the pitch channel's pair, whose fits often end on a double pole at this noise.
     assert np.all(coloured.covered.mean(axis=0) > 0.95 - 4.0 * error)
     # Theory: white intervals are 6 to 7 times too short, and 1.96 / 6.5 standard deviations cover 24 %.
     naive, _ = share(coloured.covered_white)
     assert naive < 0.5
 
 
-def test_theory_of_the_noise_is_that_of_the_noise():
-    # Least squares for a level: the variance of a mean over what first-order noise gives, in closed form.
+def test_the_covariance_of_coloured_noise_is_the_closed_form():
+    # Least squares for a level: the variance of a mean of first-order noise in closed form.
     rows, memory = 5000, 0.1
     rho = np.exp(-STEP / memory)
     lags = np.arange(1, rows)
@@ -66,7 +66,7 @@ def test_theory_of_the_noise_is_that_of_the_noise():
     assert covariance(np.ones((rows, 1)), 2.0)[0, 0] == pytest.approx(4.0 / rows)
 
 
-def test_records_are_what_they_claim():
+def test_synthetic_records_have_their_moves_and_noise():
     rng = np.random.default_rng(1)
     record = commands(rng)
     moves = {name: np.flatnonzero(np.diff(record[name])) * STEP for name in ("omega_ref", "beta_ref")}
@@ -78,8 +78,8 @@ def test_records_are_what_they_claim():
     assert error.std() == pytest.approx(NOISE, rel=3.0 / np.sqrt(2.0 * len(record)))
 
 
-def test_forms_are_where_pairs_are_regular(white):
-    # What the response tells well: both sums within a per cent, where single constants of pitch are known to 4 and 7 %.
+def test_sums_of_lags_are_known_better_than_single_lags(white):
+    # The response determines both sums within a per cent, but the single constants of pitch to 4 and 7 %.
     known = dict(zip([*BASE_PARAMETERS, *FORMS], np.median(white.theory, axis=0), strict=True))
     for channel in ("omega", "beta"):
         total = TRUTH[f"tau_{channel}_1"] + TRUTH[f"tau_{channel}_2"]

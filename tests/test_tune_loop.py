@@ -1,4 +1,4 @@
-"""The compiled loop is the loop: kernel, FMUs and generated Python give the same bits; and what the controller is given."""
+"""The compiled loop gives the bits of kernel, FMUs and generated Python; and the measurement chain."""
 
 import numpy as np
 import pytest
@@ -82,7 +82,7 @@ def test_without_a_compiler_the_numbers_are_the_same(request):
         np.testing.assert_array_equal(loop.merits(sets, course), merits)
 
 
-def test_merits_are_the_records_own():
+def test_merits_are_those_of_the_record():
     loop, _, sets = loop_and_sets((), DUAL, {})
     course = Course.of(step_profile(), 0.004, 15.0, rest=IDLE)
     record = loop.run(sets, course)
@@ -93,13 +93,13 @@ def test_merits_are_the_records_own():
 
 
 def test_small_changes_of_the_set_point_are_no_steps():
-    """A ramp in 1000 stairs: a tick late is many stairs, and no overshoot."""
+    """A ramp of 1000 small steps: a delay of one sample spans many of them, and is no overshoot."""
     ramp = Record({"time": np.arange(1001) * 0.004, "thrust_set": np.linspace(2.0, 12.0, 1001)}, "ramp")
     loop, _, sets = loop_and_sets((), DUAL, {})
     assert loop.merits(sets, Course.of(ramp, 0.004, 15.0, rest=IDLE))[0, 1] == 0.0
 
 
-def test_many_sets_are_as_many_runs():
+def test_many_parameter_sets_at_once_equal_single_runs():
     loop, _, (values, chain, gains) = loop_and_sets(BENT, DUAL, ON_THE_WAY)
     course = Course.of(SHORT, 0.004, 15.0, noisy(ON_THE_WAY), rest=IDLE)
     plants = values * np.linspace(0.95, 1.05, 7)[:, None]
@@ -111,7 +111,7 @@ def test_many_sets_are_as_many_runs():
     np.testing.assert_array_equal(both, together)
 
 
-def test_a_run_that_leaves_all_bounds_costs_infinitely_much():
+def test_a_run_without_finite_numbers_has_an_infinite_cost():
     loop, _, (values, chain, gains) = loop_and_sets((), DUAL, {})
     course = Course.of(SHORT, 0.004, 15.0, rest=IDLE)
     assert np.isinf(loop.merits((np.full_like(values, np.nan), chain, gains), course)).all()
@@ -134,7 +134,7 @@ def readings(thrust, noise=None, **chain):
 THRUST = 8.0 + np.cumsum(np.random.default_rng(5).standard_normal(300))
 
 
-def test_a_chain_without_anything_gives_the_thrust_to_the_bit():
+def test_an_ideal_measurement_chain_gives_the_thrust_to_the_bit():
     np.testing.assert_array_equal(readings(THRUST), THRUST)
 
 

@@ -1,4 +1,4 @@
-"""Tuning any rig: its limits, a profile that its controllers can follow, first gains at its pace; channels that are fixed."""
+"""Tuning any rig: its limits, a reachable profile, first gains scaled to its speed of response, and fixed channels."""
 
 import json
 from dataclasses import asdict, replace
@@ -10,7 +10,6 @@ from builders import FAST_PITCH
 from identification.tune.controllers import DESIGNED, controllers, sampling
 from identification.tune.profile import common_reach, rig_profile
 from identification.tune.tune import Task
-from vpp_fmu.app import cli
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL
 from vpp_fmu.kernel.plant import FINE_TUNED, plant
@@ -25,7 +24,7 @@ PACE = {"micro": 0.3, "large": 3.0}
 
 
 def on(rig, slower=1.0, **values):
-    """The paper's model, normalised, on another rig and at another pace."""
+    """The paper's normalised model on another rig, with other time scales."""
     lags = {name: slower * value for name, value in {**FINE_TUNED, **FAST_PITCH}.items() if name.startswith("tau")}
     return ParameterSet(plant(scales=rig.scales), source={"rig": rig.summary()}).replaced({**lags, **values})
 
@@ -47,7 +46,7 @@ def any_rig(rng):
     return Rig("any", speed, pitch, thrust, scales=scales)
 
 
-def test_no_rig_is_asked_for_what_it_can_not_give():
+def test_the_profile_stays_within_the_reach_of_random_rigs():
     rng = np.random.default_rng()
     for _ in range(100):
         rig = any_rig(rng)
@@ -80,7 +79,7 @@ def test_first_gains_hold_another_rig_within_its_limits(rig):
 
 @pytest.mark.parametrize("slower", [0.25, 4.0])
 def test_scaled_gains_are_the_same_loop_at_another_pace(slower):
-    """Plant, sampling, filter and gains all r times as slow: the same numbers, sample by sample."""
+    """Plant, sampling, filter and gains are all r times as slow: the same numbers, sample by sample."""
     shown = []
     for r in (1.0, slower):
         rig = Rig(scales=replace(PAPER, time_scale=0.5 * r))
@@ -142,10 +141,9 @@ def short_search(monkeypatch):
     monkeypatch.setattr("identification.tune.rounds.ROUNDS", 1)
 
 
-def test_the_command_on_a_rig_of_fixed_pitch(tmp_path, capsys, short_search):
+def test_the_command_on_a_rig_of_fixed_pitch(tmp_path, printed, short_search):
     (tmp_path / "plant.json").write_text(to_json(on(fixed(pitch=(10.0, 10.0)), PACE["micro"])))
-    assert cli.main(["tune", "--parameters", str(tmp_path / "plant.json"), "-o", str(tmp_path / "out")]) == 0
-    said = capsys.readouterr().out
+    said = printed("tune", "--parameters", tmp_path / "plant.json", "-o", tmp_path / "out")
     assert "no gains for both actuators: the rig's pitch is fixed at 10 deg" in said
     assert "6660 to 20000 rpm, 10 deg" in said
     assert not (tmp_path / "out" / "gains.json").exists()

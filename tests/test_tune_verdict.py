@@ -1,4 +1,4 @@
-"""Tuned gains are handed out only if no step settles later, overshoots or rings more: held in the search, judged after it."""
+"""Tuned gains are chosen only if no step settles later, overshoots or rings more, in the search and after it."""
 
 from dataclasses import replace
 
@@ -32,11 +32,11 @@ DIAGNOSED = {
     "c12": -0.1826,
     "c30": -0.08796,
 }
-"""What a diagnosis makes of the example campaign, with the help's own --assume tau_beta_2=0.05."""
+"""Diagnosed parameters of the example campaign, with --assume tau_beta_2=0.05 as in the help."""
 
 CREEPING = np.array([1.7208, 5.7744, 24.6139, 10.4041, 0.0, 0.0])
-"""Gains that follow it for less cost than the published ones, within the limits on overshoot and sensitivity, and creep: the
-first step has not settled when the next one comes."""
+"""Gains of less cost than the published ones, within the limits on overshoot and sensitivity, with a slow tail: the first step
+has not settled when the next one comes."""
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def example():
 
 
 def response(time, thrust, wanted=1.0):
-    """A record of a step from 0 to `wanted` N at 0 s; the first row stands before it."""
+    """A record of a step from 0 to `wanted` N at 0 s; the first row is before it."""
     time, thrust = np.r_[-1.0, time], np.r_[0.0, thrust]
     return Record({"time": time, "thrust_set": np.r_[0.0, np.full(len(time) - 1, wanted)], "thrust": thrust}, "made up")
 
@@ -59,7 +59,7 @@ def response(time, thrust, wanted=1.0):
 @pytest.mark.parametrize("damping", [0.2, 0.5, 0.7])
 @pytest.mark.parametrize("size", [1.0, -8.0])
 def test_a_second_order_loop_overshoots_and_rings_as_the_textbook_says(damping, size):
-    """exp(-pi zeta / sqrt(1 - zeta^2)) beyond, and the square of that back."""
+    """The overshoot is exp(-pi zeta / sqrt(1 - zeta^2)), and the following undershoot is its square."""
     time, root = np.linspace(0.0, 30.0, 30001), np.sqrt(1.0 - damping**2)
     thrust = 1.0 - np.exp(-damping * time) * (np.cos(root * time) + damping / root * np.sin(root * time))
     (step,) = steps(response(time, size * thrust, size))
@@ -75,8 +75,8 @@ def test_a_response_that_never_comes_back_does_not_ring(thrust):
     assert step.ringing == 0.0
 
 
-def test_gains_that_cost_less_and_settle_later_are_not_handed_out(example, monkeypatch):
-    """The search is made to bring them, so that the verdict alone stands between them and the user."""
+def test_gains_that_cost_less_and_settle_later_are_not_chosen(example, monkeypatch):
+    """The search is replaced by one that returns such gains, so that only the verdict can reject them."""
     task, settings = example
     objective = task.objective(settings)
     cost = objective.cost(CREEPING)
@@ -102,8 +102,8 @@ def test_gains_that_cost_less_and_settle_later_are_not_handed_out(example, monke
     assert "not settled worse" in page
 
 
-def test_the_search_holds_what_the_first_gains_do(example, monkeypatch):
-    """The same plant: left to itself the search brings gains that settle no later, and they are handed out."""
+def test_the_search_keeps_the_settling_times_of_the_first_gains(example, monkeypatch):
+    """On the same plant the real search finds gains that settle no later, and they are chosen."""
     monkeypatch.setattr("identification.tune.tune.SHAKES", (0, 0))
     task, settings = example
     found = tune(task, {"dual": settings}).tuned["dual"]
@@ -117,7 +117,8 @@ def test_the_search_holds_what_the_first_gains_do(example, monkeypatch):
 
 
 def test_later_settling_costs_in_the_search_as_far_as_it_is_late(example):
-    """ln(1.01 error / band), ten times over, at the worst sample after the one that the reference has to spare."""
+    """Ten times ln(1.01 error / band), at the worst sample after the settling time of the reference and one sample of
+    tolerance."""
     task, settings = example
     free = task.objective(settings)
     limited = replace(free, reference=free.steps(free.gains))
@@ -143,7 +144,7 @@ SOUND = Margins(True, 4.0, 0.0, 40.0, 10.0, 0.02, 1.5)
 
 
 class Loop:
-    """As much of an objective as a verdict looks at: two steps, of which the second is changed by what is given."""
+    """The part of an objective that a verdict uses: two steps, the second of which can be changed."""
 
     overshoot, sensitivity = 0.01, 2.0
     course = Course(np.zeros(2), np.zeros(2), 0.004, 15.0)
@@ -188,7 +189,7 @@ def test_a_step_is_worse_by_more_than_a_sample_or_beyond_the_limit(other, worse)
         (replace(SOUND, sensitivity=2.0), ""),
     ],
 )
-def test_margins_may_not_break_what_they_kept(margins, worse):
+def test_margins_that_were_kept_may_not_be_lost(margins, worse):
     found = verdict(Loop(), "other", ((SOUND,), (SOUND, margins)), (1.0, 0.5))
     assert found.better == (not worse)
     assert worse in found.words()
@@ -198,7 +199,7 @@ def test_margins_may_not_break_what_they_kept(margins, worse):
     ("other", "cost", "better"),
     [({}, 0.9995, False), ({}, 0.998, True), ({"settling": 0.3}, 0.9995, True), ({"settling": 0.3}, 1.001, False)],
 )
-def test_less_cost_than_a_search_resolves_is_no_gain_by_itself(other, cost, better):
+def test_a_decrease_below_the_resolution_of_the_search_is_no_gain(other, cost, better):
     found = verdict(Loop(**other), "other", ((SOUND,), (SOUND,)), (1.0, cost))
     assert isinstance(found, Verdict)
     assert found.better == better

@@ -1,4 +1,4 @@
-"""A line that turns with the rotor: found whatever its phase, its size told, and nothing else taken for it."""
+"""A vibration at the rotor's speed: detected at any phase, with its size, and nothing else is taken for it."""
 
 from types import SimpleNamespace
 
@@ -12,11 +12,11 @@ from vpp_fmu.record import Record
 STEP, SECONDS = 0.004, 30.0
 TIME = np.arange(0.0, SECONDS, STEP)
 SPEED = 3000.0 + 1200.0 * np.sin(2.0 * np.pi * TIME / 11.0)
-"""rpm: from 30 to 70 turns a second, mains' 50 among them."""
+"""rpm: 30 to 70 turns a second, which includes the mains' 50 Hz."""
 
 
 def fit_of(readings, speed=SPEED):
-    """A model that predicts this speed and no thrust, beside records of the readings."""
+    """A model that predicts this speed and no thrust, with records of the readings."""
     commands = {"omega_ref": speed, "beta_ref": np.zeros(len(TIME))}
     records = [SimpleNamespace(record=Record({"time": TIME, **commands, "thrust": r}, "made")) for r in readings]
     experiment = SimpleNamespace(records=records, converter=SimpleNamespace(reads=lambda thrust: thrust))
@@ -25,7 +25,7 @@ def fit_of(readings, speed=SPEED):
 
 
 def noise(rng, rho=0.0):
-    """0.1 N of it."""
+    """Noise of 0.1 N with the autocorrelation rho."""
     return 0.1 * np.sqrt(1.0 - rho**2) * lfilter([1.0], [1.0, -rho], rng.standard_normal(len(TIME)))
 
 
@@ -34,31 +34,31 @@ def line(phase, speed=SPEED, amplitude=0.05):
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.9])
-def test_a_vibration_of_any_phase_is_found_and_its_size_told(rho):
+def test_a_vibration_of_any_phase_is_found_with_its_size(rho):
     rng = np.random.default_rng(1)
     found = rotor_order_test(fit_of([line(phase) + noise(rng, rho) for phase in (0.3, 2.4)]))
     assert found.p < 1e-6
     assert found.size == pytest.approx(0.05 / np.sqrt(2.0), rel=0.1)
 
 
-def test_a_speed_that_is_off_by_a_hundredth_still_meets_it():
+def test_a_vibration_is_found_despite_a_speed_error_of_one_per_cent():
     found = rotor_order_test(fit_of([line(1.0, 1.01 * SPEED) + noise(np.random.default_rng(2))]))
     assert found.p < 1e-6
 
 
-def test_a_hum_is_none():
+def test_mains_hum_is_not_taken_for_a_vibration():
     hum = 0.1 * np.sin(2.0 * np.pi * 50.0 * TIME)
     found = rotor_order_test(fit_of([hum + noise(np.random.default_rng(3))]))
     assert found.p > 0.001
 
 
-def test_at_one_speed_nothing_tells_it_from_a_hum():
+def test_at_constant_speed_a_vibration_is_not_distinguished_from_hum():
     steady = np.full(len(TIME), 3000.0)
     assert rotor_order_test(fit_of([line(0.0, steady) + noise(np.random.default_rng(4))], steady)).p == 1.0
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.9])
-def test_of_noise_it_is_found_as_often_as_its_level_says(rho):
+def test_noise_alone_is_rejected_at_the_level(rho):
     """At 5 % in 5 % of 300 draws, within 3 standard errors."""
     rng = np.random.default_rng(5)
     p = np.array([rotor_order_test(fit_of([noise(rng, rho)])).p for _ in range(300)])

@@ -1,4 +1,4 @@
-"""Records of the same commands: simulated once, fitted together, and what they share is not taken for independent."""
+"""Records of the same commands: simulated once, fitted together, and common errors are not taken for independent ones."""
 
 import tracemalloc
 
@@ -22,7 +22,7 @@ CALM = 0.05
 
 @pytest.fixture(scope="module")
 def records():
-    """Two records of the same commands with noise of their own, and one of other commands."""
+    """Two records of the same commands with independent noise, and one of other commands."""
     rng = np.random.default_rng(0)
     orders = commands(rng, SECTION)
     return [measured(orders, rng), measured(orders, rng), measured(commands(rng, SECTION), rng)]
@@ -52,7 +52,7 @@ def test_records_of_the_same_commands_are_simulated_once_and_their_thrust_is_ave
 
 
 def test_a_long_record_costs_no_more_memory_than_its_rows_and_two_jacobians():
-    """Twenty pieces: all outputs' sensitivities would be three Jacobians of the thrust."""
+    """Twenty pieces: the sensitivities of all outputs would be three Jacobians of the thrust."""
     rows = 20 * PIECE
     commands = {"omega_ref": np.where(np.arange(rows) // 500 % 2, 4000.0, 5000.0), "beta_ref": np.full(rows, 5.0)}
     record = Record({"time": STEP * np.arange(rows), **commands, "thrust": np.zeros(rows)}, "made")
@@ -78,14 +78,14 @@ def test_a_reading_that_one_of_two_records_lacks_counts_in_neither(records):
     assert experiment.sizes["thrust"] == int(np.isfinite(holed["thrust"]).sum())
 
 
-def test_the_same_record_twice_tells_nothing_new(records):
+def test_the_same_record_twice_adds_no_information(records):
     once, twice = fit(records[:1]), fit([records[0], records[0]])
     np.testing.assert_allclose(twice.uncertainty.values, once.uncertainty.values, rtol=1e-6)
     np.testing.assert_allclose(twice.uncertainty.std, once.uncertainty.std, rtol=1e-5)
     np.testing.assert_allclose(twice.uncertainty.inflation, once.uncertainty.inflation, rtol=1e-5)
 
 
-def test_the_same_record_twice_weighs_against_knowledge_as_once(records):
+def test_the_same_record_twice_has_the_weight_of_one_against_a_prior(records):
     names = ("c20", "c21")
     prior = Prior(names, np.array([0.36, 0.81]), np.diag([1e-5, 1e-5]))
     found = [refine(BASE, part, AVERAGED, prior=prior, channels=("thrust",)) for part in (records[:1], [records[0]] * 2)]
@@ -94,7 +94,7 @@ def test_the_same_record_twice_weighs_against_knowledge_as_once(records):
     np.testing.assert_allclose(twice.std, once.std, rtol=1e-3)
 
 
-def test_noise_of_its_own_halves_the_variance():
+def test_independent_noise_halves_the_variance():
     ratios = []
     for seed in range(6):
         rng = np.random.default_rng(seed)
@@ -115,8 +115,8 @@ def theory(problem) -> np.ndarray:
     return np.sqrt(np.diag(inner @ covariance(of_thrust, CALM) @ inner.T))
 
 
-def test_what_both_records_share_counts_as_shared(records):
-    """A slow error of the model in both, larger than the noise: a second record brings next to nothing."""
+def test_an_error_shared_by_both_records_is_not_averaged_out(records):
+    """A slow model error in both, larger than the noise: a second record hardly improves the estimate."""
     time = np.arange(len(records[0])) * STEP
     wave = 0.5 * np.sin(2.0 * np.pi * time / 3.0) * np.sin(2.0 * np.pi * time / 23.0)
     shared = [record.with_columns(thrust=record["thrust"] + wave) for record in records[:2]]
@@ -125,8 +125,8 @@ def test_what_both_records_share_counts_as_shared(records):
     assert np.median(ratio) > 0.85
 
 
-def test_the_bootstrap_draws_them_alike(records):
+def test_the_bootstrap_draws_the_same_blocks_from_repeated_records(records):
     short = records[0].part(slice(0, None, 3))
     once, twice = (bootstrap(fit(part), 60, seed=1) for part in ([short], [short, short]))
-    # Drawn apart it would be 0.71; sixty samples know a deviation to 9 %, the nine hang together.
+    # With separate draws it would be 0.71; sixty samples give a deviation to 9 %, and the nine are correlated.
     assert np.median(twice.std / once.std) == pytest.approx(1.0, abs=0.2)

@@ -1,4 +1,4 @@
-"""What is offered to pythonfmu and fmpy upstream: the tests of the patches, against what is installed."""
+"""Patches offered to pythonfmu and fmpy: their tests run against the installed packages."""
 
 import importlib.util
 import os
@@ -23,7 +23,7 @@ PATCHES = {
     # an error since numpy 2.4, a warning before
     "fmpy-0.3.32-single-row": ([["2", "1"]], "only 0-dimensional arrays can be converted|an array with ndim > 0 to a scalar"),
 }
-"""Lines added and taken away in the source, and a pattern of what the test says while the installed package needs the patch."""
+"""Lines added and removed in the source, and a pattern of the test's output while the installed package needs the patch."""
 each_patch = pytest.mark.parametrize("name", PATCHES)
 
 
@@ -39,7 +39,7 @@ def added(name: str) -> str:
 
 
 def ran(name: str, folder: Path, **environment: str) -> subprocess.CompletedProcess:
-    """The test that a patch adds, run in a folder. What numpy announces to become an error is one."""
+    """Run the test that a patch adds, in a folder. Numpy's announcement of a future error counts as an error."""
     test = folder / "test_offered.py"
     test.write_text(added(name))
     run = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--rootdir", str(folder), str(test)]
@@ -48,10 +48,10 @@ def ran(name: str, folder: Path, **environment: str) -> subprocess.CompletedProc
 
 
 @each_patch
-def test_the_installed_package_still_needs_the_mend(name, tmp_path):
-    """A slave of pythonfmu's own dies after an exception, or as the process ends; fmpy refuses an input of one row. Once this
-    fails, the patch or its like is in, and what is there instead must go: in fmu_src/slave.py `_kept` takes references that
-    nobody drops, and `_release_at_exit` is idle; fmu_src/README.md tells to write constant inputs twice."""
+def test_the_installed_package_still_needs_the_patch(name, tmp_path):
+    """pythonfmu's slave crashes after an exception, or at the end of the process; fmpy refuses an input of one row. Once this
+    test fails, the patch or its like is in, and the workarounds must go: in fmu_src/slave.py `_kept` takes references that
+    nobody drops, and `_release_at_exit` is idle; fmu_src/README.md advises to write constant inputs twice."""
     done = ran(name, tmp_path)
     if "1 skipped" in done.stdout:
         pytest.skip("no C compiler")
@@ -59,8 +59,8 @@ def test_the_installed_package_still_needs_the_mend(name, tmp_path):
     assert re.search(PATCHES[name][1], done.stdout), done.stdout
 
 
-def test_fmpy_holds_the_only_row_once_it_is_mended(tmp_path):
-    """The patch on a copy of the installed fmpy: its test passes, and the command gives what two equal rows give."""
+def test_patched_fmpy_holds_an_input_of_one_row(tmp_path):
+    """The patch on a copy of the installed fmpy: its test passes, and one row gives the result of two equal rows."""
     source = tmp_path / "src" / "fmpy"
     shutil.copytree(Path(importlib.util.find_spec("fmpy").origin).parent, source, ignore=shutil.ignore_patterns("__pycache__"))
     apply = ["git", "apply", "--include=src/*", str(patch("fmpy-0.3.32-single-row"))]
@@ -81,8 +81,8 @@ def test_fmpy_holds_the_only_row_once_it_is_mended(tmp_path):
     assert one == two
 
 
-def test_a_script_that_ran_our_fmu_ends_in_spite_of_it(tmp_path):
-    """A round of the study `exits`: the same host, in which pythonfmu's own slave dies, and ours without its mend."""
+def test_a_script_that_ran_our_fmu_ends_without_a_crash(tmp_path):
+    """One round of the study `exits`: the same host, with pythonfmu's slave, which crashes, and ours without its workaround."""
     if not (shutil.which("cc") and sys.platform == "linux"):
         pytest.skip("no C compiler on Linux")
     found = exits.ended(tmp_path, 1, 300.0)
@@ -91,7 +91,7 @@ def test_a_script_that_ran_our_fmu_ends_in_spite_of_it(tmp_path):
 
 @each_patch
 def test_the_patch_is_one_that_git_reads(name, tmp_path):
-    """Its counts of lines are right; what it changes is not at hand here."""
+    """Its line counts are right; the files that it changes are not here."""
     read = ["git", "apply", "--numstat", str(patch(name))]
     done = subprocess.run(read, cwd=tmp_path, check=False, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
