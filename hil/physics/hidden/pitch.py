@@ -8,11 +8,10 @@ from math import pi
 
 from hil.physics.linear import Pair, moved
 from hil.physics.pitch_actuator import full_speed
-from vpp_fmu.kernel.types import Effect, Parameter, State
+from vpp_fmu.kernel.types import INSTANT, Effect, Parameter, State
 
 NEVER = 1e6  # s
 UNLIMITED = 1000.0  # deg/s
-NOW = 1e-9  # s
 
 COUNTS = 1024
 """Counts of the LAC's converter over the actuator's travel."""
@@ -40,7 +39,7 @@ COMMAND_DELAY = Effect(
 
 def _average(ops, s, x, p, dt):
     counts, clock = p.frame > 0.0, x.clock + dt
-    due = ops.where(counts, clock, -1.0) > p.frame - NOW
+    due = ops.where(counts, clock, -1.0) > p.frame - INSTANT
     seen = s.beta_ref, x.first, x.second, x.third
     kept = x.first, x.second, x.third, x.fourth
     first, second, third, fourth = (ops.where(due, new, old) for new, old in zip(seen, kept, strict=True))

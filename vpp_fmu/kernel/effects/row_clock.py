@@ -10,13 +10,10 @@ command moves, of that command. Rows of unequal length distinguish it from both,
 The reading is held between the ends of rows. Signals are linear over a step.
 """
 
-from vpp_fmu.kernel.types import Effect, Parameter, Signal, State
+from vpp_fmu.kernel.types import INSTANT, Effect, Parameter, Signal, State
 
 OLDEST = 3
 """Maximum age of a reading, in rows."""
-
-NOW = 1e-9
-"""Tolerance of an instant, s, for rounding of the pieces of a step."""
 
 READINGS = {"thrust": "N", "omega": "rpm"}
 
@@ -24,11 +21,11 @@ READINGS = {"thrust": "N", "omega": "rpm"}
 def _step(ops, s, x, p, dt):
     logged = ops.where(p.age > 0.0, s.row_time, 0.0) > 0.0
     over = x.since + dt - s.row_time
-    ends = over > -NOW
+    ends = over > -INSTANT
     since = ops.where(ends, ops.clip(over, 0.0, s.row_time), x.since + dt)
     whole = sum(ops.where(p.age > float(k), 1.0, 0.0) for k in range(1, OLDEST))
     ahead_of_reading = (1.0 - (p.age - whole)) * s.row_time - x.since
-    reads = ops.where(ahead_of_reading > -NOW, dt + NOW - ahead_of_reading, 0.0) > 0.0
+    reads = ops.where(ahead_of_reading > -INSTANT, dt + INSTANT - ahead_of_reading, 0.0) > 0.0
     signals, ahead = {}, {"since": since}
     for name in READINGS:
         now, before = getattr(s, name), getattr(x, f"{name}_before")
