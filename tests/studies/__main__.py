@@ -33,6 +33,7 @@ from . import (
     refusals,
     rigs,
     rules,
+    size,
     tuning,
     twin,
 )
@@ -65,6 +66,7 @@ STUDIES = {
     "refusals": refusals.main,
     "rigs": rigs.main,
     "rules": rules.main,
+    "size": size.main,
     "tuning": tuning.main,
     "twin": twin.main,
 }

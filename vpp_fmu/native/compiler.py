@@ -117,16 +117,14 @@ def _is_own(status: os.stat_result) -> bool:
 
 
 def _build(cc: str, source: str, library: Path) -> None:
-    """Compile to a file atomically: processes may compile the same, and the power may fail. OSError, CompilerMissing."""
+    """Compile to a file atomically, since processes may compile the same. A file that a power cut damages has a wrong hash.
+    OSError, CompilerMissing."""
     with contextlib.closing(Scratch(library.parent)) as work:
         (work.path / "model.c").write_text(source, encoding="utf-8")
         _run([cc, *FLAGS, *_vectors(), "model.c", "-o", "model.so", "-lm"], work.path)
         built = work.path / "model.so"
         with open(built, "r+b") as file:
-            digest = HASH(file.read()).digest()
-            file.write(digest)
-            file.flush()
-            os.fsync(file.fileno())  # without it a power cut can leave an empty file
+            file.write(HASH(file.read()).digest())
         built.chmod(0o600)
         os.replace(built, library)
     _evict(library)
