@@ -238,12 +238,14 @@ def _stamp(text: str) -> tuple[tuple[int, int, int] | None, float] | None:
     """(three numbers of a date in written order, or None; s of the day, in UTC if the offset is given). None: no stamp."""
     if minutes := _MINUTES.fullmatch(text):
         return None, 60.0 * int(minutes[1]) + int(minutes[2]) + float(f"0.{minutes[3]}")
-    found = _STAMP.fullmatch(text)
+    days = re.match(r"(\d+) days? ", text)  # a duration, as pandas writes it
+    found = _STAMP.fullmatch(text[days.end() :] if days else text)
     if found is None or not text or (found.group(1) is None and found.group(4) is None):
         return None
     a, b, c, hour, minute, second, fraction, half, zone = found.groups()
     hours = int(hour or 0) % 12 + 12 * (half.lower() == "pm") if half else int(hour or 0)
     seconds = 3600.0 * hours + 60.0 * int(minute or 0) + int(second or 0) + (float(f"0.{fraction}") if fraction else 0.0)
+    seconds += 86400.0 * int(days[1]) if days else 0.0
     if zone and zone[0] in "+-":
         seconds -= (1.0 if zone[0] == "+" else -1.0) * (3600.0 * int(zone[1:3]) + 60.0 * int(zone[-2:]))
     return (None if a is None else (int(a), int(b), int(c))), seconds

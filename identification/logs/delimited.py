@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from identification.logs.pairs import named_values
+from identification.logs.pairs import STAMP, named_values
 from identification.logs.raw_table import EMPTY, RawTable, plain
 from identification.logs.units import QUANTITIES, factor_of, is_unit
 from vpp_fmu.errors import BadInput
@@ -39,7 +39,7 @@ _HEAD = 40
 """Lines after the first row of numbers in which names may still come."""
 
 _NUMBER = re.compile(r"[+-]?(\d[\d'\u2019\xa0\u202f.,]*|[.,]\d+)([eEdD][+-]?\d+)?")
-_TIME = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}([T ].*)?|\d{1,2}:\d{2}(:\d{2})?([.,]\d+)?(\s*[AaPp][Mm])?")
+_TIME = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}([T ].*)?|(\d+ days? )?\d{1,2}:\d{2}(:\d{2})?([.,]\d+)?(\s*[AaPp][Mm])?")
 _BOTH = re.compile(r"[+-]?\d{1,3}(?:([.,])\d{3})+([.,])\d*")
 
 
@@ -62,8 +62,15 @@ def read_delimited(path: str | os.PathLike, given: Mapping[str, str]) -> RawTabl
         left_out = {"comments": len(notes), "lines without these values": len(body) - len(data)}
         named = ""
     else:
+        stamps = [STAMP.match(line) for _, line in body]
+        if 2 * sum(map(bool, stamps)) > len(body):  # a serial monitor has written its time before each line
+            body = [(i, line[stamp.end() if stamp else 0 :]) for (i, line), stamp in zip(body, stamps, strict=True)]
+        else:
+            stamps = []
         delimiter = _delimiter(path, body, given.get("delimiter"), declared.group(1) if declared else None)
         rows = [(i, _cells(line, delimiter)) for i, line in body]
+        for (_, row), stamp in zip(rows, stamps, strict=False):
+            row.append(stamp[1] if stamp and any(map(_is_value, row)) else "monitor")
         width = _width(path, rows)
         head, data, dropped = _parts(path, rows, width, delimiter)
         if not head and (commented := _commented_head(notes, data[0][0], delimiter, width)):
@@ -276,7 +283,8 @@ def _header(path, head, width: int) -> tuple[list[str], list[str], int]:
     twice = len(rows) > 1 and any(n > 1 for unit, n in Counter(rows[0]).items() if unit)  # names differ: LabVIEW's units
     units = next((k for k, row in enumerate(rows) if (k or twice) and _units(row)), None)
     distinct = [k for k, row in enumerate(rows) if all(row[:-1]) and len(set(row)) == width]
-    named = units - 1 if units and (units - 1 in distinct or not distinct) else max(distinct, default=0)
+    most = max(range(len(rows)), key=lambda k: (k != units, len(set(rows[k])), k))  # X_Value before each name: LabVIEW
+    named = units - 1 if units and (units - 1 in distinct or not distinct) else max(distinct, default=most)
     names = []
     for k, name in enumerate(rows[named], 1):
         clean = " ".join(name.split())

@@ -11,7 +11,7 @@ _NAME = r"[^\W\d][\w.]*(?:[ -][\w.]+)*(?:\s*[(\[][^()\[\]]*[)\]])?"
 _VALUE = r"[+-]?\d+(?:[.,]\d+)*(?:[eE][+-]?\d+)?|[+-]?[.,]\d+|(?i:nan|null|none|inf|-inf)\b"
 _UNIT = r"[^\W\d_]{1,9}(?:/[a-z]{1,4})?|%|°"
 _PAIR = re.compile(rf"[\"']?({_NAME})[\"']?\s*[=:]\s*[\"']?({_VALUE})[\"']?(?:\s*({_UNIT})(?!\s*[=:(\[]))?(?=[\s,;|}}\]]|$)")
-_STAMP = re.compile(r"\s*(\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\s*->\s*")
+STAMP = re.compile(r"\s*(\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\s*->\s*")
 """The time that the Arduino's serial monitor writes before a line."""
 
 _BETWEEN = re.compile(r"[\s,;|{}\[\]]*")
@@ -35,7 +35,7 @@ def named_values(body: Sequence[tuple[int, str]], look: int) -> tuple[list[str],
 
 def _pairs(line: str) -> list[tuple[str, str]]:
     """(name, value with its unit) of each pair; empty if the line contains anything else."""
-    stamp = _STAMP.match(line)
+    stamp = STAMP.match(line)
     pairs, place = [("time", stamp[1])] if stamp else [], stamp.end() if stamp else 0
     while place < len(line):
         place = _BETWEEN.match(line, place).end()
