@@ -3,6 +3,7 @@
 import json
 import os
 import re
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
@@ -39,11 +40,17 @@ COUNTS_FROM = 1000.0
 FAST = 3000.0
 """rad/s, above any rotor's speed: larger numbers named omega are rpm."""
 
+MOST_NAMES = 50
+"""Most different names in the cells of a column that names signals."""
+
+_AXIS = re.compile(r"(?<=[^a-z])f?[xyz](?![a-z])|^f[xyz](?![a-z])")
+_ATTITUDE = re.compile(r"pi?tch|roll|yaw")
+
 MOVES = 2.0
 """deg: an angle that moves by more is not one of the stand."""
 
 _TELLING = {
-    "omega": ("rpm", "RPM", "1/min", "U/min", "rev/min", "rev/s", "rps", "krpm", "tr/min", "giri/min", "UPM"),
+    "omega": ("rpm", "RPM", "1/min", "U/min", "rev/min", "r/min", "rev/s", "r/s", "rps", "krpm", "tr/min", "giri/min", "UPM"),
     "beta": ("deg", "°", "rad"),
     "thrust": ("N", "mN", "kN", "kgf", "gf", "lbf", "ozf"),
     "torque": ("Nm", "N.m", "N·m", "N*m", "mNm", "Ncm"),
@@ -60,12 +67,12 @@ _WORDS = {
     "time": "time t timestamp zeit uhrzeit datetime clock elapsed seconds epoch utc sec millis micros stamp x "
     "temps tiempo tempo",
     "thrust": "thrust fz force schub schubkraft kraft load loadcell lift f poussee poussée empuje spinta newton",
-    "omega": "omega rpm speed n drehzahl rotor rot motorspeed optical rev tach tacho tachometer velocity w vitesse giri",
+    "omega": "omega rpm speed n drehzahl rotor rot motorspeed optical rev erpm tach tacho tachometer velocity w vitesse giri",
     "beta": "beta pitch blade collective anstellwinkel blattwinkel bladeangle bladepitch angle servo theta alpha aoa "
     "winkel paso passo pas",
     "signal": "esc throttle pwm dshot gas",
     "voltage": "voltage volt volts u vbat vbatt spannung v vin battery",
-    "current": "current amp amps ampere i ibat strom ibatt",
+    "current": "current curr amp amps ampere i ibat strom ibatt",
     "torque": "torque drehmoment mz",
     "power": "",
     "run": "run step stepnumber lauf test",
@@ -95,6 +102,8 @@ _COMMAND = _words(
 _NOISE = _words("motor prop propeller signal measured meas medida medido ist actual value raw rotor sensor channel ch filtered")
 _MEASURED = _words("measured meas ist actual feedback fb pos position medida")
 _ELECTRIC = _words("electrical electric elec el dc in input battery supply esc")
+_SERVO = _words("servo servos")
+SIDES = _words("left right front rear upper lower a b")
 _COUNTS = _words("adc counts count digits lsb ticks")
 _NOT = _words("mx my power watt efficiency acc accx accy accz vibration temperature temp esc2 cell moment")
 
@@ -215,13 +224,15 @@ def propose(table: RawTable, without: Collection[str] = ()) -> dict[str, Column]
     for place, name in enumerate(table.columns):
         if name not in without and (found := proposed(table, name)):
             quantity, score, column = found
-            _, moving = _alive(table, name, quantity)
-            if column.sure == GUESS and not moving:
+            moving = moves(table, name)
+            if (column.sure == GUESS and not moving) or (quantity == "time" and not _filled(table, name)):
                 continue
             key = (moving, score, -place)
             if quantity not in best or key > best[quantity][0]:
                 best[quantity] = key, column
     found = {quantity: best[quantity][1] for quantity in QUANTITIES if quantity in best}
+    if "thrust" in found:
+        found["thrust"] = _of_largest_axis(table, found["thrust"], without)
     return {q: c for q, c in found.items() if not any(other in found for other in _INSTEAD.get(q, ()))}
 
 
@@ -263,7 +274,7 @@ def moving_angle(table: RawTable, taken: Collection[str]) -> tuple[str, str, flo
     for name in table.columns:
         tail = re.split(r"[\W_]+", name)[-1]
         unit = table.unit(name) or (tail if tail in _PLAIN else "")
-        if name in taken or not unit or not _fits("beta", unit) or not _numeric(table, name):
+        if name in taken or not unit or not _fits("beta", unit) or not _numeric(table, name) or _attitude(table, name):
             continue
         seen = _seen(table, name)
         if len(seen) and np.ptp(seen) * factor_of(QUANTITIES["beta"], unit) > MOVES:
@@ -291,7 +302,7 @@ def _unscaled(quantity: str, tokens: Collection[str], seen: np.ndarray) -> bool:
     """Whether numbers without a unit are no angle or no force: a servo's command, counts, large numbers."""
     if quantity == "thrust":
         return bool(_COUNTS & set(tokens)) or ("raw" in tokens and bool(np.abs(seen).max(initial=0.0) > COUNTS_FROM))
-    return quantity in ("beta", "beta_ref") and ("servo" in tokens or bool(np.abs(seen).max(initial=0.0) > STEEP))
+    return quantity in ("beta", "beta_ref") and (bool(_SERVO & set(tokens)) or bool(np.abs(seen).max(initial=0.0) > STEEP))
 
 
 def _seen(table: RawTable, name: str) -> np.ndarray:
@@ -322,13 +333,13 @@ def _meant(table: RawTable, name: str) -> tuple[str, float, list[str], str]:
         return exact, 3.0, tokens, tail
     if {"power", "p"} & set(tokens) and _ELECTRIC & set(tokens) and _fits("power", table.unit(name) or tail):
         return "power", 1.0, tokens, tail
-    if not tokens or set(tokens) & _NOT:
+    if set(tokens) & _NOT or _attitude(table, name):
         return "", 0.0, tokens, tail
-    command = any(_commands(t) for t in tokens) or ("servo" in tokens and not set(tokens) & _MEASURED)
-    scores = {q: _score([t for t in tokens if t not in _COMMAND], words.split()) for q, words in _WORDS.items()}
+    command = any(_commands(t) for t in tokens) or (bool(_SERVO & set(tokens)) and not set(tokens) & _MEASURED)
+    scores = {q: _score([t for t in tokens if t not in _COMMAND], words.split(), q) for q, words in _WORDS.items()}
     of_esc = not any(_is(t, word) for t in tokens if t != "esc" for word in _WORDS["signal"].split())
-    if scores["beta"] > 0.0 or (of_esc and max(scores["omega"], scores["voltage"], scores["current"]) > 0.0):
-        scores["signal"] = 0.0  # "servo pwm" is no motor's, and "esc rpm" is a speed
+    if scores["beta"] > 0.0 or (of_esc and not {*tokens} <= {"esc", "us"} | SIDES | _NOISE | _COMMAND):
+        scores["signal"] = 0.0  # "servo pwm" is no motor's, and "esc rpm" and "esc err" are readings
     quantity = max(scores, key=scores.get)
     unit = table.unit(name) or ""
     if scores[quantity] <= 0.0 or (unit and quantity not in ("omega", "beta") and not _fits(quantity, unit)):
@@ -343,6 +354,8 @@ def _meant(table: RawTable, name: str) -> tuple[str, float, list[str], str]:
 def proposed(table: RawTable, name: str) -> tuple[str, float, Column] | None:
     """(quantity, score, column) of a header's name; None if the name suggests no quantity."""
     quantity, score, tokens, tail = _meant(table, name)
+    if not quantity and is_calendar(table.columns[name]) and ":" in str(table.columns[name][0]):
+        return "time", 0.1, Column(name, CALENDAR, SURE)  # the index of a table, which has no name
     if not quantity:
         return None
     unit, sure = table.unit(name), SURE
@@ -355,7 +368,7 @@ def proposed(table: RawTable, name: str) -> tuple[str, float, Column] | None:
     if unit is None and quantity in QUANTITIES and {"omega_ref", "beta_ref"} <= set(table.columns):
         own = split_unit(name)[0].casefold().replace(" ", "_") == quantity
         unit = QUANTITIES[quantity].unit if own else None  # a record in this project's own names, which has its own units
-    if unit is None and quantity in ("omega", "omega_ref") and "rpm" in tokens:
+    if unit is None and quantity in ("omega", "omega_ref") and {"rpm", "erpm"} & {*tokens}:
         unit = "rpm"
     if quantity in ("signal", "beta", "beta_ref"):
         tail = _ending(name) or tail
@@ -371,13 +384,63 @@ def proposed(table: RawTable, name: str) -> tuple[str, float, Column] | None:
     return None if unit is None else (quantity, score, Column(name, unit, sure))
 
 
-def _score(tokens: list[str], words: list[str]) -> float:
+def _of_largest_axis(table: RawTable, column: Column, without: Collection[str]) -> Column:
+    """Of columns that differ by the axis x, y or z only: the one whose numbers vary most, as a rotor's thrust does."""
+    stem = _AXIS.sub("#", column.name.casefold())
+    axes = [n for n in table.columns if n not in without and _AXIS.sub("#", n.casefold()) == stem]
+    spread = {n: float(np.ptp(np.percentile(s, (5, 95)))) for n in axes if len(s := _seen(table, n))}
+    return Column(max(spread, key=spread.get), column.unit, column.sure) if len(spread) > 1 else column
+
+
+def _attitude(table: RawTable, name: str) -> bool:
+    """Whether a pitch, roll or yaw is an angle of the whole stand: a column of the same name has another of the three."""
+    stems = Counter(_ATTITUDE.sub("#", n) for n in {n.casefold() for n in table.columns} if _ATTITUDE.search(n))
+    return stems[_ATTITUDE.sub("#", name.casefold())] > 1
+
+
+def _filled(table: RawTable, name: str) -> bool:
+    """Whether a column has a value."""
+    return table.columns[name].dtype.kind != "f" or bool(np.isfinite(table.columns[name]).any())
+
+
+def text_instead(table: RawTable, quantity: str) -> tuple[str, str] | None:
+    """(found, hint) if a column that is the quantity by its name has text in its cells, or if a column of names has it."""
+    for name, cells in table.columns.items():
+        if cells.dtype.kind != "O" or _numeric(table, name):
+            continue
+        if _meant(table, name)[0] == quantity and (text := _not_a_number(table, cells)):
+            return f"column {name}, whose cells are no numbers, such as {shown(text)}", "cells without text, or of one unit"
+        texts = {*cells.tolist()}
+        if len(texts) <= MOST_NAMES and quantity in {_meant(table, text)[0] for text in texts}:
+            found = f"names of signals in the cells of column {name}, one value a row"
+            return found, f"one column a signal: pivot the table by {name} before the export"
+    return None
+
+
+def _not_a_number(table: RawTable, cells: np.ndarray) -> str:
+    """The first cell that is filled and no number; "" if there is none."""
+    return next((c for c in cells.tolist() if (text := plain(c, table.decimal)) and not _NUMBER.fullmatch(text)), "")
+
+
+def clock_like(table: RawTable) -> tuple[str, str] | None:
+    """(column, unit) of the first column that increases as evenly as a clock, whatever its name; None if there is none."""
+    for name in table.columns:
+        step = np.diff(_seen(table, name)) if _numeric(table, name) else np.zeros(0)
+        even = len(step) > 0 and np.mean(np.abs(step - np.median(step)) <= 0.2 * np.median(step)) > 0.9
+        if even and (step >= 0.0).all() and (unit := guessed_unit(table.numbers(name))):
+            return name, unit
+    return None
+
+
+def _score(tokens: list[str], words: list[str], quantity: str) -> float:
     """Score of a name's words for a quantity: 2 if all match, 1 if some do, less for words late in the list."""
+    supply = quantity in ("voltage", "current")  # "current in" is the supply's, "motor current" may be of a phase
+    noise = (_NOISE | _ELECTRIC) - {"motor"} if supply else _NOISE
     places = [next((k for k, word in enumerate(words) if _is(t, word)), None) for t in tokens]
     known = [place for place in places if place is not None]
     if not known:
         return 0.0
-    rest = [t for t, place in zip(tokens, places, strict=True) if place is None and t not in _NOISE]
+    rest = [t for t, place in zip(tokens, places, strict=True) if place is None and t not in noise]
     return (2.0 if not rest else 1.0) - 0.01 * min(known)
 
 
@@ -409,8 +472,9 @@ def _assumed(table: RawTable, name: str, quantity: str) -> tuple[str | None, str
         return "", SURE
     if quantity in ("beta", "beta_ref") and 0.0 < np.abs(_seen(table, name)).max(initial=0.0) < SMALL_ANGLE:
         return "rad", GUESS
-    tokens = re.split(r"[\W_]+", name.casefold())
-    if quantity in ("omega", "omega_ref") and {"omega", "w"} & {*tokens} and _seen(table, name).max(initial=0.0) < FAST:
+    tokens = re.split(r"[\W\d_]+", name.casefold())
+    of_si = QUANTITIES[quantity].turning and {"omega", "w", "velocity"} & {*tokens}
+    if of_si and _seen(table, name).max(initial=0.0) < FAST:
         return "rad/s", GUESS
     return unit, LIKELY if quantity in ("voltage", "current") and len(name) > 1 else GUESS
 
@@ -424,13 +488,9 @@ def _numeric(table: RawTable, name: str) -> bool:
     return 2 * sum(bool(_NUMBER.fullmatch(text)) for text in filled) > len(filled)
 
 
-def _alive(table: RawTable, name: str, quantity: str) -> tuple[bool, bool]:
-    """(whether a column has values, whether they vary): of two speed sensors, selects the connected one."""
-    if quantity == "time" or table.columns[name].dtype.kind == "O":
-        return True, True
-    values = table.numbers(name)
-    seen = values[np.isfinite(values)]
-    return len(seen) > 0, len(seen) > 1 and bool(np.ptp(seen) > 0.0)
+def moves(table: RawTable, name: str) -> bool:
+    """Whether the numbers of a column vary: of two speed sensors, selects the connected one."""
+    return table.columns[name].dtype.kind != "f" or bool(np.ptp(_seen(table, name)) if _filled(table, name) else False)
 
 
 def to_toml(sections: Mapping[str, Mapping]) -> str:

@@ -104,7 +104,7 @@ class RawTable:
 def split_unit(name: str) -> tuple[str, str]:
     """(name, unit) of a header such as "Thrust (gf)", "Thrust [gf]" or "Thrust / gf"; the unit is "" if there is none."""
     found = _UNIT_IN_NAME.match(name)
-    if found is None or not found.group(1).strip():
+    if found is None or not found.group(1).strip() or re.search(r"\S\[\d+\]\s*$", name):  # motor[1] is the second motor
         return name.strip(), ""
     return found.group(1).strip(), next((part for part in found.groups()[1:] if part), "").strip()
 

@@ -1,17 +1,17 @@
-"""Find several rotors in one log: columns whose names differ only by a number or a side, such as rpm_1 and rpm_2."""
+"""Find several rotors in one log: columns whose names differ only by a number, a side, or A and B, such as rpm_1 and rpm_2."""
 
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from identification.logs.mapping import proposed
+from identification.logs.mapping import SIDES, moves, proposed
 from identification.logs.raw_table import RawTable, split_unit
 from vpp_fmu.errors import BadInput
 
 TELL = ("omega", "omega_ref", "signal", "thrust")
 """Quantities that each rotor has separately; several voltages are cells of a battery."""
 
-_LABEL = re.compile(r"(?i)\d+|(?<![a-z])(?:left|right|front|rear|upper|lower)(?![a-z])")
+_LABEL = re.compile(rf"(?i)\d+|(?<![a-z])(?:{'|'.join(sorted(SIDES))})(?![a-z])")
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ def rotors(table: RawTable) -> Rotors:
 
 def chosen(table: RawTable, wanted: str | None, mapped: Iterable[str]) -> tuple[set[str], list[str]]:
     """(columns of the rotors that are not imported, messages). The rotor is the `wanted` one, else that of the columns that the
-    user has `mapped`, else the first. BadInput for an unknown rotor, or if only the thrust has several columns."""
+    user has `mapped`, else the first that turns. BadInput for an unknown rotor, or if only the thrust has several columns."""
     there = rotors(table)
     if not there.found:
         if wanted is not None:
@@ -57,8 +57,15 @@ def chosen(table: RawTable, wanted: str | None, mapped: Iterable[str]) -> tuple[
         found = f"{', '.join(cells)}, and one speed"
         hint = f"--map 'thrust={'+'.join(cells)}' for the cells of one rotor, or --rotor {there.found[0]}"
         raise BadInput(table.source, "thrust", found, "one thrust", hint)
-    rotor = wanted.casefold() if wanted is not None else own[0] if own else there.found[0]
+    rotor = wanted.casefold() if wanted is not None else own[0] if own else _turning(table, there)
     taken = ", ".join(name for name, label in there.label.items() if label == rotor)
     other = next(label for label in there.found if label != rotor)
     rest = f"{len(there.found)} in this log ({', '.join(there.found)})"
     return there.others(rotor), [f"rotors: {rest}; rotor {rotor} is taken, with {taken}; --rotor {other} takes the other"]
+
+
+def _turning(table: RawTable, there: Rotors) -> str:
+    """The first rotor whose speed or signal moves; the first of all if none does."""
+    drive = [n for n in there.label if proposed(table, n)[0] in ("omega", "omega_ref", "signal")]
+    moving = {there.label[name] for name in drive if moves(table, name)}
+    return next((label for label in there.found if label in moving), there.found[0])

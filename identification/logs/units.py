@@ -3,8 +3,8 @@
     value in a record = factor * value in the log
 
 A unit may include a number: "4 ms" per row, "-1 N" for a load cell of opposite sign, "0.0123 N" per digit. "erpm/7" is the
-electrical speed [rpm] of a motor with 7 pole pairs. "us@1000=-5,2000=10" is a linear calibration by two points: raw readings in
-us, and the values there in the record's unit:
+electrical speed [rpm] of a motor with 7 pole pairs, "100 erpm/7" the same in hundreds. "us@1000=-5,2000=10" is a linear
+calibration by two points: raw readings in us, and the values there in the record's unit:
 
     value in a record = factor * value in the log + offset
 """
@@ -59,7 +59,7 @@ _NO = (pint.errors.PintError, ValueError, TypeError, AttributeError, LookupError
 _NO += (RecursionError, tokenize.TokenError)
 """Errors by which pint's parser of expressions rejects a text that is not a unit."""
 
-_ELECTRICAL = re.compile(r"(?i)e[-_ ]?rpm\s*/\s*([1-9]\d*)")
+_ELECTRICAL = re.compile(r"(?i)(\d*)\s*e[-_ ]?rpm\s*/\s*([1-9]\d*)")
 
 _NEWTON_METRES = re.compile(r"N([cm]?m)\b")
 """As people write it: Nm, Ncm, mNm."""
@@ -67,7 +67,7 @@ _NEWTON_METRES = re.compile(r"N([cm]?m)\b")
 _SPELLINGS = {
     "deg": "grad grads grade grados gradi º",
     "rpm": "upm umdr/min umdr./min tr/min tr/mn giri/min r.p.m. rev./min",
-    "g": "gr grs",
+    "g": "gr grs gm gms",
     "A": "amp amps",
     "N*m": "n-m newton-metre newton-meter",
     "ft*lbf": "ft-lb ft-lbf lb-ft lbf-ft ft.lb",
@@ -94,7 +94,7 @@ def factor_of(quantity: Quantity, unit: str) -> float | None:
     if not quantity.unit:
         return 1.0 if unit.strip() in ("", "1", "-") else None
     if quantity.turning and (electrical := _ELECTRICAL.fullmatch(unit.strip())):
-        return 1.0 / int(electrical[1])
+        return int(electrical[1] or 1) / int(electrical[2])
     unit = _NEWTON_METRES.sub(r"N \1", unit) if quantity.name == "torque" else unit
     for text in dict.fromkeys((unit.strip(), unit.strip().lower())):
         found = _parsed(text)
