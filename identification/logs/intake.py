@@ -2,18 +2,18 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from identification.gate.files import SPEEDS, electrical_cause, pole_pairs, speed_ratio
-from identification.logs.clock import Clock, read_clock
+from identification.logs.clock import GAP, Clock, read_clock
 from identification.logs.coefficients import Propeller, thrust_of
 from identification.logs.commands import averaged_map, fitted_map, taken_over
-from identification.logs.mapping import ROWS, Column, Plan, in_other_unit, moving_angle
+from identification.logs.mapping import ROWS, Column, Plan, clock_like, in_other_unit, moving_angle, text_instead
 from identification.logs.raw_table import RawTable
 from identification.logs.speed_map import RANGES, SignalRange, SpeedMap
-from identification.logs.units import QUANTITIES, SIGNALS, factor_of, scale_of, signal_unit
+from identification.logs.units import QUANTITIES, SIGNALS, factor_of, is_rate, scale_of, signal_unit
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import QUANTITIES as RANGE
@@ -22,6 +22,16 @@ from vpp_fmu.record import Record
 _E_RPM = re.compile(r"(?i)(?<![a-z])e[-_ ]?rpm")
 
 COMMANDS = ("omega_ref", "beta_ref", "signal", "run")
+
+SLOW = 200.0
+"""rpm: no electronically commutated motor runs slower throughout a log."""
+
+APART = 0.05
+"""Share of a quantity's readings in rows with thrust, below which they are messages of their own."""
+
+SCATTER, EXPLAINED, MOST_MOVES = 0.05, 0.5, 0.1
+"""Residual of thrust at fixed pitch as a share of its range, from which a further command is searched; the share of its
+variance that such a command explains; the largest share of rows in which a command moves."""
 
 FASTER = 1.0
 """Median step, s, above which rows are steady points and not a record in time."""
@@ -79,6 +89,9 @@ def take_in(
     if "ct" in columns:
         columns, notes = thrust_of(columns | _fixed_speed(plan, columns), propeller or Propeller(), table.source)
         said += notes
+    if clock and len(clock.restarts) <= 1:
+        columns, clock, notes = _joined(columns, clock)
+        rows, said = clock.rows, said + notes
     if not force and (contradiction := electrical(plan.columns, columns)):
         raise BadInput(table.source, f"omega, column {plan.columns['omega'].name}", *contradiction)
     if clock and len(clock.restarts) > 1 and "run" not in columns:
@@ -92,6 +105,9 @@ def take_in(
                 )
             del columns[name]
             said.append(f"{name}: no value in any row, left out")
+    unknown = clock and not {"beta_ref", "beta"} & {*columns, *plan.fixed} and not _no_angle(table, plan)
+    if unknown and (other := _other_command(table, plan, columns, rows)):
+        raise BadInput(table.source, "beta_ref", *other)
     columns, notes = _held(columns)
     said += notes
     columns, notes, speed_map = _commanded(table, plan, columns, clock, kind, speed_map)
@@ -111,16 +127,19 @@ def electrical(plan: Mapping[str, Column], columns: Mapping[str, np.ndarray]) ->
     electrical and there is no command to compare; else None."""
     if "omega" not in columns:
         return None
-    if "omega_ref" not in columns or not np.isfinite(columns["omega_ref"]).any():
-        name = plan["omega"].name
-        if not _E_RPM.search(name) or plan["omega"].unit.casefold().startswith("erpm"):
-            return None
-        hint = f"--map 'omega={name}:erpm/7' with the motor's own pole pairs, or --force"
-        return "electrical speed, by its name", "the speed of the rotor", hint
-    ratio = speed_ratio(columns["omega"], np.nan_to_num(columns["omega_ref"]))
+    column, fastest = plan["omega"], np.nanmax(columns["omega"], initial=0.0)
+    hundreds = "100 " if "/100" in column.name else ""
+    hint = f"--map 'omega={column.name}:{hundreds}erpm/7' with the motor's own pole pairs, or --force"
+    by_name = "electrical speed, by its name", "the speed of the rotor", hint
+    if _E_RPM.search(column.unit):
+        hint = f"--map 'omega={column.name}:100 {column.unit}' if the logger writes hundreds, or --force"
+        slow = 0.0 < fastest < SLOW and not column.unit[0].isdigit()
+        return (f"at most {fastest:.4g} rpm", f"a motor that reaches {SLOW:g} rpm", hint) if slow else None
+    command = np.nan_to_num(columns.get("omega_ref", np.zeros(1)))
+    ratio = speed_ratio(columns["omega"], command) if command.any() else None
     if ratio is None or not (pairs := pole_pairs(ratio)):
-        return None
-    column = plan["omega"]
+        matches = ratio is not None and abs(np.log(ratio)) < 0.2
+        return by_name if _E_RPM.search(column.name) and not matches else None
     found = f"{ratio:.4g} times the commanded speed ({electrical_cause(pairs)}?)"
     unit = f"erpm/{pairs}" if factor_of(QUANTITIES["omega"], column.unit) == 1.0 else f"{column.unit}/{pairs}"
     also = ", or in deg/s" if pairs == SPEEDS["deg/s"] else ""
@@ -142,6 +161,68 @@ def _no_angle(table: RawTable, plan: Plan) -> tuple[str, str, str] | None:
     points = f"'beta_ref={name}:{unit}@{low:g}=A,{high if high > low else low + 1.0:g}=B'"
     hint = f"--map {points}, A and B the pitch there in deg, or --fixed beta_ref=8:deg if the pitch is fixed"
     return found, "a pitch in deg", hint
+
+
+def _other_command(
+    table: RawTable, plan: Plan, columns: Mapping[str, np.ndarray], rows: np.ndarray
+) -> tuple[str, str, str] | None:
+    """(found, expected, hint) if an unused column moves as a command does and explains thrust that speed does not; else None.
+
+    Thrust at fixed pitch is a quadratic in speed. A pitch x adds the terms x, x w^2 and x^2 w^2.
+    """
+    speed = columns.get("omega", columns.get("omega_ref"))
+    seen = np.isfinite(speed) & np.isfinite(columns["thrust"]) if speed is not None else np.zeros(1, bool)
+    if seen.sum() < 100:
+        return None
+    w, thrust = speed[seen] / max(1.0, float(np.abs(speed[seen]).max())), columns["thrust"][seen]
+
+    def residual(*terms):
+        a = np.column_stack([np.ones_like(w), w, w**2, *terms])
+        return float(np.std(thrust - a @ np.linalg.lstsq(a, thrust, rcond=1e-9)[0]))
+
+    alone = residual()
+    if alone < SCATTER * np.ptp(thrust):
+        return None
+    taken = {part for column in plan.columns.values() for part in table.parts(column.name) if column.name != ROWS}
+    free = (n for n, cells in table.columns.items() if n not in taken and cells.dtype.kind == "f")
+    for name in (n for n in free if not is_rate(table.unit(n) or "")):
+        x = _last_value(table.numbers(name))[rows][seen]
+        if not np.isfinite(x).all() or not 3 <= np.sum(np.diff(x) != 0.0) <= MOST_MOVES * len(x):
+            continue
+        u = (x - x.min()) / np.ptp(x)
+        if residual(u, u * w**2, (u * w) ** 2) ** 2 < (1.0 - EXPLAINED) * alone**2:
+            found = f"{name}, an unused command from {x.min():g} to {x.max():g} that thrust follows, and no pitch"
+            points = f"'beta_ref={name}:{table.unit(name) or ''}@{x.min():g}=A,{x.max():g}=B'"
+            hint = f"--map {points}, A and B the pitch there in deg, or --fixed beta_ref=8:deg if the pitch is fixed"
+            return found, "a command of pitch", hint
+    return None
+
+
+def _last_value(column: np.ndarray) -> np.ndarray:
+    """The column (n,) with each empty cell filled by the last value before it; NaN before the first."""
+    last = np.maximum.accumulate(np.where(np.isfinite(column), np.arange(len(column)), 0))
+    return column[last]
+
+
+def _joined(columns: dict[str, np.ndarray], clock: Clock) -> tuple[dict[str, np.ndarray], Clock, list[str]]:
+    """(columns, clock, messages) at the rows with thrust, if other quantities are messages in rows of their own.
+
+    A command is the last one sent; a reading is interpolated over time.
+    """
+    there = np.isfinite(columns.get("thrust", np.zeros(0)))
+    others = {n: np.isfinite(c) for n, c in columns.items() if n not in ("time", "thrust") and np.isfinite(c).sum() > 1}
+    if there.sum() < 2 or all(np.mean(there[seen]) >= APART for seen in others.values()):
+        return columns, clock, []
+    joined = {"time": clock.time[there], "thrust": columns["thrust"][there]}
+    for name, seen in others.items():
+        joined[name] = _last_value(columns[name])[there]
+        if name not in COMMANDS:
+            own, step = clock.time[seen], np.diff(clock.time[seen])
+            between = np.clip(np.searchsorted(own, joined["time"]) - 1, 0, len(step) - 1)
+            reading = np.interp(joined["time"], own, columns[name][seen], np.nan, np.nan)
+            joined[name] = np.where(step[between] > GAP * np.median(step), np.nan, reading)
+    note = f"rows: messages in rows of their own are joined at the {int(there.sum())} of {len(there)} rows with thrust"
+    return {n: joined[n] for n in columns if n in joined}, replace(clock, rows=clock.rows[there], time=joined["time"]), [note]
 
 
 def contradictions(table: RawTable, plan: Plan) -> list[str]:
@@ -167,10 +248,13 @@ def _check(table: RawTable, plan: Plan, kind: str) -> None:
             found = f"{name}, thrust by its name, from {low:g} to {high:g} {unit}".rstrip()
             hint = f"--map 'thrust={name}:{unit}@A=0,B=10' with the numbers A and B that mean 0 and 10 N"
             raise BadInput(table.source, "thrust", found, "a force", hint)
+        if instead := text_instead(table, "thrust"):
+            raise BadInput(table.source, "thrust", instead[0], "a column of numbers", instead[1])
         found = f"no column of it among {_names(table)}"
         raise BadInput(table.source, "thrust", found, "a column of thrust", "--map thrust=COLUMN:UNIT")
     if "time" not in plan.columns and kind != "static":
-        hint = "--map time=COLUMN:UNIT, or time=row:4ms for rows that are 4 ms apart"
+        name, unit = clock_like(table) or ("COLUMN", "UNIT")
+        hint = f"--map time={name}:{unit}, or time=row:4ms for rows that are 4 ms apart"
         raise BadInput(table.source, "time", f"no column of it among {_names(table)}", "a column of time", hint)
     known = {"omega_ref", "signal"} & {*plan.columns, *plan.fixed} or (kind == "static" and "omega" in plan.columns)
     if not known:
@@ -190,6 +274,10 @@ def _clock(table: RawTable, plan: Plan, kind: str, run: int | None) -> Clock:
     if column.name == ROWS and ROWS not in table.columns:
         step = factor_of(QUANTITIES["time"], column.unit)
         return Clock(np.arange(len(table)), step * np.arange(len(table)), f"row 1, rows are {column.unit} apart", ())
+    clocks = (n for n in table.columns if re.fullmatch(rf"{re.escape(column.name)}\.\d+", n))  # X_Value.3: of one channel
+    if other := next((n for n in clocks if not np.array_equal(table.columns[n], table.columns[column.name])), None):
+        found = f"several, of which {other} differs from {column.name}"
+        raise BadInput(table.source, "time", found, "one time for all columns", "an export with one time, or one rate")
     return read_clock(table, column.name, column.unit, kind == "steps", run)
 
 
@@ -207,8 +295,7 @@ def _held(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], list[s
     for name in there:
         empty = ~np.isfinite(columns[name])
         if empty.any():
-            last = np.maximum.accumulate(np.where(empty, 0, np.arange(len(empty))))
-            columns[name] = columns[name][last]
+            columns[name] = _last_value(columns[name])
             said.append(f"{name}: {int(empty.sum())} empty cells hold the value before")
     return columns, said
 
