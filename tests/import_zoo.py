@@ -212,6 +212,13 @@ def _clock_back(t):
     return t | {"time": time}
 
 
+LONG = ("omega_ref", "beta_ref", "omega", "thrust")
+
+
+def _long(rows: list[str]) -> list[str]:
+    return [f"{row},{LONG[k % len(LONG)]}" for k, row in enumerate(rows)]
+
+
 def _with(change, write):
     return lambda path, t: write(path, change(dict(t)))
 
@@ -332,6 +339,19 @@ def _texts() -> list[Format]:
         ),
         Format("cut off in the last row", "log.csv", text(lines=lambda r: [*r, "4.0,3000,2"]), said=["cut off at the end 1"]),
         Format("a comma at each end", "log.csv", text(tail=",")),
+        Format("an index of dates without a name", "log.csv", text({**TOLD, "time": ""}, cells={"time": stamped("%F %T.%%f")})),
+        Format("durations", "log.csv", text({**TOLD, "time": "t"}, cells={"time": lambda s: f"0 days 00:00:{s:09.6f}"})),
+        Format(
+            "a serial monitor's time before each row",
+            "serial.txt",
+            text(
+                {n: v for n, v in TOLD.items() if n != "time"},
+                head=["23:59:58.100 -> booting"],
+                title=lambda row: f"23:59:58.200 -> {row}",
+                lines=lambda rows: [f"{stamped('%T.%%f', 3)(STEP * k)} -> {row}" for k, row in enumerate(rows)],
+            ),
+            said=["midnight"],
+        ),
         Format("UTF-8 with mark, CRLF", "log.csv", text(mark=b"\xef\xbb\xbf", end="\r\n")),
         Format(
             "UTF-16 LE with mark, tabs", "log.txt", text(mark=b"\xff\xfe", encoding="utf-16-le", delimiter="\t", end="\r\n")
@@ -511,6 +531,21 @@ def _refused() -> list[Format]:
         ),
         Format("no thrust", "log.csv", text({n: v for n, v in TOLD.items() if n != "thrust"}), refused="thrust"),
         Format("no command", "log.csv", text({n: v for n, v in TOLD.items() if n != "omega_ref"}), refused="command of speed"),
+        Format(
+            "two units in one column",
+            "log.csv",
+            text(cells={"thrust": lambda v: f"{v:.3f} N" if round(1e3 * v) % 2 else f"{1e3 * v:.0f} mN"}),
+            refused="whose cells are no numbers",
+        ),
+        Format(
+            "one value a row",
+            "log.csv",
+            _with(
+                lambda t: {"time": np.repeat(t["time"], 4), "value": np.stack([t[n] for n in LONG], 1).ravel()},
+                text({"time": "_time", "value": "_value"}, title=lambda row: f"{row},_field", lines=_long),
+            ),
+            refused="pivot the table by _field",
+        ),
         Format("no such column", "log.csv", text(PLAIN), ("--map", "thrust=Fx:N"), refused="column Fx"),
         Format(
             "a word among numbers",

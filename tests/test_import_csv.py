@@ -972,6 +972,145 @@ def test_the_comparison_of_the_zoo_detects_a_changed_value(tmp_path, capsys):
         assert good == (name == "right"), told
 
 
+# Forms of common tools: names of channels, rotors, axes and messages
+
+
+def clean(**more):
+    """A log of sure units, without a pitch."""
+    t = truth()
+    return {"t [s]": t["time"], "speed cmd [rpm]": t["omega_ref"], "speed [rpm]": t["omega"], "Fz [N]": t["thrust"]} | more
+
+
+def test_columns_of_two_sides_are_never_mixed_and_the_side_that_turns_is_taken(tmp_path, vpp):
+    """Side A is not connected: its cell has noise alone, its command is constant."""
+    log, noise = stand(), np.random.default_rng(1).normal(0.0, 0.02, 6000)
+    columns = {"Time (s)": log["Time (s)"], "ESC A (us)": np.full(6000, 1000.0), "ESC B (us)": log["ESC (us)"]}
+    columns |= {"Thrust A (gf)": noise, "Thrust B (gf)": log["Thrust (gf)"]}
+    columns |= {"Motor Optical Speed A (RPM)": np.zeros(6000), "Motor Optical Speed B (RPM)": log["RPM"]}
+    path = table(tmp_path / "log.csv", columns)
+    for words in ((), ("--rotor", "B")):
+        assert "rotor b is taken" in vpp(path, *words, "-o", tmp_path / "out", "--replace")
+        record = read_record(tmp_path / "out" / "open_loop.csv")
+        np.testing.assert_allclose(record["thrust"], 9.80665e-3 * log["Thrust (gf)"], rtol=1e-8)
+        np.testing.assert_array_equal(record["omega"], log["RPM"])
+
+
+@pytest.mark.parametrize("axis", ["x", "z"])
+def test_of_three_forces_the_one_that_varies_most_is_the_thrust(tmp_path, vpp, axis):
+    rng, log = np.random.default_rng(1), clean()
+    forces = {f"Force {a.upper()} [N]": rng.normal(9.0, 0.05, 400) for a in "xyz"}
+    forces[f"Force {axis.upper()} [N]"] = log.pop("Fz [N]")
+    vpp(table(tmp_path / "log.csv", log | forces), "--fixed", "beta_ref=2:deg", "-o", tmp_path / "out")
+    np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["thrust"], truth()["thrust"], rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("headers", "expected"),
+    [
+        (("current_motor", "current_in"), {"current": "current_in"}),
+        (("d_axis_voltage", "input_voltage"), {"voltage": "input_voltage"}),
+        (("tachometer", "erpm"), {"omega": "erpm"}),
+        (("eRPM", "RPM"), {"omega": "RPM"}),
+        (("ESC.Err", "ESC.Curr"), {"current": "ESC.Curr"}),
+        (("esc[0].esc_rpm", "esc[0].esc_errorcount"), {"omega": "esc[0].esc_rpm"}),
+        (("Roll(rad)", "pitch(rad)"), {}),
+        (("imu/pitch_deg", "imu/roll_deg"), {}),
+        (("1-3[N]", "P-1[r/s]"), {"thrust": "1-3[N]", "omega": "P-1[r/s]"}),
+    ],
+)
+def test_of_similar_channels_the_one_of_the_supply_or_the_rotor_is_proposed(headers, expected):
+    table = RawTable("log.csv", {h: np.linspace(1.0, 99.0, 50) for h in headers}, np.arange(50))
+    assert {q: c.name for q, c in propose(table).items()} == expected
+
+
+def test_an_index_in_brackets_is_no_unit():
+    assert split_unit("motor[0]") == ("motor[0]", "")
+    assert split_unit("throttle [1]") == ("throttle", "1")
+
+
+@pytest.mark.parametrize("header", ["eRPM[0]", "eRPM(/100)[0]"])
+def test_an_electrical_speed_in_hundreds_is_mapped_by_the_commands_of_the_messages(tmp_path, vpp, refused, header):
+    log = stand()
+    log[header] = np.round(0.07 * log.pop("RPM"))  # hundreds of 7 pole pairs
+    path, unit = table(tmp_path / "log.csv", log), None
+    for _ in range(3):
+        err = refused(path, *(("--map", f"omega={header}:{unit}") if unit else ()), "-o", tmp_path / "out")
+        unit = err.split(f"--map 'omega={header}:")[1].split("'")[0]
+        if unit == "100 erpm/7":
+            break
+    vpp(path, "--map", f"omega={header}:{unit}", "-o", tmp_path / "out")
+    np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["omega"], 100.0 * log[header] / 7.0, rtol=1e-8)
+
+
+def test_an_electrical_speed_in_hundreds_beside_a_command_is_refused(tmp_path, refused):
+    log = clean()
+    log["eRPM"] = 0.07 * log.pop("speed [rpm]")
+    assert "electrical speed, by its name" in refused(table(tmp_path / "log.csv", log), "-o", tmp_path / "out")
+
+
+@pytest.mark.parametrize("header", ["RCOU.C2", "CH6(us)", "output[1]"])
+def test_a_command_that_thrust_follows_is_the_pitch_or_must_be_mapped(tmp_path, vpp, refused, header):
+    """Beside it: a step counter, a temperature and the command again, which say nothing of the thrust."""
+    t, rng = truth(), np.random.default_rng(4)
+    pulses = np.round(1000.0 + (t["beta_ref"] + 5.0) / 0.015)
+    more = {"step": np.arange(400) // 25, "temp [degC]": np.round(rng.normal(35.0, 0.1, 400)), "RPM set": t["omega_ref"]}
+    path = table(tmp_path / "log.csv", clean(**more, **{header: pulses}))
+    err = refused(path, "-o", tmp_path / "out")
+    assert f"{header}, an unused command from {pulses.min():g} to {pulses.max():g} that thrust follows" in err
+    vpp(path, "--map", f"beta_ref={header}:us@1000=-5,2000=10", "-o", tmp_path / "out")
+    np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["beta_ref"], 0.015 * pulses - 20.0, atol=1e-9)
+    steady = 12.0 * (t["omega"] / 6000.0) ** 2 + rng.normal(0.0, 0.05, 400)
+    path = table(tmp_path / "steady.csv", clean(**more, **{header: pulses, "Fz [N]": steady}))
+    vpp(path, "-o", tmp_path / "steady")  # the pitch is fixed, and the servo turns something else
+
+
+def test_messages_in_rows_of_their_own_are_joined_at_the_rows_with_thrust(tmp_path, vpp):
+    """Commands 4 ms before, speed 2 ms before and after each reading of thrust, on a ramp. A second without it is empty."""
+    t, rows = truth(), []
+    speed = 3000.0 + 100.0 * t["time"]
+    for k, now in enumerate(t["time"]):
+        rows.append((now, t["omega_ref"][k], t["beta_ref"][k], np.nan, np.nan))
+        if not 200 <= k < 300:
+            rows.append((now + 0.002, np.nan, np.nan, speed[k] + 0.2, np.nan))
+        rows.append((now + 0.004, np.nan, np.nan, np.nan, t["thrust"][k]))
+    names = ("__time [s]", "/cmd/speed [rpm]", "/cmd/pitch [deg]", "/esc/speed [rpm]", "/load_cell/force [N]")
+    out = vpp(table(tmp_path / "log.csv", dict(zip(names, np.array(rows).T, strict=True))), "-o", tmp_path / "out")
+    assert "joined at the 400 of 1100 rows with thrust" in out
+    record = read_record(tmp_path / "out" / "open_loop.csv", holes=("omega",))
+    for name in ("time", "omega_ref", "beta_ref", "thrust"):
+        np.testing.assert_allclose(record[name], t[name], atol=1e-6)
+    known = np.isfinite(record["omega"])
+    np.testing.assert_allclose(record["omega"][known], speed[known] + 0.4, atol=1e-6)
+    assert np.flatnonzero(~known).tolist() == [*range(199, 300), 399]
+
+
+@pytest.mark.parametrize("rate", [1, 2])
+def test_channels_with_clocks_of_their_own_are_imported_if_the_clocks_agree(tmp_path, vpp, refused, rate):
+    t, names = truth(), {"omega_ref": "Speed cmd", "beta_ref": "Pitch cmd", "omega": "Speed", "thrust": "Force"}
+    clocks = [t["time"] * (rate if name == "Speed" else 1) for name in names.values()]
+    head = ["***End_of_Header***", "Y_Unit_Label\trpm\t\tdeg\t\trpm\t\tN\t", "X_Dimension\tTime\t\tTime\t\tTime\t\tTime\t"]
+    head.append("\t".join([part for name in names.values() for part in ("X_Value", name)] + ["Comment"]))
+    cells = [column for clock, name in zip(clocks, names, strict=True) for column in (clock, t[name])]
+    lines = ["\t".join(f"{v:.10g}" for v in row) for row in zip(*cells, strict=True)]
+    (tmp_path / "log.lvm").write_text("\n".join([*head, *lines]))
+    if rate > 1:
+        assert "time: found several, of which X_Value.5 differs" in refused(tmp_path / "log.lvm", "-o", tmp_path / "out")
+        return
+    vpp(tmp_path / "log.lvm", "-o", tmp_path / "out")
+    record = read_record(tmp_path / "out" / "open_loop.csv")
+    for name in ("time", *names):
+        np.testing.assert_allclose(record[name], t[name], rtol=1e-8, atol=1e-9)
+
+
+def test_a_clock_of_another_name_is_offered_as_the_time(tmp_path, vpp, refused):
+    log = clean()
+    columns = {"count": np.arange(400.0), "ms_today": 50587250.0 + 1e3 * log.pop("t [s]")} | log
+    path = table(tmp_path / "log.csv", columns)
+    assert "Try: --map time=ms_today:ms" in refused(path, "--fixed", "beta_ref=2:deg", "-o", tmp_path / "out")
+    empty = table(tmp_path / "empty.csv", {"X_Value": np.full(400, np.nan)} | log)
+    assert "Try: --map time=COLUMN:UNIT, or time=row:4ms" in refused(empty, "-o", tmp_path / "out")
+
+
 # From a foreign log to a report in two commands
 
 LAGS = {"tau_omega_1": 0.15, "tau_omega_2": 0.05, "tau_beta_1": 0.3, "tau_beta_2": 0.1}
