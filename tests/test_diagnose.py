@@ -7,6 +7,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from studies import command_sequences
+from studies.rig import SIZES, Files, campaign, random_base
+from studies.sensors import LoggedRig
 from studies.synthetic import STEP, TRUTH, commands
 
 from identification.assessment.information import read_knowledge
@@ -485,3 +488,20 @@ def test_a_wider_effect_is_in_the_family_if_no_record_distinguishes_it(pitches, 
     assert found.final.effects == effects
     assert found.selection.family == family
     assert found.verdict == ("family" if any(family.values()) else "attributed")
+
+
+def test_in_slow_noise_a_complete_model_trusts_the_steady_points_more_than_a_record():
+    """Flicker noise, and steady points from 40 step responses. The fit with independent noise is the reference."""
+    files, power = Files(seconds=60.0, repeat=False, validation=False, static=False, steps=True), {"before": 0.0, "after": 0.0}
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        rig = LoggedRig(random_base(rng, 1.0), SIZES["paper"], 25.0, "1/f", 1.0)
+        other = command_sequences.both(rng, rig.clock, 40.0)
+        found = diagnose(campaign(rig, rng, files))
+        assert found.verdict == "none"
+        true = rig.read(rng, other)
+        record = {"omega_ref": true.speed, "beta_ref": true.pitch}
+        for name, values in (("before", found.identification.parameters.values), ("after", found.final.values)):
+            shown = Simulator(found.final.problem.model).simulate(values, record, np.full(len(true.speed) - 1, 0.04))
+            power[name] += float(np.mean((shown[25:, 0] - true.force[25:]) ** 2))
+    assert power["after"] < power["before"]

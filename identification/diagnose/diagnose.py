@@ -24,6 +24,7 @@ from identification.diagnose.initial_model import (
     from_identification,
     prepared,
     with_lower_noise,
+    with_slow_noise,
 )
 from identification.diagnose.judgement import FORM, MIN_EVIDENCE, Smallest
 from identification.diagnose.lack_of_fit import LackOfFit, with_rotor_order
@@ -394,6 +395,9 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
     if attempt.learned:
         word, refuted, selection = "learned", "", _with(selection, attempt.learned)
         after = with_rotor_order(judge.lack(selection.final), selection.final)
+    identified = found.base
+    if word == "none":
+        identified = final = with_slow_noise(found.groups, at, searcher.experiments[0].noise, found.base)
     fitted = tuple(one for group in found.groups for one in group)
     experiment, guess = discriminating_experiment(_timed(at, final), task.seed, fitted[0].record.period), None
     if word in UNEXPLAINED:
@@ -408,7 +412,7 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
         given=task.given,
         rig=at.rig,
         fitted=fitted,
-        base=found.base,
+        base=identified,
         noise=searcher.experiments[0].noise,
         reading_noise=at.noise,
         selection=selection,
@@ -419,7 +423,7 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
         location=locate([one.record for one in found.groups[0]], shown.thrust, shown.omega, shown.beta),
         experiment=experiment,
         final=final,
-        held_out_before=judge.held_out(found.base),
+        held_out_before=judge.held_out(identified),
         held_out_after=judge.held_out(final),
         unseen=found.unseen,
         refuted=refuted,

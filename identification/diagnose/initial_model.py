@@ -161,6 +161,19 @@ def with_lower_noise(
     return again, base
 
 
+def with_slow_noise(groups: Sequence[Sequence[Fitted]], at: InitialModel, noise: Noise, base: Fit) -> Fit:
+    """The base, estimated again if the thrust has slow noise. With independent noise it trusts the slow part of a record too
+    much, and the steady points too little.
+
+    Only for a base that lacks nothing: without a repeat record, all of its residual counts as noise."""
+    record = max(groups, key=len)[0].record
+    if not noise.verified:
+        outputs = Simulator(base.problem.model).simulate(base.values, *record.run)
+        speed = _speed_residual(record, outputs[:, 1])[1]
+        noise = noise_from(record, [outputs[:, 0] - record["thrust"]], [speed], noise.block, SLOW, noise.floor, verified=False)
+    return _fitted_base(groups, at, noise, base.values)[1] if noise.colour.corner else base
+
+
 def _fitted_base(
     groups: Sequence[Sequence[Fitted]], at: InitialModel, noise: Noise, values: Mapping[str, float]
 ) -> tuple[Searcher, Fit]:
@@ -180,8 +193,7 @@ def _fitted_base(
 def _noise(
     groups: Sequence[Sequence[Fitted]], model: Model, values: Mapping[str, float], names: Sequence[str], at: InitialModel
 ) -> Noise:
-    """Noise from the differences of repeated records. Without any: from the residual of a model with fitted `names`, after a
-    regression on shapes of the commands and trends. Counted as noise, these would hide a missing effect."""
+    """Noise from the differences of repeated records. Without any: from the residual of a model with fitted `names`."""
     block, std = at.rig.scales.time_scale / BLOCKS_A_TIME, at.noise.std
     group = max(groups, key=len)
     if len(group) < 2:
@@ -198,7 +210,8 @@ def _noise(
 def _noise_of_residual(
     one: Fitted, model: Model, values: Mapping[str, float], names: Sequence[str], block: float, std: float
 ) -> Noise:
-    """Noise from the residual of a single record."""
+    """Noise from the residual of a single record, after a regression on shapes of the commands and trends. Counted as noise,
+    these would hide a missing effect."""
     record, mean = one.record, blocks(one.record, block).mean
     white = replace(independent(1.0), block=block)
     outputs, fitted = Experiment([one], white).sensitivities(Simulator(model, names), values)
