@@ -505,3 +505,27 @@ def test_in_slow_noise_a_complete_model_trusts_the_steady_points_more_than_a_rec
             shown = Simulator(found.final.problem.model).simulate(values, record, np.full(len(true.speed) - 1, 0.04))
             power[name] += float(np.mean((shown[25:, 0] - true.force[25:]) ** 2))
     assert power["after"] < power["before"]
+
+
+def test_validation_narrows_a_threshold_that_the_fitted_records_leave_open():
+    """A band of 1.3 deg hides fitted moves of 1 deg, and no move of 2 deg: any width from 1 to 2 deg fits. Validation would
+    refute the middle, 1.5 deg, which hides moves of 1.4 deg."""
+    found = diagnose(on_grid(1.3), FEW)
+    assert (found.verdict, found.final.effects) == ("attributed", ("pitch_command_deadband",))
+    ((low, high),) = found.final.thresholds.values()
+    assert low <= 1.3 <= high <= 1.4 + 1.0 / 8.0  # the interval ends before the next of nine values
+    assert found.unseen is None
+    (finding,) = (f for f in found.quality if f.code == "narrowed")
+    assert "validation.csv supports" in finding.told
+
+
+def on_grid(half_width: float) -> Campaign:
+    """A rig with a dead band; the pitch command changes every 1.5 s, by 1 or 2 steps of 1 deg, in validation of 0.7 deg."""
+    rng, records = np.random.default_rng(4), []
+    for name, step in (("open_loop.csv", 1.0), ("validation.csv", 0.7)):
+        moved = commands(rng, 20.0)
+        levels = step * np.array([0, 1, 3, 2, 4, 6, 5, 7, 5, 4, 2, 3, 1])
+        moved = moved.with_columns(beta_ref=levels[(moved.time // 1.5).astype(int) % len(levels)])
+        thrust = thrust_of(moved, **{"pitch_command_deadband.half_width": half_width})
+        records.append(replace(moved.with_columns(thrust=thrust + NOISE * rng.standard_normal(len(moved))), source=name))
+    return Campaign(example_folder(), None, (), records[0], None, records[1])

@@ -1,6 +1,6 @@
 """Diagnose a campaign: find the effects that the base model needs, add them, and compare the errors before and after."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -45,6 +45,7 @@ from identification.logger_fit import as_logged, likely_loggers
 from identification.power.diagnose import PowerDiagnosis, diagnose_power
 from identification.roles import Fitted, Unseen, roles
 from vpp_fmu.campaign import Campaign
+from vpp_fmu.digits import number
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native.memory import give_back
@@ -404,9 +405,12 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
         tried = partial(nearest, judge, selection, found.options, task.effort, task.pool)
         guess = best_guess(judge, selection, (found.before, after), refuted, word == "partly", tried, experiment)
     shown = predict(final.problem.model, final.values, fitted[0].record)
+    quality = at.identification.quality if at.identification else found.gate.findings
+    if final.narrowed:
+        quality += tuple(_narrowed(selection.final, final, found.unseen))
     return Diagnosis(
         campaign=task.campaign,
-        quality=at.identification.quality if at.identification else found.gate.findings,
+        quality=quality,
         logger=found.logger,
         identification=at.identification,
         given=task.given,
@@ -425,12 +429,27 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
         final=final,
         held_out_before=judge.held_out(identified),
         held_out_after=judge.held_out(final),
-        unseen=found.unseen,
+        unseen=None if final.narrowed else found.unseen,
         refuted=refuted,
         attempt=attempt,
         best_guess=guess,
         not_tried=tuple(task.effort.not_tried),
     )
+
+
+def _narrowed(before: Fit, after: Fit, unseen: Unseen) -> Iterator[Finding]:
+    """A finding for each threshold whose interval the validation record narrows."""
+    units = {p.name: p.unit for p in after.problem.model.parameters}
+    for name, (low, high) in after.thresholds.items():
+        (least, most), unit = before.thresholds.get(name, (low, high)), units[name]
+        if (least, most) != (low, high):
+            message = (
+                f"the fitted records leave {number(least, 4)} to {number(most, 4)} {unit} open, {unseen.name}.csv supports"
+            )
+            message += f" {number(low, 4)} to {number(high, 4)} {unit}, and is no longer unseen"
+            yield Finding(
+                "narrowed", unseen.record.source, name, after.values[name], unit, message, "few commands near the threshold"
+            )
 
 
 def _learned(

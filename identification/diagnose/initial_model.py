@@ -165,7 +165,7 @@ def with_slow_noise(groups: Sequence[Sequence[Fitted]], at: InitialModel, noise:
     """The base, estimated again if the thrust has slow noise. With independent noise it trusts the slow part of a record too
     much, and the steady points too little.
 
-    Only for a base that lacks nothing: without a repeat record, all of its residual counts as noise."""
+    Only for a base without a missing effect: without a repeat record, all of its residual counts as noise."""
     record = max(groups, key=len)[0].record
     if not noise.verified:
         outputs = Simulator(base.problem.model).simulate(base.values, *record.run)

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from identification.diagnose.lack_of_fit import LackOfFit, with_rotor_order
 from identification.diagnose.search.fits import Fit
 from identification.diagnose.selection import Selection, alternatives, without
 from identification.fit.noise import Noise
+from identification.fit.uncertainty import NORMAL_95
 from identification.roles import Unseen
 from identification.static.at_rest import Knowledge
 
@@ -102,7 +104,39 @@ def validated(
     too_small = [name for name in final.effects if not judge.matters(name, final)]
     given = Replacement(judge, present, base, found, final, unseen, partly)
     why = NOTHING_LEFT.format(too_small[0]) if too_small else reason_against(given)
+    if why and not too_small and (narrowed := _narrowed(given)):
+        return narrowed, ""
     return (present, why) if why else (final, "")
+
+
+POINTS = 9
+"""Values of a threshold that are tried within its interval."""
+
+
+def _narrowed(given: "Replacement") -> Fit | None:
+    """The set with thresholds that the unseen record supports, within the intervals that the fitted records leave open. None if
+    held-out data refute it there, too, or if no threshold is open.
+
+    The fitted records do not distinguish these values, but validation would refute the set for one of them. The record is then
+    used for an estimate, and is no longer unseen."""
+    final, unseen, noise = given.final, given.unseen, given.judge.searcher.experiments[0].noise
+    names = [name for name, (low, high) in final.thresholds.items() if high > low]
+    if unseen is None or not names:
+        return None
+    grids = (np.linspace(*final.thresholds[name], POINTS).tolist() for name in names)
+    points = [dict(zip(names, point, strict=True)) for point in product(*grids)]
+    shown = [predict(final.problem.model, {**final.values, **point}, unseen.record) for point in points]
+    best = min(shown, key=lambda prediction: prediction.rmse_thrust)
+    least = -0.5 * NORMAL_95**2
+    inside = [p for p, one in zip(points, shown, strict=True) if sum(held_out_gain(noise, best, one).values()) >= least]
+    ends, middle = {}, {}
+    for name in names:
+        tried, (low, high) = [point[name] for point in inside], final.thresholds[name]
+        gap = (high - low) / (POINTS - 1)  # the interval ends somewhere before the next value
+        ends[name] = max(low, min(tried) - gap), min(high, max(tried) + gap)
+        middle[name] = 0.5 * (min(tried) + max(tried))
+    found = final.with_thresholds(middle, {**final.thresholds, **ends})
+    return None if reason_against(replace(given, final=found)) else found
 
 
 NOTHING_LEFT = "{} is below the minimum size when estimated for the best prediction of held-out data"

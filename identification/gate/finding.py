@@ -59,6 +59,11 @@ KINDS = {
         WARNING, "the commands do not identify all parameters", "More moves over the whole range; vpp plan proposes them"
     ),
     "slow_sampling": Kind(WARNING, "the sampling period is longer than a fifth of the fastest lag", "Log more often"),
+    "narrowed": Kind(
+        WARNING,
+        "validation.csv was used to estimate a threshold",
+        "Use vpp plan, and measure the proposed commands as a new validation.csv",
+    ),
     "power": Kind(WARNING, "torque or power contradicts itself, or does not suffice for a map", "Look at signs and units"),
     "no_motor": Kind(WARNING, "torque and power in a record only", "Measure steady points with both"),
     "no_fit": Kind(ERROR, "no model can be fitted", "See above"),
