@@ -253,7 +253,7 @@ def test_an_effect_with_an_arbitrary_phase_is_kept_only_if_step_runs_confirm_it(
     judge = SimpleNamespace(searcher=None, runs=runs, on_runs=lambda one: squares[one.effects], matters=lambda *_: True)
     monkeypatch.setattr(validation, "without", lambda searcher, base, one, name: rest)
     monkeypatch.setattr(validation, "_estimated", lambda judge, knowledge, present, one: one)
-    monkeypatch.setattr(validation, "REASONS", ())
+    monkeypatch.setattr(validation, "reason_against", lambda given: "")
     final, why = validation.validated(judge, None, None, SimpleNamespace(), SimpleNamespace(effects=()), both)
     assert (final.effects, why) == (ships, "")
 

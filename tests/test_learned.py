@@ -27,7 +27,7 @@ from vpp_fmu.campaign import Campaign
 from vpp_fmu.export import python_fmu
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.fmu import simulate_in_fmpy
-from vpp_fmu.kernel.learned import PORTS, learned, placed
+from vpp_fmu.kernel.learned import DRIVERS, PORTS, learned, placed
 from vpp_fmu.kernel.plant import LIBRARY, plant
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.native import Simulator
@@ -218,6 +218,15 @@ def test_a_value_on_its_bound_is_one_that_its_file_allows(tmp_path, end):
     ParameterSet(plant(["learned"], library)).replaced(values).save(tmp_path)
     own = library_with([tmp_path / FILE])
     assert read_parameters(tmp_path / "parameters.json", lambda names: plant(names, own)).values == values
+
+
+@pytest.mark.parametrize("driver", DRIVERS)
+def test_an_effect_that_starts_from_later_signals_is_read(tmp_path, driver):
+    """At the first port, each driver but the commands and time is known later in the chain."""
+    first = min(PORTS, key=lambda name: PORTS[name].position)
+    text = f'PORT = "{first}"\nEFFECT = learned("x", PORT, "{driver}", "line", {{"gain": 0.05}}, (-60.0, 60.0))\n'
+    (tmp_path / FILE).write_text("from vpp_fmu.kernel.learned import learned\n" + text)
+    assert "x" in [e.name for e in library_with([tmp_path / FILE])]
 
 
 OWN = """
