@@ -57,9 +57,12 @@ def group(leader: int) -> tuple[int, ...]:
 
 
 def cpu_seconds(pid: int) -> float:
-    """CPU time of a process without its children."""
-    with open(f"/proc/{pid}/stat", encoding="utf-8", errors="replace") as file:
-        return sum(map(int, file.read().rpartition(")")[2].split()[11:13])) / os.sysconf("SC_CLK_TCK")
+    """CPU time of a process without its children; 0 if it has ended."""
+    try:
+        with open(f"/proc/{pid}/stat", encoding="utf-8", errors="replace") as file:
+            return sum(map(int, file.read().rpartition(")")[2].split()[11:13])) / os.sysconf("SC_CLK_TCK")
+    except (FileNotFoundError, ProcessLookupError):
+        return 0.0
 
 
 def _until(condition, process) -> None:
