@@ -406,11 +406,10 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
         guess = best_guess(judge, selection, (found.before, after), refuted, word == "partly", tried, experiment)
     shown = predict(final.problem.model, final.values, fitted[0].record)
     quality = at.identification.quality if at.identification else found.gate.findings
-    if final.narrowed:
-        quality += tuple(_narrowed(selection.final, final, found.unseen))
+    narrowed = tuple(_narrowed_thresholds(selection.final, final, found.unseen))
     return Diagnosis(
         campaign=task.campaign,
-        quality=quality,
+        quality=(*quality, *narrowed),
         logger=found.logger,
         identification=at.identification,
         given=task.given,
@@ -429,7 +428,7 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
         final=final,
         held_out_before=judge.held_out(identified),
         held_out_after=judge.held_out(final),
-        unseen=None if final.narrowed else found.unseen,
+        unseen=None if narrowed else found.unseen,
         refuted=refuted,
         attempt=attempt,
         best_guess=guess,
@@ -437,19 +436,16 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
     )
 
 
-def _narrowed(before: Fit, after: Fit, unseen: Unseen) -> Iterator[Finding]:
+def _narrowed_thresholds(before: Fit, after: Fit, unseen: Unseen | None) -> Iterator[Finding]:
     """A finding for each threshold whose interval the validation record narrows."""
     units = {p.name: p.unit for p in after.problem.model.parameters}
     for name, (low, high) in after.thresholds.items():
         (least, most), unit = before.thresholds.get(name, (low, high)), units[name]
-        if (least, most) != (low, high):
-            message = (
-                f"the fitted records leave {number(least, 4)} to {number(most, 4)} {unit} open, {unseen.name}.csv supports"
-            )
-            message += f" {number(low, 4)} to {number(high, 4)} {unit}, and is no longer unseen"
-            yield Finding(
-                "narrowed", unseen.record.source, name, after.values[name], unit, message, "few commands near the threshold"
-            )
+        if unseen is not None and (least, most) != (low, high):
+            fitted = f"the fitted records leave {number(least, 4)} to {number(most, 4)} {unit} open"
+            supported = f"{unseen.name}.csv supports {number(low, 4)} to {number(high, 4)} {unit}, and is no longer unseen"
+            cause, source = "few commands near the threshold", unseen.record.source
+            yield Finding("narrowed", source, name, after.values[name], unit, f"{fitted}, {supported}", cause)
 
 
 def _learned(

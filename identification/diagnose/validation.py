@@ -104,7 +104,7 @@ def validated(
     too_small = [name for name in final.effects if not judge.matters(name, final)]
     given = Replacement(judge, present, base, found, final, unseen, partly)
     why = NOTHING_LEFT.format(too_small[0]) if too_small else reason_against(given)
-    if why and not too_small and (narrowed := _narrowed(given)):
+    if why and not too_small and (narrowed := _at_supported_thresholds(given)):
         return narrowed, ""
     return (present, why) if why else (final, "")
 
@@ -113,7 +113,7 @@ POINTS = 9
 """Values of a threshold that are tried within its interval."""
 
 
-def _narrowed(given: "Replacement") -> Fit | None:
+def _at_supported_thresholds(given: "Replacement") -> Fit | None:
     """The set with thresholds that the unseen record supports, within the intervals that the fitted records leave open. None if
     held-out data refute it there, too, or if no threshold is open.
 

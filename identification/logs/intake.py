@@ -26,6 +26,9 @@ COMMANDS = ("omega_ref", "beta_ref", "signal", "run")
 SLOW = 200.0
 """rpm: no electronically commutated motor runs slower throughout a log."""
 
+SAME_SPEED = 0.2
+"""Difference of logarithms of the measured and the commanded speed, below which both are the rotor's."""
+
 APART = 0.05
 """Share of a quantity's readings in rows with thrust, below which they are messages of their own."""
 
@@ -129,8 +132,8 @@ def electrical(plan: Mapping[str, Column], columns: Mapping[str, np.ndarray]) ->
         return None
     column, fastest = plan["omega"], np.nanmax(columns["omega"], initial=0.0)
     hundreds = "100 " if "/100" in column.name else ""
-    hint = f"--map 'omega={column.name}:{hundreds}erpm/7' with the motor's own pole pairs, or --force"
-    by_name = "electrical speed, by its name", "the speed of the rotor", hint
+    mapped = f"--map 'omega={column.name}:{hundreds}erpm/7' with the motor's own pole pairs, or --force"
+    by_name = "electrical speed, by its name", "the speed of the rotor", mapped
     if _E_RPM.search(column.unit):
         hint = f"--map 'omega={column.name}:100 {column.unit}' if the logger writes hundreds, or --force"
         slow = 0.0 < fastest < SLOW and not column.unit[0].isdigit()
@@ -138,7 +141,7 @@ def electrical(plan: Mapping[str, Column], columns: Mapping[str, np.ndarray]) ->
     command = np.nan_to_num(columns.get("omega_ref", np.zeros(1)))
     ratio = speed_ratio(columns["omega"], command) if command.any() else None
     if ratio is None or not (pairs := pole_pairs(ratio)):
-        matches = ratio is not None and abs(np.log(ratio)) < 0.2
+        matches = ratio is not None and abs(np.log(ratio)) < SAME_SPEED
         return by_name if _E_RPM.search(column.name) and not matches else None
     found = f"{ratio:.4g} times the commanded speed ({electrical_cause(pairs)}?)"
     unit = f"erpm/{pairs}" if factor_of(QUANTITIES["omega"], column.unit) == 1.0 else f"{column.unit}/{pairs}"

@@ -35,7 +35,7 @@ class Part:
 PARTS = {
     "units": Part(
         ("vpp_fmu/units.py", "identification/logs/units.py"),
-        ("test_parameters", "test_import_csv"),
+        ("test_parameters", "test_import_csv", "test_import_columns"),
         "test_parameters or unit or calibrat or electrical",
     ),
     "rig": Part(

@@ -235,8 +235,11 @@ class _Check:
             return ops.node("v", i) if graph else number
 
         signals = {u.name: value(i, u.start) for i, u in enumerate(model.inputs)}
-        later = {f"settled_{name}": guess for e in model.effects for name, guess in e.ahead.items()}
-        signals |= {name: signals[guess] if guess else 0.0 for name, guess in later.items()}
+        for e in model.effects:
+            for name, guess in e.ahead.items():
+                if guess and guess not in signals:
+                    self.refuse(f"effect {e.name}, ahead", repr(guess), f"an input, of {', '.join(signals)}, or ''")
+                signals[f"settled_{name}"] = signals[guess] if guess else 0.0
         dt = ops.node("dt") if graph else TRY_STEP
         for starting in (True, False):
             s, count = _Given("signal", **signals), len(model.inputs)

@@ -46,8 +46,7 @@ class Fit:
 
     `thresholds`: parameters with a piecewise constant cost, found by scanning, with their 95 % interval. `idle`: some of the
     effects' parameters had no influence, so that a simpler effect would do the same. `estimate`: the uncertainty of values
-    estimated as in an identification; None for values of maximum likelihood. `narrowed`: the intervals of the thresholds were
-    narrowed by a record that was not fitted.
+    estimated as in an identification; None for values of maximum likelihood.
     """
 
     effects: tuple[str, ...]
@@ -61,11 +60,10 @@ class Fit:
     thresholds: Mapping[str, tuple[float, float]]
     idle: bool
     estimate: Uncertainty | None = None
-    narrowed: bool = False
 
     def with_thresholds(self, values: Mapping[str, float], intervals: Mapping[str, tuple[float, float]]) -> "Fit":
         """The same with other thresholds, in narrower intervals. All other parameters are held."""
-        moved = replace(self, values={**self.values, **values}, thresholds=intervals, narrowed=True)
+        moved = replace(self, values={**self.values, **values}, thresholds=intervals)
         return moved._anew(self.problem.experiments, self.problem.prior)
 
     def estimated(self, found: Refinement, uncertainty: Uncertainty) -> "Fit":
