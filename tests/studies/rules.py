@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from unittest.mock import patch
 
+from identification.diagnose.lack_of_fit import LackOfFit
 from vpp_fmu.kernel.plant import LIBRARY
 
 from . import diagnosis, scores
@@ -86,9 +87,9 @@ def _reason(text: str) -> Callable:
     return without
 
 
-def _flag(*others: str) -> Callable:
+def _flag(*others: property) -> Callable:
     """A check of lack of fit; the rule decides if this check alone finds something."""
-    return lambda original, lack: (lambda: False, lambda value: value and not any(getattr(lack, name) for name in others))
+    return lambda original, lack: (lambda: False, lambda value: value and not any(check.fget(lack) for check in others))
 
 
 HERE = "identification.diagnose"
@@ -121,9 +122,9 @@ RULES: Mapping[str, Rule] = {
     "steps lose more": Rule(f"{HERE}.validation:steps_lose_more", _constant("")),
     "reported error increases": Rule(f"{HERE}.validation:reported_error_increases", _constant("")),
     "family tried when refuted": Rule(f"{HERE}.diagnose:next_valid_alternative", _constant(None)),
-    "transient thrust": Rule(f"{HERE}.lack_of_fit:LackOfFit.transient_lack_of_fit", _flag("speed_lack_of_fit")),
-    "structured speed": Rule(f"{HERE}.lack_of_fit:LackOfFit.speed_lack_of_fit", _flag("transient_lack_of_fit")),
-    "rotor order": Rule(f"{HERE}.lack_of_fit:LackOfFit.turns", _flag("significant")),
+    "transient thrust": Rule(f"{HERE}.lack_of_fit:LackOfFit.transient_lack_of_fit", _flag(LackOfFit.speed_lack_of_fit)),
+    "structured speed": Rule(f"{HERE}.lack_of_fit:LackOfFit.speed_lack_of_fit", _flag(LackOfFit.transient_lack_of_fit)),
+    "rotor order": Rule(f"{HERE}.lack_of_fit:LackOfFit.turns", _flag(LackOfFit.significant)),
     "near the leader": Rule(f"{HERE}.search.refits:_near", _constant([])),
     "other order of lags": Rule(f"{HERE}.search.refits:_reordered", _constant([])),
     "from a special case": Rule(f"{HERE}.search.refits:_narrowed", _constant(None)),
