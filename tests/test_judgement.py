@@ -1,5 +1,6 @@
 """The judgement of effects: cross-validation, rules, selection, estimation and refutation, each against a closed form."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,6 +19,7 @@ from identification.diagnose.judgement import (
     model_form_allowance,
     refusals,
 )
+from identification.diagnose.search import refits
 from identification.diagnose.search.candidates import candidates
 from identification.diagnose.search.fits import Searcher
 from identification.diagnose.search.screening import Screening
@@ -28,8 +30,10 @@ from identification.fit.noise import independent
 from identification.fit.problem import Block, Prior, Problem, Score
 from identification.fit.uncertainty import WIDEST, Uncertainty, disagreement
 from identification.roles import Fitted, Unseen, roles
+from identification.static.static_map import TERMS
 from vpp_fmu.campaign import Campaign
-from vpp_fmu.kernel.plant import LIBRARY, plant
+from vpp_fmu.kernel.plant import LIBRARY, plant, sized
+from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.loop import run
 from vpp_fmu.native import Simulator
 from vpp_fmu.plants import KernelController, KernelPlant
@@ -537,6 +541,29 @@ def test_a_dead_band_in_a_closed_loop_is_found(half_width, start):
     low, high = found.thresholds[name]
     assert low - 1e-3 < half_width < high + 1e-3
     assert high - low < 0.05
+
+
+FAST = replace(PAPER, time_scale=0.2)
+"""A rig whose actuators settle in 0.2 s."""
+
+
+@pytest.mark.parametrize(("gain", "time_constant", "lags"), [(0.34, 0.233, (0.236, 0.068)), (0.23, 0.22, (0.2, 0.08))])
+def test_a_refit_leaves_the_double_pole_of_a_fit_without_the_inflow(gain, time_constant, lags):
+    """Two equal lags of pitch nearly replace the lead of an inflow; close to them, a small lead explains nothing. The refit is
+    as good as one that starts from the true values."""
+    model, rng = plant(["inflow_lag"]), np.random.default_rng(5)
+    truth = {"inflow_lag.gain": gain, "inflow_lag.time_constant": time_constant, "tau_beta_1": lags[0], "tau_beta_2": lags[1]}
+    told = {"omega_ref": np.repeat(rng.uniform(2500.0, 5800.0, 80), 50), "beta_ref": np.repeat(rng.uniform(-3.0, 9.0, 80), 50)}
+    read = Simulator(model).simulate(model.values(truth), told, np.full(3999, 0.01))[:, 0] + 0.05 * rng.standard_normal(4000)
+    record = Record({"time": 0.01 * np.arange(4000), **told, "thrust": read}, "drawn")
+    names, values, library = ["tau_beta_1", "tau_beta_2", *TERMS], plant().values(), sized(LIBRARY, FAST)
+    searcher = Searcher([Experiment([Fitted("drawn", record)], independent(15.0))], names, None, values, library)
+    candidate = candidates([e for e in library if e.name == "inflow_lag"], [record])[0]
+    base = searcher.fit([], {}, [], values)
+    predicted = Screening(base, searcher.start, library, biased=False).at(candidate)
+    best = searcher.fit(["inflow_lag"], candidate.form, list(candidate.free), {**values, **truth})
+    assert base.deviance - best.deviance > 100.0
+    assert refits.refitted(searcher, base, candidate, predicted).deviance == pytest.approx(best.deviance, abs=0.1)
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,8 @@ REORDERED = 3
 """Best refits that are repeated with the lags of a channel in the other order: a double pole hides the order."""
 
 REACH = 0.5
-"""Share of the best evidence that a candidate needs for a refit in another order of lags, form, or special case."""
+"""Share of the best evidence that a candidate needs for a refit in another order of lags, form, or special case; share of the
+predicted gain below which a refit is repeated from other starts."""
 
 
 @dataclass(frozen=True)
@@ -138,15 +139,22 @@ def screened(
 
 
 def refitted(searcher: Searcher, fit: Fit, candidate: Candidate, at: ScreeningResult) -> Fit:
-    """Refit with the candidate added."""
+    """Refit with the candidate added, from the point that screening predicts.
+
+    A refit that gains less than REACH of the prediction is in a local minimum: lags of the base replace a missing lead or lag,
+    and a small effect does not bring them back. Then each point of the candidate's first grid of shapes is a further start."""
     # A threshold that the fit already has is scanned nearby; its whole range is scanned only for the best candidates.
     thorough = not fit.thresholds
     found = added(searcher, fit, candidate, {**fit.values, **at.values}, at.slow_first, thorough)
-    if found.bic() < fit.bic():
+    if found.bic() >= fit.bic():
+        # The linear prediction of the fitted parameters was too far: start from their values in the fit.
+        own = {n: at.values[n] for n in candidate.free}
+        found = min(found, added(searcher, fit, candidate, {**fit.values, **own}, fit.slow_first, thorough), key=Fit.bic)
+    if 0.5 * (fit.deviance - found.deviance) >= REACH * at.likelihood_gain:
         return found
-    # The linear prediction of the fitted parameters was too far: start from their values in the fit.
-    own = {n: at.values[n] for n in candidate.free}
-    return min(found, added(searcher, fit, candidate, {**fit.values, **own}, fit.slow_first, thorough), key=Fit.bic)
+    starts = [{**fit.values, **shape, **candidate.within(candidate.probe)} for shape in candidate.shapes()]
+    others = (added(searcher, fit, candidate, start, fit.slow_first, thorough=False) for start in starts)
+    return min([found, *others], key=Fit.bic)
 
 
 def _reordered(fit: Fit, candidate: Candidate, refit: Fit) -> list[Start]:
