@@ -10,7 +10,6 @@ All of it is compiled and runs in virtual time. Aims: within 1.2 of the bound; 9
 more than one false alarm in 100 h.
 """
 
-import argparse
 import tempfile
 import time
 from collections import Counter
@@ -67,9 +66,7 @@ CONSTANT = Band(0.12, 0.047, 0.15, 0.03, 0.0)
 """Band of the rigs that equal their model: the emulated load cell's noise, and a map that is right to 0.03 N."""
 
 
-def main(arguments: list[str]) -> None:
-    """Run the study."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies adaptive", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--seeds", type=int, default=100, metavar="N", help="of each change (default: %(default)s)")
     parser.add_argument("--hours", type=int, default=100, metavar="H", help="for false alarms (default: %(default)s)")
     parser.add_argument("--twins", type=int, default=24, metavar="N", help="rigs, each with a campaign (default: %(default)s)")

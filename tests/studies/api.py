@@ -1,7 +1,6 @@
 """Seconds that `import vpp_fmu` and each of its public names take in a fresh interpreter, beyond those of an empty one. Then
 the package is installed as a wheel outside the checkout, and the example of every public docstring runs there."""
 
-import argparse
 import os
 import subprocess
 import sys
@@ -65,11 +64,9 @@ def from_wheel(folder: Path) -> list[str]:
     return done.stdout.splitlines()
 
 
-def main(options: list[str]) -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies api", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--times", type=int, default=3, metavar="N", help="interpreters, of which the fastest counts")
-    times = parser.parse_args(options).times
+    times = parser.parse_args(arguments).times
     nothing = seconds("pass", times)
     print(f"import vpp_fmu        {seconds('import vpp_fmu', times) - nothing:6.3f} s (aim: below {AIM:g} s)")
     for name in ("__version__", *vpp_fmu.__all__):

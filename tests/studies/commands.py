@@ -6,10 +6,9 @@ Aim: no command outside a range, no change steeper than a slew. A command is one
 checked independently of the code that makes the commands.
 """
 
-import argparse
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from math import inf, isfinite
@@ -169,13 +168,11 @@ def study(rigs: Iterable[int], seed: int = 0, planned: int = PLANNED) -> Count:
     return count
 
 
-def main(argv: Sequence[str] | None = None) -> None:
-    """Run the study."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies commands", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--rigs", type=int, default=10000, metavar="N", help="random rigs (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, metavar="N")
     parser.add_argument("--workers", type=int, default=2, metavar="N", help="processes side by side")
-    options = parser.parse_args(argv)
+    options = parser.parse_args(arguments)
     began = time.perf_counter()
     count, shares = Count(), [range(k, options.rigs, options.workers) for k in range(options.workers)]
     with ProcessPoolExecutor(options.workers) as pool:

@@ -5,7 +5,6 @@ no warning of numpy; no verb refuses what another wrote. Parameters that are not
 be right, since the truth is known here.
 """
 
-import argparse
 import contextlib
 import io
 import json
@@ -228,10 +227,8 @@ def line(row: Row) -> str:
     return f"{row.verb:9}| {row.campaign:37} | {row.outcome}" + (f" | FAULT: {row.fault}" if row.fault else "")
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Print the table."""
+def main(parser, arguments):
     known = [verb for verb in NEEDED if verb in VERBS]
-    parser = argparse.ArgumentParser(prog="python -m tests.studies degenerate", description=__doc__)
     parser.add_argument("--verbs", default=",".join(known), metavar="A,B", help="of %(default)s")
     parser.add_argument("--only", default="", metavar="WORD", help="campaigns whose name holds it")
     parser.add_argument("-o", "--output", metavar="DIR", help="keep campaigns and results there")

@@ -35,6 +35,7 @@ from .hidden_effects import HIDDEN, LISTED
 from .noise import KINDS as NOISES
 from .own_process import Failed, apart, peak
 from .rig import SIZES, save
+from .row_file import kept, read
 
 YES_NO = {"yes": True, "no": False}
 
@@ -62,9 +63,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         fixed.add_argument(f"--{name}", choices=YES_NO)
 
 
-def main(arguments: list[str]) -> None:
-    """`python -m tests.studies diagnosis`."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies diagnosis", description=__doc__)
+def main(parser, arguments):
     configure(parser)
     options = parser.parse_args(arguments)
     path = Path(options.output)
@@ -79,15 +78,11 @@ def main(arguments: list[str]) -> None:
     known = {e.name for e in LIBRARY if e.off is not None}
     if skipped := [h.name for h in LISTED if h.name not in known]:
         print(f"not in the library, so not studied: {', '.join(skipped)}")
-    path.parent.mkdir(parents=True, exist_ok=True)
     done = {_key(row): row for row in read(path)}
     wanted = [key for case in todo if (key := _key(case.summary()))]
     missing = [case for case, key in zip(todo, wanted, strict=True) if key not in done]
-    with path.open("a") as file:
-        for row in rows(missing, options.workers, options.threads, options.limit, options.cold):
-            file.write(json.dumps(row) + "\n")
-            file.flush()
-            done[_key(row)] = row
+    for row in kept(path, rows(missing, options.workers, options.threads, options.limit, options.cold)):
+        done[_key(row)] = row
     print(scores.tables([done[key] for key in wanted]))
 
 
@@ -105,11 +100,6 @@ def chosen(options: argparse.Namespace) -> list[Case]:
             hidden = [(name,) for name in only if kind in ("single", "deleted", "outside")] or [None]
             found += [draw(seed, kind, hidden=names, **given) for names in hidden]
     return found
-
-
-def read(path: Path) -> list[dict]:
-    """The rows of a file; none if it does not exist."""
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
 def _key(row: dict) -> str:

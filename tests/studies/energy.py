@@ -17,7 +17,6 @@ buses under each law (`vpp hil run --virtual --power`), and so does its identifi
 own equations, settled over throttle and pitch, give its reference.
 """
 
-import argparse
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -227,12 +226,11 @@ def emulated(seed: int = 0) -> None:
             print(f"{law:30s} {taken:16.0f} {bound:14.0f} {100.0 * (taken / bound - 1.0):9.1f} {model:18.0f}", flush=True)
 
 
-def main(options=None):
-    parser = argparse.ArgumentParser(prog="python -m tests.studies energy", description=__doc__.splitlines()[0])
+def main(parser, arguments):
     parser.add_argument("--rigs", type=int, default=20, metavar="N")
     parser.add_argument("--first-seed", type=int, default=0, metavar="N")
     parser.add_argument("--emulated", action="store_true", help="fly the mission on the emulated rig instead")
-    parsed = parser.parse_args(options)
+    parsed = parser.parse_args(arguments)
     if parsed.emulated:
         emulated(parsed.first_seed)
         return

@@ -5,7 +5,6 @@ that a second release of the interpreter crashes at once; and, as the control, o
 fix disabled. Run it beside other work, because an idle machine hides failures.
 """
 
-import argparse
 import os
 import runpy
 import signal
@@ -28,9 +27,7 @@ IDLE = "import os\ndel os.RTLD_NOLOAD\n"
 CONTROL = 20
 
 
-def main(arguments: list[str]) -> None:
-    """`python -m tests.studies exits`."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies exits", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--runs", type=int, default=3000, metavar="N", help="runs of each kind (default: %(default)s)")
     parser.add_argument("--minutes", type=float, default=60.0, metavar="M", help="end after this (default: %(default)s)")
     options = parser.parse_args(arguments)

@@ -7,7 +7,6 @@ same byte for byte. No file is left out of the comparison. SOURCE_DATE_EPOCH giv
 file has run times.
 """
 
-import argparse
 import contextlib
 import csv
 import filecmp
@@ -43,9 +42,7 @@ FIRST = date(2026, 1, 1)
 """First of the campaigns' days, one a campaign; the folder's name has the day, and the table reads it there."""
 
 
-def main(arguments: list[str]) -> None:
-    """Draw, diagnose twice, compare."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies fleet", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--campaigns", type=int, default=100, metavar="N", help="(default: %(default)s)")
     parser.add_argument("--first-seed", type=int, default=0, metavar="K", help="of these (default: %(default)s)")
     parser.add_argument("--workers", type=int, default=2, metavar="N", help="of each kind (default: %(default)s)")

@@ -6,7 +6,6 @@ with bad arguments (`tests/misuse.py`) on both flavours, the native FMU as FMI 3
 random calls on both under the sanitizers of addresses and of undefined behaviour.
 """
 
-import argparse
 import sys
 import tempfile
 import time
@@ -32,9 +31,7 @@ OUTPUTS = tuple(s.name for s in ALL_ON.outputs)
 MODELS = {"plain": (BASE, {}), "all_on": (ALL_ON, PROBES), "controller": (CONTROLLER, {})}
 
 
-def main(arguments: list[str]) -> None:
-    """`python -m tests.studies fmus`."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies fmus", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--steps", type=int, default=60_000, metavar="N", help="communication steps (default: %(default)s)")
     parser.add_argument("--calls", type=int, default=1_000_000, metavar="N", help="random calls (default: %(default)s)")
     options = parser.parse_args(arguments)

@@ -6,7 +6,6 @@ effect's lines. It runs in a separate process, forked after the imports. Aim: no
 run over 60 s, no NaN in JSON and no half-written output.
 """
 
-import argparse
 import contextlib
 import gzip
 import io
@@ -759,9 +758,7 @@ def shown(found: Sequence[Case]) -> Iterator[str]:
             yield f"{fault}: seed {case.seed}, {case.verb}, {case.file}, {case.how}: exit {case.code}, {last}"
 
 
-def main(arguments: Sequence[str]) -> None:
-    """`python -m tests.studies fuzz`."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies fuzz", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--runs", type=int, default=2000, metavar="N", help="cases (default: %(default)s)")
     parser.add_argument("--first-seed", type=int, default=0, metavar="S", help="of the first case (default: %(default)s)")
     parser.add_argument("--verbs", default=",".join(COMMANDS), metavar="A,B", help="of %(default)s")

@@ -7,7 +7,6 @@ findings on good campaigns, which should have none. The emulated rigs beside the
 only printed.
 """
 
-import argparse
 import json
 import tempfile
 from collections.abc import Callable, Mapping
@@ -302,8 +301,7 @@ def planted(fault: str, campaign: Campaign, seed: int = 0) -> tuple[Finding, ...
         return said(measured, plan.fit)
 
 
-def main(arguments):
-    parser = argparse.ArgumentParser(prog="python -m tests.studies gate", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the rigs that faults are planted in")
     parser.add_argument("--good", type=int, default=10, metavar="N", help="good campaigns of each size (default: %(default)s)")
     parser.add_argument("--only", default="", metavar="TEXT", help="faults whose name holds this")

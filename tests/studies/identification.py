@@ -9,8 +9,6 @@ their errors are not Gaussian, even if sum and spread are known as well as the b
 if the regular coordinates (log of the sum, spread) are Gaussian with the covariance of the bound.
 """
 
-import argparse
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -172,12 +170,10 @@ def _share(covered: np.ndarray) -> str:
     return f"{100 * each.mean():5.1f} ± {100 * each.std() / np.sqrt(len(each)):.1f} %"
 
 
-def main(argv: Sequence[str] | None = None) -> None:
-    """Run the study."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies identification", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--seeds", type=int, default=1000, help="records of each table (default 1000)")
     parser.add_argument("--workers", type=int, default=1, help="processes (default 1); the numbers do not depend on it")
-    options = parser.parse_args(argv)
+    options = parser.parse_args(arguments)
     print("Aims: rmse at most 1.1 of the Cramer-Rao bound; 93 to 97 % of the intervals hold the truth.")
     white = trials(options.seeds, options.workers)
     show("White noise, 0.3 N", white)

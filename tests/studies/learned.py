@@ -10,7 +10,6 @@ with the functions.
 
 import argparse
 import contextlib
-import json
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -38,6 +37,7 @@ from vpp_fmu.record import Record
 from .cases import Case, draw
 from .hidden_effects import LISTED, UNLISTED
 from .own_process import Failed, apart
+from .row_file import kept, read
 
 KINDS = ("unlisted", "deleted", "none")
 
@@ -90,8 +90,7 @@ RIGHT = {
 """Correct ports and drivers: those of the physics, and those that no record can distinguish from them."""
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Options of the study."""
+def main(parser, arguments):
     parser.add_argument("--kinds", default=",".join(KINDS), metavar="A,B", help="of %(default)s")
     parser.add_argument("--effects", default="", metavar="A,B", help="hide these only")
     parser.add_argument("--seed", type=int, default=1000, metavar="K", help="of the first case (default: %(default)s)")
@@ -106,25 +105,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", default="out/learned.jsonl", metavar="F", help="lines (default: %(default)s)")
     parser.add_argument("--pages", metavar="DIR", help="where a curve is known that should come out, draw both")
     parser.add_argument("--only-table", action="store_true", help="no new cases: the table of the file's lines")
-
-
-def main(arguments: list[str]) -> None:
-    """`python -m tests.studies learned`."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies learned", description=__doc__)
-    configure(parser)
     options = parser.parse_args(arguments)
     path = Path(options.output)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    done = read(path)
     if not options.only_table:
         known = {(row["name"], row["kind"]) for row in done}
-        with path.open("a") as file:
-            for case in (c for c in cases(options) if (c.name, _kind(c)) not in known):
-                row = one(case, options.limit, options.pages)
-                print(line(row), flush=True)
-                file.write(json.dumps(row) + "\n")
-                file.flush()
-                done.append(row)
+        missing = [case for case in cases(options) if (case.name, _kind(case)) not in known]
+        for row in kept(path, (one(case, options.limit, options.pages) for case in missing)):
+            print(line(row), flush=True)
+            done.append(row)
     print(table(done))
 
 

@@ -11,7 +11,6 @@ filter if it has one). The uncertainty of speed there is that of one mark a revo
 the log-likelihood of the weak effect, with the strong one known. Each case depends on `--first-seed` and its number alone.
 """
 
-import argparse
 import json
 import time
 from collections.abc import Callable, Sequence
@@ -27,10 +26,11 @@ from vpp_fmu.record import Record
 
 from . import command_sequences
 from .detectable import LIMIT, efficient_errors, evidence
-from .diagnosis import read, rows
+from .diagnosis import rows
 from .hidden_effects import HIDDEN, Draw
 from .physics import BASE, in_time
 from .rig import SIZES, Files, campaign, random_base, save
+from .row_file import kept, read
 from .scores import NAMED, named, share
 from .sensors import Encoder, LoggedRig, Logger, Mark, Telemetry
 
@@ -359,11 +359,7 @@ def line(row: dict) -> str:
     return f"{head}: {verdict}; {row['over_noise']:.3f} of the noise{off}, {row['evidence']:.0f} nats, {row['seconds']:.0f} s"
 
 
-def main(arguments: list[str]) -> None:
-    """`python -m tests.studies loggers`."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tests.studies loggers", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def main(parser, arguments):
     parser.add_argument("--part", choices=PARTS, default="nothing", help="(default: %(default)s)")
     parser.add_argument("--seeds", type=int, metavar="N", help=f"cases (default: {PARTS})")
     parser.add_argument("--first-seed", type=int, default=0, metavar="K", help="of all that is drawn (default: %(default)s)")
@@ -383,16 +379,12 @@ def main(arguments: list[str]) -> None:
         print(json.dumps(cases[0].summary() | {"rig": asdict(cases[0].rig)}, indent=2))
         return
     path = Path(options.output or f"out/loggers_{options.part}.jsonl")
-    path.parent.mkdir(parents=True, exist_ok=True)
     done = {_key(row): row for row in read(path)}
     missing = [] if options.only_table else [c for c in cases if _key(c.summary()) not in done or options.only is not None]
-    with path.open("a") as file:
-        for row in rows(missing, options.workers, 1, options.limit, work=outcome):
-            print(line(row), flush=True)
-            done[_key(row)] = row
-            if options.only is None:
-                file.write(json.dumps(row) + "\n")
-                file.flush()
+    found = rows(missing, options.workers, 1, options.limit, work=outcome)
+    for row in kept(path, found) if options.only is None else found:
+        print(line(row), flush=True)
+        done[_key(row)] = row
     print(table(options.part, [row for c in cases if (row := done.get(_key(c.summary())))]))
 
 

@@ -7,7 +7,6 @@ of speed by a curve that no effect has. Printed are the false names, the share n
 EXPECTED nats or more and of the others, and the share of the 95 % intervals that contain the true size.
 """
 
-import argparse
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -250,13 +249,12 @@ def truth(rig: Rig, found: PowerDiagnosis) -> dict:
     }
 
 
-def main(options=None):
-    parser = argparse.ArgumentParser(prog="python -m tests.studies power_residual", description=__doc__.splitlines()[0])
+def main(parser, arguments):
     parser.add_argument("--rigs", type=int, default=60, metavar="N")
     parser.add_argument("--first-seed", type=int, default=0, metavar="N")
     parser.add_argument("--workers", type=int, default=1, metavar="N")
     parser.add_argument("--verbose", action="store_true", help="a line for each rig")
-    parsed = parser.parse_args(options)
+    parsed = parser.parse_args(arguments)
     seeds = range(parsed.first_seed, parsed.first_seed + parsed.rigs)
     with ProcessPoolExecutor(parsed.workers) as pool:
         found = []

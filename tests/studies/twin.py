@@ -12,7 +12,6 @@ drivers and loop, too.
 Aims: no more than one false alarm in 100 h, and no change missed after a campaign of the paper's length.
 """
 
-import argparse
 import tempfile
 from collections import Counter
 from collections.abc import Mapping
@@ -87,9 +86,7 @@ class Known(NamedTuple):
     std: Mapping[str, float] = MappingProxyType({})
 
 
-def main(arguments: list[str]) -> None:
-    """Run the study."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies twin", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--seeds", type=int, default=100, metavar="N", help="of each change (default: %(default)s)")
     parser.add_argument("--hours", type=int, default=100, metavar="H", help="for false alarms (default: %(default)s)")
     parser.add_argument("--twins", type=int, default=24, metavar="N", help="rigs, each with a campaign (default: %(default)s)")
