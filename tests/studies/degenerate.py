@@ -23,8 +23,8 @@ from vpp_fmu.app.cli import main as vpp
 
 from .incomplete_campaigns import CASES, LONG, SIZES, Case, scale_parameters
 
-STAGE = re.compile(r"vpp diagnose: .* \(\d+ s\)")
-"""The line that a diagnosis prints for each stage in a pipe."""
+NOTE_OR_STAGE = re.compile(r"vpp: note: .*|vpp \w+: .* \(\d+ s\)")
+"""Lines that a verb prints although it succeeds: notes, and stages in a pipe."""
 
 FAR = 5.0
 """Allowed error of an identifiable parameter in standard deviations: by chance one of two million exceeds it."""
@@ -85,8 +85,7 @@ def run(verb: str, arguments: Sequence[str], out: Path) -> tuple[int | None, lis
     except Exception as error:  # any exception is a finding
         where = traceback.extract_tb(error.__traceback__)[-1]
         return None, [], f"{type(error).__name__}: {error} ({Path(where.filename).name}, {where.name})"
-    lines = [line for line in said.getvalue().splitlines() if not line.startswith("vpp: note: ") and not STAGE.fullmatch(line)]
-    return code, lines, ""
+    return code, [line for line in said.getvalue().splitlines() if not NOTE_OR_STAGE.fullmatch(line)], ""
 
 
 def judged(verb: str, name: str, arguments: Sequence[str], out: Path) -> Row:
