@@ -6,9 +6,10 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
-import time
 import venv
+from functools import partial
 from pathlib import Path
+from timeit import repeat
 
 import vpp_fmu
 
@@ -35,13 +36,8 @@ print(f"{run} examples of {names} names of {len(vpp.__all__)} run, none fails")
 
 def seconds(code: str, times: int) -> float:
     """Seconds of the fastest of several fresh interpreters."""
-    return min(_once(code) for _ in range(times))
-
-
-def _once(code: str) -> float:
-    began = time.perf_counter()
-    subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
-    return time.perf_counter() - began
+    start = partial(subprocess.run, [sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
+    return min(repeat(start, repeat=times, number=1))
 
 
 def from_wheel(folder: Path) -> list[str]:

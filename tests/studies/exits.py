@@ -34,8 +34,8 @@ def main(parser, arguments):
     with tempfile.TemporaryDirectory() as folder:
         counts = ended(Path(folder), options.runs, 60.0 * options.minutes)
     for kind, codes in counts.items():
-        said = ", ".join(f"{n} ended with {named(code)}" for code, n in sorted(codes.items(), reverse=True))
-        print(f"{kind}: {codes.total()} runs: {said}")
+        ends = ((n, signal.Signals(-code).name if code < 0 else code) for code, n in sorted(codes.items(), reverse=True))
+        print(f"{kind}: {codes.total()} runs: {', '.join(f'{n} ended with {end}' for n, end in ends)}")
 
 
 def ended(folder: Path, runs: int, seconds: float) -> dict[str, Counter]:
@@ -61,8 +61,3 @@ def ended(folder: Path, runs: int, seconds: float) -> dict[str, Counter]:
                 done = subprocess.run(words, env=environment, check=False, capture_output=True)
                 counts[kind][done.returncode] += 1
     return counts
-
-
-def named(code: int) -> str:
-    """The name of a signal, or the exit code."""
-    return signal.Signals(-code).name if code < 0 else str(code)

@@ -164,10 +164,7 @@ LISTED = (
         _same("damping", "sensitivity", lambda size: 1.0 / size.speed),
     ),
     Hidden(
-        "speed_saturation",
-        _some("speed_max_w", 0.96, 0.8),
-        _same("speed_max_w", "maximum", _rpm),
-        relatives=("supply_sag",),
+        "speed_saturation", _some("speed_max_w", 0.96, 0.8), _same("speed_max_w", "maximum", _rpm), relatives=("supply_sag",)
     ),
     Hidden(
         "supply_sag",
