@@ -9,8 +9,8 @@ checked independently of the code that makes the commands.
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 from math import inf, isfinite
 
 import numpy as np
@@ -23,6 +23,7 @@ from identification.diagnose.experiment import discriminating_experiment
 from identification.plan.excitation import candidate, paper_plan, variant
 from identification.plan.plan import plan
 from identification.thrust_steps import step_profile
+from identification.workers import spread
 from vpp_fmu.commands import commanded, idle
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.record import Record
@@ -175,9 +176,8 @@ def main(parser, arguments):
     options = parser.parse_args(arguments)
     began = time.perf_counter()
     count, shares = Count(), [range(k, options.rigs, options.workers) for k in range(options.workers)]
-    with ProcessPoolExecutor(options.workers) as pool:
-        for found in pool.map(study, shares, [options.seed] * options.workers):
-            count.merge(found)
+    for found in spread(partial(study, seed=options.seed), shares, options.workers, what="rigs"):
+        count.merge(found)
     print(f"{'commands of':50} {'checked':>12} {'outside':>8} {'steeper':>8}")
     for name, checked in count.checked.items():
         print(f"{name:50} {checked:12d} {count.outside[name]:8d} {count.steeper[name]:8d}")

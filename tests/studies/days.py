@@ -40,7 +40,6 @@ from vpp_fmu.kernel.twin import BROUGHT
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native.closed_loop import ClosedLoop
 from vpp_fmu.parameters import ParameterSet
-from vpp_fmu.record import Record
 
 from .row_file import read
 from .twin import identified
@@ -103,7 +102,8 @@ def days(change: str, count: int, seed: int) -> dict:
             return Setup(read_calibration(CALIBRATION), Limits(), own, virtual=True, plant=parameters.values)
 
         def final(law: Law) -> float:
-            return float(np.mean([_cost(setup(True, 900 + k), law, day.profile, Path(folder)) for k in range(FINAL)]))
+            flown = (fly(setup(True, 900 + k), law, day.profile, Path(folder, "flight")) for k in range(FINAL))
+            return float(np.mean([each.cost for each in flown]))
 
         results = {}
         for policy in POLICIES:
@@ -163,10 +163,6 @@ def _known_in_full(wanted: Task, settings: Mapping[str, float], own: Mapping[str
     objective, found = rounds({"dual": truth}, {"dual": starts})["dual"]
     better = found.cost < objective.penalised(truth.gains)
     return truth.with_gains(found.gains if better else truth.gains)
-
-
-def _cost(setup: Setup, law: Law, profile: Record, folder: Path) -> float:
-    return fly(replace(setup), law, profile, folder / "flight").cost
 
 
 def _show(change: str, found: list[dict]) -> None:

@@ -133,15 +133,10 @@ def identified(row: Row, case: Case, out: Path) -> Row:
     bent = " ".join(unidentified.values())
     checked = [n for n in values if n not in unidentified and n not in bent] if row.campaign not in BENT else []
     off = {n: abs(values[n]["value"] - size.truth[n]) / values[n]["std"] for n in checked if values[n]["std"]}
-    wrong = [f"{n} off by {pull:.0f} sd" for n, pull in off.items() if pull > FAR and not within(values[n], size.truth[n])]
+    covered = {n for n in off if values[n]["interval"][0] <= size.truth[n] <= values[n]["interval"][1]}  # it may be asymmetric
+    wrong = [f"{n} off by {pull:.0f} sd" for n, pull in off.items() if pull > FAR and n not in covered]
     fault = f"not named: {', '.join(silent)}" if silent else ", ".join(wrong)
     return replace(row, outcome=outcome, fault=row.fault or fault)
-
-
-def within(entry: dict, truth: float) -> bool:
-    """Whether the interval, which may be asymmetric, contains the truth."""
-    low, high = entry["interval"]
-    return low <= truth <= high
 
 
 def diagnosed(row: Row, out: Path) -> Row:

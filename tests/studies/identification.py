@@ -131,7 +131,8 @@ def show(title: str, found: Trials) -> None:
     is unknown.
     """
     count, n, (ratio, uncertainty) = len(found.error), len(BASE_PARAMETERS), found.ratio
-    relative = 100 * np.median(found.theory, axis=0) / np.abs([*(TRUTH[n] for n in BASE_PARAMETERS), *_forms_at_truth()])
+    true = [*(TRUTH[n] for n in BASE_PARAMETERS), *(form(TRUTH) for form in FORMS.values())]
+    relative = 100 * np.median(found.theory, axis=0) / np.abs(true)
     bias = np.mean(found.error / found.theory, axis=0)
     attainable, _ = _rms(found.bent / found.theory)
     known = np.abs(found.error) <= NORMAL_95 * found.theory
@@ -158,10 +159,6 @@ def show_first(found: Trials) -> None:
         f"({BASE_PARAMETERS[worst]}); within ours {_share(found.covered[:, :n]).strip()}, "
         f"within theory's own {_share(known).strip()}."
     )
-
-
-def _forms_at_truth() -> list[float]:
-    return [form(TRUTH) for form in FORMS.values()]
 
 
 def _share(covered: np.ndarray) -> str:

@@ -89,7 +89,7 @@ def responded(size: Size, commands: Columns) -> np.ndarray:
 
 
 def measured(size: Size, commands: Columns, rng: np.random.Generator, noise: float = 1.0) -> Columns:
-    """The commands with the readings of the sensors; `noise` in units of the rig's own."""
+    """The commands with new readings of the sensors; `noise` in units of the rig's own."""
     thrust, omega, _ = responded(size, commands).T
     shown = tachometer(commands["time"], omega, noise * JITTER * rng.standard_normal(REVOLUTIONS))
     return {**commands, "omega": shown, "thrust": thrust + noise * size.noise * rng.standard_normal(len(thrust))}
@@ -208,11 +208,6 @@ def at_rest(files: Files, size: Size, rng: np.random.Generator) -> Files:
     return {name: measured(size, given, rng) for name in ("open_loop", "repeat")}
 
 
-def resting_records(files: Files, size: Size, rng: np.random.Generator) -> Files:
-    """Long records in which no command moves, beside a map and steps."""
-    return files | recorded("-")(files, size, rng)
-
-
 def emptied(column: str, share: float):
     """Random cells without a value."""
 
@@ -248,14 +243,12 @@ def with_gaps(columns: Columns, size: Size, rng: np.random.Generator) -> Columns
 def uneven(files: Files, size: Size, rng: np.random.Generator) -> Files:
     """Row intervals that vary by a factor of three."""
     found = dict(files)
-    given = {n: files[n] for n in ("open_loop", "validation")}
-    for name, columns in given.items():
-        rows = len(columns["time"])
-        step = rng.uniform(0.5, 1.5, rows) / size.rate
-        commands = {n: columns[n] for n in ("omega_ref", "beta_ref")}
-        found[name] = measured(size, {"time": np.round(np.append(0.0, np.cumsum(step[1:])), 6), **commands}, rng)
+    for name in ("open_loop", "validation"):
+        step = rng.uniform(0.5, 1.5, len(files[name]["time"])) / size.rate
+        time = np.round(np.append(0.0, np.cumsum(step[1:])), 6)
+        found[name] = measured(size, files[name] | {"time": time}, rng)
         if name == "open_loop":
-            found["repeat"] = measured(size, {n: found[name][n] for n in ("time", "omega_ref", "beta_ref")}, rng)
+            found["repeat"] = measured(size, found[name], rng)
     return found
 
 
@@ -305,7 +298,7 @@ def noiseless(files: Files, size: Size, rng: np.random.Generator) -> Files:
     """The plant's own response to the precision of a file, without a repeat, which would be a copy."""
     found = {name: file for name, file in files.items() if name != "repeat"}
     for name in set(LONG) & set(found):
-        found[name] = measured(size, {n: files[name][n] for n in ("time", "omega_ref", "beta_ref")}, rng, 0.0)
+        found[name] = measured(size, files[name], rng, 0.0)
     exact = {n: files["static"][n] for n in ("omega_ref", "beta_ref")}
     thrust = [
         responded(size, {"time": np.arange(2.0), **{n: np.full(2, v) for n, v in zip(exact, point, strict=True)}})[0, 0]
@@ -320,11 +313,6 @@ def static_of_zeros(files: Files, size: Size, rng: np.random.Generator) -> Files
     return files | {"static": files["static"] | {n: np.zeros(len(files["static"][n])) for n in ("thrust", "thrust_std")}}
 
 
-def static_from_standstill(files: Files, size: Size, rng: np.random.Generator) -> Files:
-    """A grid that begins with the rotor at rest."""
-    return files | {"static": steady(size, rng, np.linspace(0.0, 1.0, 5), np.linspace(-5.0, 10.0, 5))}
-
-
 def offset(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
     """A load cell whose zero is off by three times the thrust scale."""
     return columns | {"thrust": columns["thrust"] + 3.0 * size.scales.thrust_scale}
@@ -332,8 +320,7 @@ def offset(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
 
 def noisier_repeat(files: Files, size: Size, rng: np.random.Generator) -> Files:
     """A repeat with four times the noise."""
-    given = {n: files["open_loop"][n] for n in ("time", "omega_ref", "beta_ref")}
-    return files | {"repeat": measured(size, given, rng, 4.0)}
+    return files | {"repeat": measured(size, files["open_loop"], rng, 4.0)}
 
 
 def dead_cell(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
@@ -345,8 +332,7 @@ def from_standstill(columns: Columns, size: Size, rng: np.random.Generator) -> C
     """The rotor is at standstill at the beginning and at the end."""
     rows = len(columns["time"])
     still = (np.arange(rows) < rows // 8) | (np.arange(rows) > 7 * rows // 8)
-    given = {n: columns[n] for n in ("time", "beta_ref")} | {"omega_ref": np.where(still, 0.0, columns["omega_ref"])}
-    return measured(size, given, rng)
+    return measured(size, columns | {"omega_ref": np.where(still, 0.0, columns["omega_ref"])}, rng)
 
 
 def raw_stretches(seconds: float):
@@ -402,7 +388,7 @@ CASES: Mapping[str, Case] = {
     "no move at all": Case("paper", recorded("--")),
     "no move, no speed column": Case("big", lambda *campaign: without("omega")(recorded("-")(*campaign), *campaign[1:])),
     "no move of a rotor at rest": Case("paper", at_rest),
-    "no move beside map and steps": Case("micro", resting_records),
+    "no move beside map and steps": Case("micro", lambda files, *more: files | recorded("-")(files, *more)),
     "static map only": Case("micro", only("static")),
     "steps only": Case("paper", only("steps")),
     "static map and steps only": Case("big", only("static", "steps")),
@@ -424,7 +410,7 @@ CASES: Mapping[str, Case] = {
     "static at one speed": Case("micro", gridded([0.8], np.linspace(-5.0, 10.0, 9))),
     "static of two points": Case("big", gridded([0.5, 0.9], [5.0])),
     "static of zeros": Case("micro", static_of_zeros),
-    "static from standstill": Case("micro", static_from_standstill),
+    "static from standstill": Case("micro", gridded(np.linspace(0.0, 1.0, 5), np.linspace(-5.0, 10.0, 5))),
     "static of one point": Case("paper", gridded([0.5], [5.0])),
     "pitch 12 to 25 deg": Case(
         "paper",

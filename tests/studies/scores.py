@@ -203,11 +203,8 @@ def by_effect(rows: Rows) -> list[str]:
 
 
 def _head(what: str) -> list[str]:
-    return [f"{label:44}" + "".join(f"{head:>9}" for head in heads).rstrip() for label, heads in _heads(what)]
-
-
-def _heads(what: str) -> list[tuple[str, list[str]]]:
-    return [("", [c.group for c in COLUMNS]), (what, [c.head for c in COLUMNS])]
+    lines = ("", [c.group for c in COLUMNS]), (what, [c.head for c in COLUMNS])
+    return [f"{label:44}" + "".join(f"{head:>9}" for head in heads).rstrip() for label, heads in lines]
 
 
 def _cells(what: str, part: Rows) -> str:

@@ -93,9 +93,8 @@ def show(title: str, found: Tuning) -> None:
             print(f"    {step}: {', '.join(f'{n} {c}' for n, c in zip(UNITS, changes, strict=True))}")
         print(f"    {', '.join(f'{margin} {change}' for margin, change in margin_rows(verdict))}")
         print(f"    cost {each.cost('start'):.4g} -> {each.cost('tuned'):.4g}, handed out: {labels(found, each)[each.chosen]}")
-    print(
-        f"  aim <= {SECONDS:g} s: {found.seconds:.1f} s; thrust through the FMUs differs by {_difference(found):.2g} N at most"
-    )
+    off = max(each.fmu_difference for each in found.tuned.values())
+    print(f"  aim <= {SECONDS:g} s: {found.seconds:.1f} s; thrust through the FMUs differs by {off:.2g} N at most")
 
 
 def show_against(found: Tuning) -> None:
@@ -125,10 +124,6 @@ def show_robust(title: str, found: Tuning) -> None:
             f"{over['start']:.1f} %, sensitivity {sensitivity:.2f} where the tuned ones keep {found.task.sensitivity:g}"
         )
     print(f"  {found.seconds:.1f} s")
-
-
-def _difference(found: Tuning) -> float:
-    return max(each.fmu_difference for each in found.tuned.values())
 
 
 def main(parser, arguments):
