@@ -90,9 +90,9 @@ def responded(size: Size, commands: Columns) -> np.ndarray:
 
 def measured(size: Size, commands: Columns, rng: np.random.Generator, noise: float = 1.0) -> Columns:
     """The commands with new readings of the sensors; `noise` in units of the rig's own."""
-    thrust, omega, _ = responded(size, commands).T
+    force, omega, _ = responded(size, commands).T
     shown = tachometer(commands["time"], omega, noise * JITTER * rng.standard_normal(REVOLUTIONS))
-    return {**commands, "omega": shown, "thrust": thrust + noise * size.noise * rng.standard_normal(len(thrust))}
+    return {**commands, "omega": shown, "thrust": force + noise * size.noise * rng.standard_normal(len(force))}
 
 
 JITTER = 25e-6
@@ -217,9 +217,9 @@ def emptied(column: str, share: float):
     return each(change)
 
 
-def sparse(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
-    """A load cell with fewer readings than rows."""
-    return columns | {"thrust": np.where(np.arange(len(columns["time"])) % 30 == 0, columns["thrust"], np.nan)}
+def thrust(read: Callable[[np.ndarray, Size], np.ndarray]):
+    """The long records of another load cell, which reads `read(thrust, size)`."""
+    return each(lambda columns, size, rng: columns | {"thrust": read(columns["thrust"], size)})
 
 
 def section_emptied(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
@@ -264,17 +264,6 @@ def sampled(rate: float, seconds: float):
     return change
 
 
-def quantised(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
-    """Thrust in counts of four standard deviations of the noise."""
-    count = 4.0 * size.noise
-    return columns | {"thrust": count * np.round(columns["thrust"] / count)}
-
-
-def saturated(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
-    """A load cell that saturates at 0.4 of the thrust scale."""
-    return columns | {"thrust": np.minimum(columns["thrust"], 0.4 * size.scales.thrust_scale)}
-
-
 def mid_flight(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
     """The logger was switched on while the rig moved."""
     moved = np.flatnonzero(np.diff(columns["omega_ref"]) != 0.0)
@@ -313,19 +302,9 @@ def static_of_zeros(files: Files, size: Size, rng: np.random.Generator) -> Files
     return files | {"static": files["static"] | {n: np.zeros(len(files["static"][n])) for n in ("thrust", "thrust_std")}}
 
 
-def offset(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
-    """A load cell whose zero is off by three times the thrust scale."""
-    return columns | {"thrust": columns["thrust"] + 3.0 * size.scales.thrust_scale}
-
-
 def noisier_repeat(files: Files, size: Size, rng: np.random.Generator) -> Files:
     """A repeat with four times the noise."""
     return files | {"repeat": measured(size, files["open_loop"], rng, 4.0)}
-
-
-def dead_cell(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
-    """A load cell with a constant reading."""
-    return columns | {"thrust": np.full(len(columns["time"]), 1.0)}
 
 
 def from_standstill(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
@@ -404,7 +383,9 @@ CASES: Mapping[str, Case] = {
     "speed 30 % empty": Case("paper", emptied("omega", 0.3)),
     "speed all empty": Case("big", emptied("omega", 1.1)),
     "speed almost empty": Case("micro", emptied("omega", 0.999)),
-    "thrust read every 30th row": Case("micro", each(sparse)),
+    "thrust read every 30th row": Case(
+        "micro", thrust(lambda read, size: np.where(np.arange(len(read)) % 30 == 0, read, np.nan))
+    ),
     "no speed column": Case("micro", without("omega")),
     "static at one pitch": Case("paper", gridded(np.linspace(0.35, 1.0, 9), [3.0])),
     "static at one speed": Case("micro", gridded([0.8], np.linspace(-5.0, 10.0, 9))),
@@ -425,15 +406,15 @@ CASES: Mapping[str, Case] = {
     "uneven sampling": Case("micro", uneven),
     "100 Hz": Case("paper", sampled(100.0, 40.0)),
     "1 kHz": Case("micro", sampled(1000.0, 12.0)),
-    "quantised thrust": Case("paper", each(quantised)),
-    "saturated load cell": Case("big", each(saturated)),
+    "quantised thrust": Case("paper", thrust(lambda read, size: 4.0 * size.noise * np.round(read / (4.0 * size.noise)))),
+    "saturated load cell": Case("big", thrust(lambda read, size: np.minimum(read, 0.4 * size.scales.thrust_scale))),
     "starts mid-flight": Case("micro", each(mid_flight)),
     "from standstill": Case("paper", each(from_standstill)),
     "voltage and current": Case("paper", each(powered)),
     "unknown columns": Case("micro", each(annotated)),
     "no noise": Case("paper", noiseless),
-    "huge offset": Case("big", each(offset)),
-    "dead load cell": Case("micro", each(dead_cell)),
+    "huge offset": Case("big", thrust(lambda read, size: read + 3.0 * size.scales.thrust_scale)),
+    "dead load cell": Case("micro", thrust(lambda read, size: np.full(len(read), 1.0))),
     "repeat of other noise": Case("big", noisier_repeat),
 }
 """Cases by their peculiarity."""

@@ -255,16 +255,6 @@ def wrong(row: dict) -> bool:
     return row["verdict"] in NAMED and not all(known)
 
 
-def learns(row: dict) -> bool:
-    """Has learned an effect that is in no list."""
-    return row["verdict"] == "learned"
-
-
-def open_ended(row: dict) -> bool:
-    """Says that something is missing, or partly missing, with or without names."""
-    return row["verdict"] in ("partly", "unexplained")
-
-
 def passes_over(row: dict) -> bool:
     """Names the strong effect of a pair as the only one."""
     return row["hidden"][0] in named(row) and not names_all(row) and not wrong(row)
@@ -280,15 +270,17 @@ def close(row: dict) -> bool:
     return row["over_noise"] <= CLOSE
 
 
-def silent(row: dict) -> bool:
-    """Says that nothing is missing."""
-    return row["verdict"] == "none"
+def verdict(*words: str) -> Callable[[dict], bool]:
+    """A test of the verdict."""
+    return lambda row: row["verdict"] in words
 
+
+_LEARNED, _OPEN, _NONE = verdict("learned"), verdict("partly", "unexplained"), verdict("none")
 
 COLUMNS: dict[str, dict[str, Callable[[dict], bool]]] = {
     "nothing": {"names": gives_name, "logger's": gives_logger, "missing": says_something},
-    "hidden": {"named": names_all, "wrong": wrong, "learned": learns, "open": open_ended, "none": silent},
-    "pairs": {"both": names_all, "admits": admits, "passes": passes_over, "wrong": wrong, "learned": learns, "none": silent},
+    "hidden": {"named": names_all, "wrong": wrong, "learned": _LEARNED, "open": _OPEN, "none": _NONE},
+    "pairs": {"both": names_all, "admits": admits, "passes": passes_over, "wrong": wrong, "learned": _LEARNED, "none": _NONE},
 }
 AIMS = {"nothing": ("names", "missing"), "hidden": ("named", "wrong"), "pairs": ("both", "passes")}
 """Columns (`wrong` may be beside a right name) that are also printed as shares with their intervals."""

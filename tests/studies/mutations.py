@@ -141,13 +141,7 @@ def passed(tree: Path, part: Part) -> bool:
     """Whether a part's tests pass in a tree."""
     words = [
         sys.executable,
-        "-m",
-        "pytest",
-        "-q",
-        "-x",
-        "-p",
-        "no:cacheprovider",
-        "-n0",
+        *["-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-n0"],
         *(f"tests/{name}.py" for name in part.tests),
     ]
     words += ["-k", part.keep] if part.keep else []
