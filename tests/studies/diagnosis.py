@@ -118,7 +118,10 @@ def outcome(case: Case, threads: int = 1, library: Iterable[Effect] = LIBRARY) -
     row |= {"evidence": case.evidence(measured.open_loop), "equal": case.equals(measured.open_loop)}
     row |= {"verdict": content["verdict"], "effects": [e["name"] for e in content["effects"]]}
     row |= {"family": content["family"], "lack_of_fit": content.get("lack_of_fit")}
-    row |= {"parameters": compared(content, case.truth()), "true_error": _true_errors(case, before, after)}
+    record, true = case.unseen()
+    errors = [_outputs(found, record)[:, 0] - true for found in (before, after)]
+    row |= {"parameters": compared(content, case.truth())}
+    row |= {"true_error": [float(np.sqrt(np.mean(error**2))) for error in errors]}  # rms N, on a record that no fit has seen
     row |= {"behind": case.behind(measured.open_loop, *_outputs(after, measured.open_loop)[:, :2].T)}
     if case.deleted and scores.wrong(row):
         # The names that the diagnosis gives if the library has the true effect.
@@ -163,19 +166,9 @@ def written_results(measured: Campaign, library: Sequence[Effect], threads: int 
     return content, *sets
 
 
-def _true_errors(case: Case, before: ParameterSet, after: ParameterSet) -> list[float]:
-    """[before, after] rms N of a model's thrust error on a hold-out record, against the true thrust."""
-    record, true = case.unseen()
-    return [_rms(_outputs(found, record)[:, 0] - true) for found in (before, after)]
-
-
 def _outputs(found: ParameterSet, record: Record) -> np.ndarray:
     """(rows, 3) thrust [N], speed [rpm], pitch [deg]."""
     return Simulator(found.model).simulate(found.values, *record.run)
-
-
-def _rms(error: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(error**2)))
 
 
 def compared(content: dict, truth: dict[str, float]) -> dict[str, list]:

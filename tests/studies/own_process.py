@@ -49,12 +49,6 @@ def peak(pid: int | str = "self") -> float:
     return int(status["VmHWM"].split()[0]) / 1024.0
 
 
-def main() -> None:
-    """Run as the other process."""
-    work, arguments = pickle.load(sys.stdin.buffer)
-    result = work(*arguments)
-    Path(sys.argv[1]).write_bytes(pickle.dumps(result))
-
-
 if __name__ == "__main__":
-    main()
+    work, arguments = pickle.load(sys.stdin.buffer)
+    Path(sys.argv[1]).write_bytes(pickle.dumps(work(*arguments)))
