@@ -1,6 +1,7 @@
 """The studies' emulator of rigs against closed forms, and the studies' handling of cases."""
 
 import json
+from argparse import ArgumentParser
 from dataclasses import replace
 from importlib import import_module
 
@@ -267,14 +268,14 @@ def test_an_interrupted_study_continues(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(diagnosis, "rows", rows)
     path = tmp_path / "some" / "rows.jsonl"
     for seeds in (2, 3):
-        diagnosis.main(["--kinds", "none,single", "--seeds", str(seeds), "--noise", "white", "-o", str(path)])
+        diagnosis.main(ArgumentParser(), ["--kinds", "none,single", "--seeds", str(seeds), "--noise", "white", "-o", str(path)])
     assert [len(names) for names in asked] == [4, 2]
     assert len(path.read_text().splitlines()) == 6
     printed = capsys.readouterr().out
     assert "of 3" in printed
-    diagnosis.main(["--kinds", "none", "--seeds", "1", "--noise", "AR", "-o", str(path)])  # another case
+    diagnosis.main(ArgumentParser(), ["--kinds", "none", "--seeds", "1", "--noise", "AR", "-o", str(path)])  # another case
     assert asked[-1] == ["none - #0"]
-    diagnosis.main(["--only-table", "-o", str(path)])
+    diagnosis.main(ArgumentParser(), ["--only-table", "-o", str(path)])
     assert "7" in capsys.readouterr().out.split("all ", 1)[1][:20] or len(path.read_text().splitlines()) == 7
 
 

@@ -1,6 +1,7 @@
 """Speed sensors and loggers of the loggers study against closed forms, and the study's handling of cases."""
 
 import json
+from argparse import ArgumentParser
 
 import numpy as np
 import pytest
@@ -220,8 +221,8 @@ def test_an_interrupted_study_continues(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(loggers, "rows", faked)
     path = tmp_path / "some" / "lines.jsonl"
     for seeds in ("2", "5"):
-        loggers.main(["--seeds", seeds, "-o", str(path)])
-    loggers.main(["--only", "1", "-o", str(path)])
+        loggers.main(ArgumentParser(), ["--seeds", seeds, "-o", str(path)])
+    loggers.main(ArgumentParser(), ["--only", "1", "-o", str(path)])
     assert asked == [[0, 1], [2, 3, 4], [1]]
     assert [json.loads(text)["number"] for text in path.read_text().splitlines()] == [0, 1, 2, 3, 4]
     assert "nothing: names: 0 of 5" in capsys.readouterr().out
@@ -230,9 +231,9 @@ def test_an_interrupted_study_continues(tmp_path, monkeypatch, capsys):
 def test_one_case_can_be_written_as_a_folder(tmp_path, capsys):
     like = ((k, Case("hidden", 0, k).factors) for k in range(100))
     number = next(k for k, f in like if f["rate"] == 25 and not f["static"])
-    loggers.main(["--part", "hidden", "--only", str(number), "--save", str(tmp_path)])
+    loggers.main(ArgumentParser(), ["--part", "hidden", "--only", str(number), "--save", str(tmp_path)])
     case, again = Case("hidden", 0, number), read_campaign(tmp_path)
     assert again.open_loop["thrust"] == pytest.approx(case.measured().open_loop["thrust"], abs=1e-9)
     assert json.loads(capsys.readouterr().out)["hidden"] == list(case.hidden)
     with pytest.raises(SystemExit):
-        loggers.main(["--save", str(tmp_path)])
+        loggers.main(ArgumentParser(), ["--save", str(tmp_path)])

@@ -1,6 +1,7 @@
 """Logs of a user, from the folder to the table: which are accepted, fits in both directions, and effects of the logger."""
 
 import csv
+from argparse import ArgumentParser
 from dataclasses import replace
 
 import numpy as np
@@ -76,7 +77,7 @@ def test_files_that_are_neither_campaign_nor_log_are_named(tmp_path, capsys):
     assert "day0.csv: left out: line 2: found 5 cells" in printed
     assert "notes.txt: left out: neither a log" in printed
     with pytest.raises(SystemExit, match="no folder"):
-        measured.main([str(tmp_path / "none")])
+        measured.main(ArgumentParser(), [str(tmp_path / "none")])
 
 
 SOME = tuple(e for e in LIBRARY if e.off is None or e.name in NAMES)

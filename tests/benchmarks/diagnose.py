@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from identification.demo import example_folder
+from tests.studies.own_process import peak
 
 HERE = Path(__file__).resolve().parents[2]
 SHARED = HERE.parent / "shared" / "data"
@@ -125,17 +126,11 @@ def on_dask(campaign: Path) -> None:
                     processes[0].send_signal(signal.SIGKILL)
                 said, _ = run.communicate()
                 seconds = time.perf_counter() - began
-                memory = resident(scheduler.pid)
+                memory = peak(scheduler.pid)
             done = len(list(folder.glob("out/*/diagnosis.json")))
         failed = "" if run.returncode == 0 else f", exit code {run.returncode}: {said.strip().splitlines()[-1]}"
         label = f"{workers}{', one killed' * killed}"
         print(f"{label:18} {seconds:6.1f} {seconds / FLEET:7.1f} {memory:13.0f}  {done} of {FLEET}{failed}", flush=True)
-
-
-def resident(pid: int) -> float:
-    """Peak memory of a process, MB, as Linux counts it."""
-    status = Path(f"/proc/{pid}/status").read_text()
-    return float(next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1]) / 1024.0
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

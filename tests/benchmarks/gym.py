@@ -10,16 +10,15 @@ import tempfile
 import time
 from pathlib import Path
 
-import fmpy
 import numpy as np
-from fmpy.fmi2 import FMU2Slave
 from scipy.signal import cont2discrete
 
+from tests.benchmarks.native import STEP, started
 from vpp_fmu.export import native_fmu, python_fmu
 from vpp_fmu.gym import VppThrustVectorEnv
 from vpp_fmu.kernel.plant import BASE
 
-STEP, ENVIRONMENTS, SECONDS = 0.004, 4096, 0.5
+ENVIRONMENTS, SECONDS = 4096, 0.5
 
 
 def rate(work, steps, repeats=5):
@@ -38,14 +37,7 @@ def under_fmpy(fmu: bytes, folder: Path) -> float:
     """Plant steps a second of an FMU under fmpy: two inputs set, a step, three outputs read."""
     path = folder / "plant.fmu"
     path.write_bytes(fmu)
-    description = fmpy.read_model_description(str(path))
-    at = {v.name: v.valueReference for v in description.modelVariables}
-    identifier = description.coSimulation.modelIdentifier
-    slave = FMU2Slave(guid=description.guid, unzipDirectory=fmpy.extract(str(path)), modelIdentifier=identifier)
-    slave.instantiate()
-    slave.setupExperiment()
-    slave.enterInitializationMode()
-    slave.exitInitializationMode()
+    slave, at = started(path)
     inputs, outputs = [at["omega_ref"], at["beta_ref"]], [at["thrust"], at["omega"], at["beta"]]
     steps = 0
 

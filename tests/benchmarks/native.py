@@ -32,7 +32,7 @@ STEP = 0.004
 SIZE = ctypes.c_double(STEP), ctypes.c_int(1)
 
 
-def best(work, count, repeats=15):
+def best(work, count, repeats=7):
     """Seconds for one of `count` calls of `work()`, the best of `repeats` runs."""
     times = []
     for _ in range(repeats):
@@ -55,7 +55,7 @@ def empty_fmu(fmu: Path, model: Model) -> bytes:
 
 
 def started(path):
-    """An FMU instance under fmpy's own wrapper, ready to step."""
+    """(an FMU instance under fmpy's own wrapper, ready to step; its value references by name)."""
     description = fmpy.read_model_description(str(path))
     identifier = description.coSimulation.modelIdentifier
     slave = FMU2Slave(
@@ -65,7 +65,7 @@ def started(path):
     slave.setupExperiment(startTime=0.0)
     slave.enterInitializationMode()
     slave.exitInitializationMode()
-    return slave
+    return slave, {v.name: v.valueReference for v in description.modelVariables}
 
 
 def best_step(slave, step, count=5000, repeats=15):
@@ -87,7 +87,7 @@ def one_step(bound, component, at):
 
 def do_steps(*paths):
     """For each FMU (seconds of a doStep through fmpy's wrapper, through a call bound once); measured in turn, for fairness."""
-    slaves = [started(path) for path in paths]
+    slaves = [started(path)[0] for path in paths]
     found = [[float("inf"), float("inf")] for _ in slaves]
     for _ in range(5):
         for slave, times in zip(slaves, found, strict=True):
@@ -130,11 +130,11 @@ def masters(*pairs, count=5000):
     return found
 
 
-def whole(plant_path, controller_path, count=10_000):
+def whole(plant_path, controller_path, count=10_000, repeats=60):
     """Seconds per step of `vpp_fmu.loop.run`, including the constant cost of a run."""
     plant, controller = FmuPlant(plant_path, dt=STEP), FmuController(controller_path, dt=STEP)
     profile = Record({"time": np.array([0.0, count * STEP]), "thrust_set": np.array([5.0, 5.0])}, "constant")
-    return best(lambda: run(plant, controller, profile), 1, 60) / count
+    return best(lambda: run(plant, controller, profile), 1, repeats) / count
 
 
 def foreign_calls(plant_path, controller_path, count=1000):

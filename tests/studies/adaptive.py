@@ -10,7 +10,6 @@ All of it is compiled and runs in virtual time. Aims: within 1.2 of the bound; 9
 more than one false alarm in 100 h.
 """
 
-import argparse
 import tempfile
 import time
 from collections import Counter
@@ -29,13 +28,13 @@ from identification.workers import spread
 from tests.studies.twin import (
     DT,
     KINDS,
-    REST,
     RUN,
     WATCHED,
     Known,
-    _closed,
+    _loop,
     _noise,
     _orders,
+    _plant,
     _rig,
     identified,
 )
@@ -45,7 +44,6 @@ from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.kernel.twin import BETWEEN, BLOCK, BROUGHT, HALVES, NODE, NODES, ON_THE_WAY, PLACE, SPEED_ON_THE_WAY
-from vpp_fmu.native.closed_loop import Course
 from vpp_fmu.native.simulator import Simulator
 from vpp_fmu.native.stepper import Stepper
 from vpp_fmu.parameters import ParameterSet
@@ -67,9 +65,7 @@ CONSTANT = Band(0.12, 0.047, 0.15, 0.03, 0.0)
 """Band of the rigs that equal their model: the emulated load cell's noise, and a map that is right to 0.03 N."""
 
 
-def main(arguments: list[str]) -> None:
-    """Run the study."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies adaptive", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--seeds", type=int, default=100, metavar="N", help="of each change (default: %(default)s)")
     parser.add_argument("--hours", type=int, default=100, metavar="H", help="for false alarms (default: %(default)s)")
     parser.add_argument("--twins", type=int, default=24, metavar="N", help="rigs, each with a campaign (default: %(default)s)")
@@ -243,16 +239,15 @@ def idle_hours(seed: int, hours: int = IDLE) -> dict[str, float]:
 # --- (b) ---------------------------------------------------------------------------------------------------------------------
 
 
-@cache
-def _simulator_of(names: tuple[str, ...]) -> list[Simulator]:
-    return []
+SIMULATORS: dict[tuple[str, ...], Simulator] = {}
+"""By the names of a twin's states, since each call of `adaptive` makes a new model."""
 
 
 def _simulator(twin: ParameterSet) -> Simulator:
-    kept = _simulator_of(tuple(x.name for x in twin.model.states))
-    if not kept:
-        kept.append(Simulator(twin.model))
-    return kept[0]
+    names = tuple(x.name for x in twin.model.states)
+    if names not in SIMULATORS:
+        SIMULATORS[names] = Simulator(twin.model)
+    return SIMULATORS[names]
 
 
 def _ran(twin: ParameterSet, inputs: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -305,7 +300,7 @@ def _shown(change, given, after, lag, values, own) -> tuple[np.ndarray, np.ndarr
 
     def run(changed: dict[str, float], orders) -> np.ndarray:
         if own is None:
-            return _model().simulate({n: v for n, v in values.items() if n in _model_names()} | changed, orders, steps)
+            return _plant().simulate({p.name: values[p.name] for p in plant().parameters} | changed, orders, steps)
         return _rig().simulate(own | changed, orders, steps)
 
     if change.startswith("pitch"):
@@ -316,16 +311,6 @@ def _shown(change, given, after, lag, values, own) -> tuple[np.ndarray, np.ndarr
         slower = run({lag: 1.5 * values[lag]} if own is None else {"kp_lac": own["kp_lac"] / 1.5}, given)
         shown = np.where(after[:, None], slower, shown)
     return shown[:, 0] * np.where(after & change.startswith("thrust"), 0.85, 1.0), shown[:, 1]
-
-
-@cache
-def _model() -> Simulator:
-    return Simulator(plant())
-
-
-@cache
-def _model_names() -> frozenset[str]:
-    return frozenset(p.name for p in plant().parameters)
 
 
 def _judged(change, name, shown, at, adapted) -> tuple[float, float, str]:
@@ -357,19 +342,12 @@ def alarms(hour: int, known: list[Known]) -> tuple[str, str, int, float, float]:
 
 
 def _undisturbed(kind: str, rng: np.random.Generator, one: Known) -> dict[str, np.ndarray]:
-    if kind != "closed loop":
+    if kind == "closed loop":
+        omega, beta, thrust, speed = _loop(rng, one.own)
+    else:
         omega, beta = _orders(kind, rng)
         shown = _rig().simulate(one.own, {"omega_ref": omega, "beta_ref": beta}, np.full(len(omega) - 1, DT))
         thrust, speed = shown[:, 0] + _noise(rng, len(omega)), shown[:, 1]
-        return {"omega_ref": omega, "beta_ref": beta, "thrust": thrust, "omega": tachometer(speed)}
-    rows = round(RUN / DT)
-    times = np.cumsum(rng.uniform(1.0, 5.0, rows // 200))
-    wanted = rng.uniform(1.0, 10.0, len(times) + 1)[np.searchsorted(times, np.arange(rows) * DT)]
-    noise, loop = _noise(rng, rows), _closed()
-    shown = loop.rows(loop.vectors(one.own, {}, {}), Course(wanted, noise, DT, 15.0, REST))[1]
-    omega, beta = (np.concatenate([[at], column]) for at, column in zip(REST, shown[:, :2].T, strict=True))
-    thrust = np.concatenate([shown[:1, 2], shown[:, 2]]) + np.concatenate([noise[:1], noise])
-    speed = np.concatenate([shown[:1, 3], shown[:, 3]])
     return {"omega_ref": omega, "beta_ref": beta, "thrust": thrust, "omega": tachometer(speed)}
 
 

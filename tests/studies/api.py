@@ -1,15 +1,15 @@
 """Seconds that `import vpp_fmu` and each of its public names take in a fresh interpreter, beyond those of an empty one. Then
 the package is installed as a wheel outside the checkout, and the example of every public docstring runs there."""
 
-import argparse
 import os
 import subprocess
 import sys
 import sysconfig
 import tempfile
-import time
 import venv
+from functools import partial
 from pathlib import Path
+from timeit import repeat
 
 import vpp_fmu
 
@@ -36,13 +36,8 @@ print(f"{run} examples of {names} names of {len(vpp.__all__)} run, none fails")
 
 def seconds(code: str, times: int) -> float:
     """Seconds of the fastest of several fresh interpreters."""
-    return min(_once(code) for _ in range(times))
-
-
-def _once(code: str) -> float:
-    began = time.perf_counter()
-    subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
-    return time.perf_counter() - began
+    start = partial(subprocess.run, [sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
+    return min(repeat(start, repeat=times, number=1))
 
 
 def from_wheel(folder: Path) -> list[str]:
@@ -65,11 +60,9 @@ def from_wheel(folder: Path) -> list[str]:
     return done.stdout.splitlines()
 
 
-def main(options: list[str]) -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies api", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--times", type=int, default=3, metavar="N", help="interpreters, of which the fastest counts")
-    times = parser.parse_args(options).times
+    times = parser.parse_args(arguments).times
     nothing = seconds("pass", times)
     print(f"import vpp_fmu        {seconds('import vpp_fmu', times) - nothing:6.3f} s (aim: below {AIM:g} s)")
     for name in ("__version__", *vpp_fmu.__all__):

@@ -6,12 +6,11 @@ Aim: no command outside a range, no change steeper than a slew. A command is one
 checked independently of the code that makes the commands.
 """
 
-import argparse
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from math import inf, isfinite
 
 import numpy as np
@@ -24,6 +23,7 @@ from identification.diagnose.experiment import discriminating_experiment
 from identification.plan.excitation import candidate, paper_plan, variant
 from identification.plan.plan import plan
 from identification.thrust_steps import step_profile
+from identification.workers import spread
 from vpp_fmu.commands import commanded, idle
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.record import Record
@@ -169,18 +169,15 @@ def study(rigs: Iterable[int], seed: int = 0, planned: int = PLANNED) -> Count:
     return count
 
 
-def main(argv: Sequence[str] | None = None) -> None:
-    """Run the study."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies commands", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--rigs", type=int, default=10000, metavar="N", help="random rigs (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, metavar="N")
     parser.add_argument("--workers", type=int, default=2, metavar="N", help="processes side by side")
-    options = parser.parse_args(argv)
+    options = parser.parse_args(arguments)
     began = time.perf_counter()
     count, shares = Count(), [range(k, options.rigs, options.workers) for k in range(options.workers)]
-    with ProcessPoolExecutor(options.workers) as pool:
-        for found in pool.map(study, shares, [options.seed] * options.workers):
-            count.merge(found)
+    for found in spread(partial(study, seed=options.seed), shares, options.workers, what="rigs"):
+        count.merge(found)
     print(f"{'commands of':50} {'checked':>12} {'outside':>8} {'steeper':>8}")
     for name, checked in count.checked.items():
         print(f"{name:50} {checked:12d} {count.outside[name]:8d} {count.steeper[name]:8d}")

@@ -8,7 +8,6 @@ the method of `vpp tune`, under the same limits, on the rig's own physics with t
 Aims: the cost of "both" within 5 % of that of full knowledge; no policy ends at a higher cost than it began.
 """
 
-import argparse
 import json
 import re
 import tempfile
@@ -41,8 +40,8 @@ from vpp_fmu.kernel.twin import BROUGHT
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native.closed_loop import ClosedLoop
 from vpp_fmu.parameters import ParameterSet
-from vpp_fmu.record import Record
 
+from .row_file import read
 from .twin import identified
 
 HIDDEN = {
@@ -59,9 +58,7 @@ CAREFUL = 0.5
 """Share of the paper's gains with which a day begins; the full gains are near the best, and would leave little to find."""
 
 
-def main(arguments: list[str]) -> None:
-    """Run the study, with a line of the file for each rig; rigs that are in the file are not repeated."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies days", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--seeds", type=int, default=20, metavar="N", help="rigs for each change (default: %(default)s)")
     parser.add_argument("--first-seed", type=int, default=0, metavar="K", help="(default: %(default)s)")
     parser.add_argument("--changes", default=",".join(HIDDEN), metavar="A,B", help="(default: %(default)s)")
@@ -73,18 +70,14 @@ def main(arguments: list[str]) -> None:
     path = Path(options.output)
     path.parent.mkdir(parents=True, exist_ok=True)
     if not options.only_table:
-        known = {(row["change"], row["seed"]) for row in _rows(path)}
+        known = {(row["change"], row["seed"]) for row in read(path)}
         seeds = range(options.first_seed, options.first_seed + options.seeds)
         wanted = [(change, seed) for seed in seeds for change in options.changes.split(",") if (change, seed) not in known]
         spread(partial(_kept, path, options.rounds), wanted, options.workers, what="rigs")
     for change in HIDDEN:
-        found = [row for row in _rows(path) if row["change"] == change]
+        found = [row for row in read(path) if row["change"] == change]
         if found:
             _show(change, found)
-
-
-def _rows(path: Path) -> list[dict]:
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
 def _kept(path: Path, count: int, wanted: tuple[str, int]) -> None:
@@ -109,7 +102,8 @@ def days(change: str, count: int, seed: int) -> dict:
             return Setup(read_calibration(CALIBRATION), Limits(), own, virtual=True, plant=parameters.values)
 
         def final(law: Law) -> float:
-            return float(np.mean([_cost(setup(True, 900 + k), law, day.profile, Path(folder)) for k in range(FINAL)]))
+            flown = (fly(setup(True, 900 + k), law, day.profile, Path(folder, "flight")) for k in range(FINAL))
+            return float(np.mean([each.cost for each in flown]))
 
         results = {}
         for policy in POLICIES:
@@ -169,10 +163,6 @@ def _known_in_full(wanted: Task, settings: Mapping[str, float], own: Mapping[str
     objective, found = rounds({"dual": truth}, {"dual": starts})["dual"]
     better = found.cost < objective.penalised(truth.gains)
     return truth.with_gains(found.gains if better else truth.gains)
-
-
-def _cost(setup: Setup, law: Law, profile: Record, folder: Path) -> float:
-    return fly(replace(setup), law, profile, folder / "flight").cost
 
 
 def _show(change: str, found: list[dict]) -> None:

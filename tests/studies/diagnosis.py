@@ -35,6 +35,7 @@ from .hidden_effects import HIDDEN, LISTED
 from .noise import KINDS as NOISES
 from .own_process import Failed, apart, peak
 from .rig import SIZES, save
+from .row_file import kept, read
 
 YES_NO = {"yes": True, "no": False}
 
@@ -62,9 +63,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         fixed.add_argument(f"--{name}", choices=YES_NO)
 
 
-def main(arguments: list[str]) -> None:
-    """`python -m tests.studies diagnosis`."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies diagnosis", description=__doc__)
+def main(parser, arguments):
     configure(parser)
     options = parser.parse_args(arguments)
     path = Path(options.output)
@@ -79,15 +78,11 @@ def main(arguments: list[str]) -> None:
     known = {e.name for e in LIBRARY if e.off is not None}
     if skipped := [h.name for h in LISTED if h.name not in known]:
         print(f"not in the library, so not studied: {', '.join(skipped)}")
-    path.parent.mkdir(parents=True, exist_ok=True)
     done = {_key(row): row for row in read(path)}
     wanted = [key for case in todo if (key := _key(case.summary()))]
     missing = [case for case, key in zip(todo, wanted, strict=True) if key not in done]
-    with path.open("a") as file:
-        for row in rows(missing, options.workers, options.threads, options.limit, options.cold):
-            file.write(json.dumps(row) + "\n")
-            file.flush()
-            done[_key(row)] = row
+    for row in kept(path, rows(missing, options.workers, options.threads, options.limit, options.cold)):
+        done[_key(row)] = row
     print(scores.tables([done[key] for key in wanted]))
 
 
@@ -107,11 +102,6 @@ def chosen(options: argparse.Namespace) -> list[Case]:
     return found
 
 
-def read(path: Path) -> list[dict]:
-    """The rows of a file; none if it does not exist."""
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-
-
 def _key(row: dict) -> str:
     """Identity of a case: its name, factors and deleted effect."""
     return json.dumps([row["name"], row["factors"], row["deleted"]], sort_keys=True)
@@ -128,7 +118,10 @@ def outcome(case: Case, threads: int = 1, library: Iterable[Effect] = LIBRARY) -
     row |= {"evidence": case.evidence(measured.open_loop), "equal": case.equals(measured.open_loop)}
     row |= {"verdict": content["verdict"], "effects": [e["name"] for e in content["effects"]]}
     row |= {"family": content["family"], "lack_of_fit": content.get("lack_of_fit")}
-    row |= {"parameters": compared(content, case.truth()), "true_error": _true_errors(case, before, after)}
+    record, true = case.unseen()
+    errors = [_outputs(found, record)[:, 0] - true for found in (before, after)]
+    row |= {"parameters": compared(content, case.truth())}
+    row |= {"true_error": [float(np.sqrt(np.mean(error**2))) for error in errors]}  # rms N, on a record that no fit has seen
     row |= {"behind": case.behind(measured.open_loop, *_outputs(after, measured.open_loop)[:, :2].T)}
     if case.deleted and scores.wrong(row):
         # The names that the diagnosis gives if the library has the true effect.
@@ -173,19 +166,9 @@ def written_results(measured: Campaign, library: Sequence[Effect], threads: int 
     return content, *sets
 
 
-def _true_errors(case: Case, before: ParameterSet, after: ParameterSet) -> list[float]:
-    """[before, after] rms N of a model's thrust error on a hold-out record, against the true thrust."""
-    record, true = case.unseen()
-    return [_rms(_outputs(found, record)[:, 0] - true) for found in (before, after)]
-
-
 def _outputs(found: ParameterSet, record: Record) -> np.ndarray:
     """(rows, 3) thrust [N], speed [rpm], pitch [deg]."""
     return Simulator(found.model).simulate(found.values, *record.run)
-
-
-def _rms(error: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(error**2)))
 
 
 def compared(content: dict, truth: dict[str, float]) -> dict[str, list]:

@@ -17,7 +17,6 @@ buses under each law (`vpp hil run --virtual --power`), and so does its identifi
 own equations, settled over throttle and pitch, give its reference.
 """
 
-import argparse
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -37,7 +36,7 @@ from hil.run import run_on_rig
 from hil.safety.limits import limits_of
 from hil.session import Setup
 from identification.identify import identify
-from identification.power.allocation import allocate, allocated_controller
+from identification.power.allocation import Allocation, allocate, allocated_controller
 from identification.power.fit import fit_power, steady_readings
 from identification.power.model import PowerModel
 from identification.tune.controllers import controllers
@@ -149,6 +148,18 @@ def flown(truth: Truth, settings: Mapping[str, float], profile: Record, rest: tu
     return Flown(float(truth.power(w, b).sum() * DT), error, run["thrust"], large)
 
 
+def settings_of(found: Allocation, own: Mapping[str, Mapping], allocated: Mapping[str, float]) -> dict[str, Mapping]:
+    """A controller's values for each law."""
+    best_fixed = {**own["speed_only"], "beta_fixed": found.fixed_beta}
+    return {"speed only, best fixed pitch": best_fixed, "dual PID (paper)": own["dual"], "allocated": allocated}
+
+
+def at_rest(found: Allocation, profile: Record) -> tuple[float, float]:
+    """The pair of the profile's first set-point."""
+    first = float(profile["thrust_set"][0])
+    return float(np.interp(first, found.thrust, found.omega)), float(np.interp(first, found.thrust, found.beta))
+
+
 def compared(seed: int) -> tuple[dict[str, Flown], float]:
     """(results of each law, energy of the reference [J]) on the rig of a seed."""
     rng = np.random.default_rng([seed, 44])
@@ -158,16 +169,10 @@ def compared(seed: int) -> tuple[dict[str, Flown], float]:
     fit = fit_power(steady_readings(points(truth, rng), parameters.values))
     powered = fit.added_to(parameters)
     found = allocate(powered, PowerModel(powered, fit.names, fit.covariance))
-    own = controllers(parameters).settings
-    laws = {
-        "speed only, best fixed pitch": {**own["speed_only"], "beta_fixed": found.fixed_beta},
-        "dual PID (paper)": own["dual"],
-        "allocated": allocated_controller(found, powered).values,
-    }
+    laws = settings_of(found, controllers(parameters).settings, allocated_controller(found, powered).values)
     top = min(float(truth.thrust(np.array(1.0), np.array((found.fixed_beta + 5.0) / 15.0))), float(found.thrust[-1]))
     profile = mission(top, rng)
-    first = float(profile["thrust_set"][0])
-    rest = float(np.interp(first, found.thrust, found.omega)), float(np.interp(first, found.thrust, found.beta))
+    rest = at_rest(found, profile)
     done = {name: flown(truth, settings, profile, rest) for name, settings in laws.items()}
     return done, reference(truth, done["allocated"].thrust)
 
@@ -205,16 +210,11 @@ def emulated(seed: int = 0) -> None:
         measuring.run(folder, measuring.begin(folder.path, {"begun": ""}, False), None, print)
         parameters = identify(read_campaign(name)).parameters
         found = allocate(parameters, PowerModel.of(parameters))
-        own = controllers(parameters, sample_time=DT).settings
-        laws = {
-            "speed only, best fixed pitch": {**own["speed_only"], "beta_fixed": found.fixed_beta},
-            "dual PID (paper)": own["dual"],
-            "allocated": allocated_controller(found, parameters).values | {"sample_time": DT},
-        }
+        allocated = allocated_controller(found, parameters).values | {"sample_time": DT}
+        laws = settings_of(found, controllers(parameters, sample_time=DT).settings, allocated)
         top = min(float(np.interp(found.fixed_beta, found.beta, found.thrust)), float(found.thrust[-1]))
         profile = mission(top, np.random.default_rng([seed, 46]))
-        first = float(profile["thrust_set"][0])
-        rest = float(np.interp(first, found.thrust, found.omega)), float(np.interp(first, found.thrust, found.beta))
+        rest = at_rest(found, profile)
         print(f"\n{'law':30s} {'rig: energy [J]':>16s} {'reference [J]':>14s} {'over [%]':>9s} {'cosim: energy [J]':>18s}")
         for law, settings in laws.items():
             flown = run_on_rig(setup, KernelController(settings, DT), profile, Path(name), rest).record
@@ -227,12 +227,11 @@ def emulated(seed: int = 0) -> None:
             print(f"{law:30s} {taken:16.0f} {bound:14.0f} {100.0 * (taken / bound - 1.0):9.1f} {model:18.0f}", flush=True)
 
 
-def main(options=None):
-    parser = argparse.ArgumentParser(prog="python -m tests.studies energy", description=__doc__.splitlines()[0])
+def main(parser, arguments):
     parser.add_argument("--rigs", type=int, default=20, metavar="N")
     parser.add_argument("--first-seed", type=int, default=0, metavar="N")
     parser.add_argument("--emulated", action="store_true", help="fly the mission on the emulated rig instead")
-    parsed = parser.parse_args(options)
+    parsed = parser.parse_args(arguments)
     if parsed.emulated:
         emulated(parsed.first_seed)
         return

@@ -5,7 +5,6 @@ that a second release of the interpreter crashes at once; and, as the control, o
 fix disabled. Run it beside other work, because an idle machine hides failures.
 """
 
-import argparse
 import os
 import runpy
 import signal
@@ -28,17 +27,15 @@ IDLE = "import os\ndel os.RTLD_NOLOAD\n"
 CONTROL = 20
 
 
-def main(arguments: list[str]) -> None:
-    """`python -m tests.studies exits`."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies exits", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--runs", type=int, default=3000, metavar="N", help="runs of each kind (default: %(default)s)")
     parser.add_argument("--minutes", type=float, default=60.0, metavar="M", help="end after this (default: %(default)s)")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
         counts = ended(Path(folder), options.runs, 60.0 * options.minutes)
     for kind, codes in counts.items():
-        said = ", ".join(f"{n} ended with {named(code)}" for code, n in sorted(codes.items(), reverse=True))
-        print(f"{kind}: {codes.total()} runs: {said}")
+        ends = ((n, signal.Signals(-code).name if code < 0 else code) for code, n in sorted(codes.items(), reverse=True))
+        print(f"{kind}: {codes.total()} runs: {', '.join(f'{n} ended with {end}' for n, end in ends)}")
 
 
 def ended(folder: Path, runs: int, seconds: float) -> dict[str, Counter]:
@@ -64,8 +61,3 @@ def ended(folder: Path, runs: int, seconds: float) -> dict[str, Counter]:
                 done = subprocess.run(words, env=environment, check=False, capture_output=True)
                 counts[kind][done.returncode] += 1
     return counts
-
-
-def named(code: int) -> str:
-    """The name of a signal, or the exit code."""
-    return signal.Signals(-code).name if code < 0 else str(code)

@@ -7,7 +7,6 @@ same byte for byte. No file is left out of the comparison. SOURCE_DATE_EPOCH giv
 file has run times.
 """
 
-import argparse
 import contextlib
 import csv
 import filecmp
@@ -21,6 +20,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from datetime import date, timedelta
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 from tqdm import tqdm
@@ -43,14 +43,14 @@ FIRST = date(2026, 1, 1)
 """First of the campaigns' days, one a campaign; the folder's name has the day, and the table reads it there."""
 
 
-def main(arguments: list[str]) -> None:
-    """Draw, diagnose twice, compare."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies fleet", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--campaigns", type=int, default=100, metavar="N", help="(default: %(default)s)")
     parser.add_argument("--first-seed", type=int, default=0, metavar="K", help="of these (default: %(default)s)")
     parser.add_argument("--workers", type=int, default=2, metavar="N", help="of each kind (default: %(default)s)")
     parser.add_argument("-o", "--output", metavar="DIR", help="keep campaigns and results there (default: nothing is kept)")
     options = parser.parse_args(arguments)
+    from dask.distributed import LocalCluster
+
     with contextlib.ExitStack() as stack:
         folder = Path(options.output or stack.enter_context(tempfile.TemporaryDirectory())).resolve()
         seeds = range(options.first_seed, options.first_seed + options.campaigns)
@@ -58,8 +58,9 @@ def main(arguments: list[str]) -> None:
         processes, cluster = folder / "processes", folder / "cluster"
         with environment(), timed(f"{options.workers} processes", len(campaigns)):
             diagnose(campaigns, ["--workers", str(options.workers)], processes)
-        with environment(), timed(f"Dask, {options.workers} workers", len(campaigns)), dask(options.workers) as address:
-            diagnose(campaigns, ["--scheduler", address], cluster)
+        own = {"n_workers": options.workers, "threads_per_worker": 1, "dashboard_address": None}
+        with environment(), timed(f"Dask, {options.workers} workers", len(campaigns)), LocalCluster(**own) as scheduler:
+            diagnose(campaigns, ["--scheduler", scheduler.scheduler_address], cluster)
         show(processes, cluster)
 
 
@@ -81,25 +82,10 @@ def measured(cases: Sequence[Case], folder: Path) -> list[Path]:
 
 
 @contextlib.contextmanager
-def dask(workers: int) -> Iterator[str]:
-    """The address of a cluster of processes of one thread each, on this machine."""
-    from dask.distributed import LocalCluster
-
-    with LocalCluster(workers, threads_per_worker=1, dashboard_address=None) as cluster:
-        yield cluster.scheduler_address
-
-
-@contextlib.contextmanager
 def environment() -> Iterator[None]:
     """Processes that are started within have an empty cache, and one date for all results."""
-    before = dict(os.environ)
-    with tempfile.TemporaryDirectory() as cache:
-        os.environ.update({"XDG_CACHE_HOME": cache, EPOCH: "0"})
-        try:
-            yield
-        finally:
-            os.environ.clear()
-            os.environ.update(before)
+    with tempfile.TemporaryDirectory() as cache, patch.dict(os.environ, {"XDG_CACHE_HOME": cache, EPOCH: "0"}):
+        yield
 
 
 def diagnose(campaigns: Sequence[Path], words: Sequence[str], out: Path) -> None:
@@ -113,16 +99,12 @@ def diagnose(campaigns: Sequence[Path], words: Sequence[str], out: Path) -> None
 @contextlib.contextmanager
 def timed(name: str, campaigns: int) -> Iterator[None]:
     """Print the seconds and the CPU seconds (of child processes that have ended) of the block."""
-    began, worked = time.perf_counter(), _processors()
+    began, worked = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
     yield
-    seconds, work = time.perf_counter() - began, _processors() - worked
+    seconds, now = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+    work = now.ru_utime + now.ru_stime - worked.ru_utime - worked.ru_stime
     each = f"{seconds / campaigns:.1f} s and {work / campaigns:.1f} CPU s a campaign"
     print(f"{name}: {seconds:.0f} s, {work:.0f} CPU s; {each}", flush=True)
-
-
-def _processors() -> float:
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
 
 
 def compared(one: Path, other: Path) -> dict[str, tuple[int, int]]:
@@ -130,8 +112,7 @@ def compared(one: Path, other: Path) -> dict[str, tuple[int, int]]:
     files = {p.relative_to(root) for root in (one, other) for p in root.rglob("*") if p.is_file()}
     _, *unlike = filecmp.cmpfiles(one, other, sorted(map(str, files)), shallow=False)
     bad = {Path(name) for names in unlike for name in names}
-    kinds = Counter(str(f) if f.parent == Path() else f"*/{f.name}" for f in files)
-    wrong = Counter(str(f) if f.parent == Path() else f"*/{f.name}" for f in bad)
+    kinds, wrong = (Counter(str(f) if f.parent == Path() else f"*/{f.name}" for f in which) for which in (files, bad))
     return {kind: (count, wrong[kind]) for kind, count in sorted(kinds.items())}
 
 

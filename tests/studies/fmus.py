@@ -6,7 +6,6 @@ with bad arguments (`tests/misuse.py`) on both flavours, the native FMU as FMI 3
 random calls on both under the sanitizers of addresses and of undefined behaviour.
 """
 
-import argparse
 import sys
 import tempfile
 import time
@@ -18,23 +17,21 @@ from fmpy.validation import validate_fmu
 from fmu_src.two_masses import MODEL
 from vpp_fmu.export import native_fmu, python_fmu
 from vpp_fmu.fmu import Fmu, FmuInstance, steps_in_fmpy
+from vpp_fmu.invariants import random_steps, reference
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE
 
 sys.path.append(str(Path(__file__).parents[1]))
 import misuse
 from arm import missing, outputs_on_arm
-from builders import ALL_ON, PROBES, random_steps, reference
+from builders import ALL_ON, MODELS, PROBES
 from fuzz import fuzz, fuzzer
 
 STEP, MEMORY_STEPS, LIVES = 0.004, 1_000_000, 1000
 OUTPUTS = tuple(s.name for s in ALL_ON.outputs)
-MODELS = {"plain": (BASE, {}), "all_on": (ALL_ON, PROBES), "controller": (CONTROLLER, {})}
 
 
-def main(arguments: list[str]) -> None:
-    """`python -m tests.studies fmus`."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies fmus", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--steps", type=int, default=60_000, metavar="N", help="communication steps (default: %(default)s)")
     parser.add_argument("--calls", type=int, default=1_000_000, metavar="N", help="random calls (default: %(default)s)")
     options = parser.parse_args(arguments)

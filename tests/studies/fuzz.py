@@ -6,7 +6,6 @@ effect's lines. It runs in a separate process, forked after the imports. Aim: no
 run over 60 s, no NaN in JSON and no half-written output.
 """
 
-import argparse
 import contextlib
 import gzip
 import io
@@ -15,6 +14,7 @@ import os
 import random
 import re
 import resource
+import shutil
 import signal
 import sys
 import tempfile
@@ -38,138 +38,70 @@ from vpp_fmu.campaign import read_campaign
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.record import write_record
 
+from .degenerate import NOTE_OR_STAGE, valid
+
 LIMIT, LONGEST = 60, 300.0
 """s that a case may take: CPU time, and wall-clock time on a shared machine."""
 
 MEMORY = 4 * 2**30
 """Bytes of address space that a case may ask for."""
 
-ROOT = Path(__file__).parents[2]
-
-COMMANDS: Mapping[str, Sequence[tuple[str, ...]]] = {
-    "check": [("{campaign}", "-o", "{out}")],
+COMMANDS: Mapping[str, Sequence[str]] = {
+    "check": ["{campaign} -o {out}"],
     "identify": [
-        ("{campaign}", "--starts", "1", "-o", "{out}"),
-        ("{plain}", "--record", "{record}", "--starts", "1", "-o", "{out}"),
+        "{campaign} --starts 1 -o {out}",
+        "{plain} --record {record} --starts 1 -o {out}",
     ],
     "diagnose": [
-        ("{campaign}", "--effects", "pitch_command_deadband", "--workers", "1", "-o", "{out}"),
-        ("{plain}", "--parameters", "{parameters}", "--effects", "pitch_offset", "--workers", "1", "-o", "{out}"),
-        ("{plain}", "--effects-from", "{effect}", "--effects", "pitch_offset,cell_lag", "--workers", "1", "-o", "{out}"),
+        "{campaign} --effects pitch_command_deadband --workers 1 -o {out}",
+        "{plain} --parameters {parameters} --effects pitch_offset --workers 1 -o {out}",
+        "{plain} --effects-from {cell_lag} --effects pitch_offset,cell_lag --workers 1 -o {out}",
     ],
-    "allocate": [("--parameters", "{powered}", "-o", "{out}")],
-    "tune": [
-        (
-            "--parameters",
-            "{parameters}",
-            "--profile",
-            "{profile}",
-            "--knowledge",
-            "{knowledge}",
-            "--gains",
-            "{gains}",
-            "-o",
-            "{out}",
-        )
-    ],
-    "learn": [
-        (
-            *("{parameters}", "--knowledge", "{knowledge}", "--gains", "{gains}"),
-            *("--generations", "2", "--plants", "2", "-o", "{out}"),
-        )
-    ],
+    "allocate": ["--parameters {powered} -o {out}"],
+    "tune": ["--parameters {parameters} --profile {profile} --knowledge {knowledge} --gains {gains} -o {out}"],
+    "learn": ["{parameters} --knowledge {knowledge} --gains {gains} --generations 2 --plants 2 -o {out}"],
     "export": [
-        ("--parameters", "{parameters}", "--gains", "{gains}", "-o", "{out}"),
-        ("--parameters", "{parameters}", "--gains", "{gains}", "--flavour", "native", "-o", "{out}"),
-        ("--parameters", "{parameters}", "--twin", "{knowledge}", "-o", "{out}"),
-        ("--parameters", "{parameters}", "--effects-from", "{effect}", "-o", "{out}"),
+        "--parameters {parameters} --gains {gains} -o {out}",
+        "--parameters {parameters} --gains {gains} --flavour native -o {out}",
+        "--parameters {parameters} --twin {knowledge} -o {out}",
+        "--parameters {parameters} --effects-from {cell_lag} -o {out}",
     ],
     "cosim": [
-        ("{plant}", "{controller}", "--profile", "{profile}", "-o", "{out}"),
-        ("{native_plant}", "{native_controller}", "--profile", "{profile}", "-o", "{out}"),
-        ("{plant}", "{controller}", "--twin", "{twin}", "--profile", "{profile}", "-o", "{out}"),
+        "{plant} {controller} --profile {profile} -o {out}",
+        "{native_plant} {native_controller} --profile {profile} -o {out}",
+        "{plant} {controller} --twin {twin} --profile {profile} -o {out}",
     ],
     "simulate": [
-        ("{record}", "--parameters", "{parameters}", "-o", "{out}"),
-        ("{packed}", "--parameters", "{parameters}", "--effects-from", "{effect}", "-o", "{out}"),
+        "{record} --parameters {parameters} -o {out}",
+        "{packed} --parameters {parameters} --effects-from {cell_lag} -o {out}",
     ],
-    "compare": [("{record}", "{packed}", "-o", "{out}")],
+    "compare": ["{record} {packed} -o {out}"],
     "plan": [
-        ("--parameters", "{parameters}", "--knowledge", "{knowledge}", "--rig", "{rig}", "--seconds", "4", "-o", "{out}"),
-        ("--parameters", "{parameters}", "--campaign", "{campaign}", "--seconds", "4", "-o", "{out}"),
+        "--parameters {parameters} --knowledge {knowledge} --rig {own_rig} --seconds 4 -o {out}",
+        "--parameters {parameters} --campaign {campaign} --seconds 4 -o {out}",
     ],
     "import": [
-        ("csv", "{log}", "--yes", "-o", "{out}"),
-        ("csv", "{log}", "--map", "{mapping}", "--as", "open_loop", "-o", "{out}"),
-        ("csv", "{log}", "--propose", "{out}/mine.toml", "-o", "{out}"),
-        (
-            "csv",
-            "{esc_log}",
-            "--map",
-            "signal=esc:us",
-            "--fixed",
-            "beta_ref=0:deg",
-            "--speed-map",
-            "{speed_map}",
-            "-o",
-            "{out}",
-        ),
-        ("rcbenchmark", "{stand}", "--speed-map", "{speed_map}", "-o", "{out}"),
+        "csv {log} --yes -o {out}",
+        "csv {log} --map {mapping} --as open_loop -o {out}",
+        "csv {log} --propose {out}/mine.toml -o {out}",
+        "csv {esc_log} --map signal=esc:us --fixed beta_ref=0:deg --speed-map {speed_map} -o {out}",
+        "rcbenchmark {stand} --speed-map {speed_map} -o {out}",
     ],
-    "effects": [("--effects-from", "{effect}")],
-    "check-effect": [("{effect}",)],
-    "twin": [
-        (
-            "{out}",
-            "--virtual",
-            "--rounds",
-            "1",
-            "--rig",
-            "emulated",
-            "{rig}",
-            "--calibration",
-            "{calibration}",
-            "--parameters",
-            "{parameters}",
-        )
-    ],
+    "effects": ["--effects-from {cell_lag}"],
+    "check-effect": ["{cell_lag}"],
+    "twin": ["{out} --virtual --rounds 1 --rig emulated {own_rig} --calibration {calibration} --parameters {parameters}"],
     "hil": [
-        ("run", "--virtual", "--calibration", "{calibration}", "--limits", "{limits}", "--profile", "{profile}", "-o", "{out}"),
-        (
-            "run",
-            "--virtual",
-            "--rig",
-            "emulated",
-            "{rig}",
-            "--parameters",
-            "{parameters}",
-            "--gains",
-            "{gains}",
-            "--profile",
-            "{profile}",
-            "-o",
-            "{out}",
-        ),
-        ("run", "--virtual", "--controller", "{controller}", "--profile", "{profile}", "-o", "{out}"),
-        ("run", "--rig", "fmu", "{native_plant}", "--profile", "{profile}", "-o", "{out}"),
-        ("campaign", "--virtual", "--commands", "{record}", "--rig", "emulated", "{rig}", "-o", "{out}"),
-        ("replay", "{run}", "{controller}", "-o", "{out}"),
-        ("report", "{run_folder}"),
-        (
-            "calibrate",
-            "--virtual",
-            "--parts",
-            "load_cell",
-            "--answers",
-            "{answers}",
-            "--calibration",
-            "{calibration}",
-            "-o",
-            "{out}",
-        ),
+        "run --virtual --calibration {calibration} --limits {limits} --profile {profile} -o {out}",
+        "run --virtual --rig emulated {own_rig} --parameters {parameters} --gains {gains} --profile {profile} -o {out}",
+        "run --virtual --controller {controller} --profile {profile} -o {out}",
+        "run --rig fmu {native_plant} --profile {profile} -o {out}",
+        "campaign --virtual --commands {record} --rig emulated {own_rig} -o {out}",
+        "replay {run} {controller} -o {out}",
+        "report {run_folder}",
+        "calibrate --virtual --parts load_cell --answers {answers} --calibration {calibration} -o {out}",
     ],
 }
-"""By verb, words in which {NAME} is a file or folder of `materials`. A verb that takes no file is not here."""
+"""By verb, its words; {NAME} is a file or folder of `materials`. A verb that takes no file is not here."""
 
 RARE = {"tune": 0.25, "twin": 0.1, "diagnose": 0.5}
 """Weights of slow verbs in the draw of a case; those of the others are 1."""
@@ -217,66 +149,47 @@ def materials(home: Path, verbs: Iterable[str]) -> dict[str, Path]:
     gains = {"format": "vpp-parameters/1", "parameters": {"kp_omega": gain}, "effects": [], "source": {}}
     watts = {"power_map.p30": {"value": 200.0, "std": 2.0, "unit": "W"}}
     powered = {"format": "vpp-parameters/1", "parameters": watts, "effects": ["power_map"], "source": {}}
-    texts = {
-        "powered": ("powered.json", json.dumps(powered)),
-        "rig": ("own_rig.json", json.dumps(rig)),
-        "profile": ("profile.csv", "time,thrust_set\n0,1.5\n0.3,6\n0.6,6\n"),
-        "effect": ("cell_lag.py", EFFECT),
-        "calibration": ("calibration.json", CALIBRATION.read_text(encoding="utf-8")),
-        "limits": ("limits.json", json.dumps({"format": "vpp-limits/1", "limits": {"run_time": {"value": 60, "unit": "s"}}})),
-        "gains": ("gains.json", json.dumps(gains)),
-        "answers": ("answers.txt", "\n\nwith\n" + "\n" * 60),
-    }
     n = np.arange(1500)
     esc = 1100.0 + 100.0 * (n // 250)
     speed = 4.0 * (esc - 1000.0)
     thrust, stamp = 4e-7 * speed**2, 0.02 * n
     rows = zip(1e3 * stamp, speed, 2.0 + n // 300, thrust + 0.01 * np.sin(n), strict=True)
     own = np.column_stack([stamp, esc, speed, thrust])
-    texts |= {
-        "log": (
-            "log.csv",
-            "t [ms],rpm cmd [rpm],pitch cmd [deg],Fz [N]\n" + _lines(rows),
-        ),
-        "esc_log": (
-            "esc_log.csv",
-            "time [s],esc,rpm,thrust [N]\n" + _lines(own),
-        ),
-        "stand": (
-            "stand.csv",
-            "Time (s),ESC signal (µs),Thrust (N),Voltage (V),Current (A),"
-            "Motor Electrical Speed (RPM),Motor Optical Speed (RPM)\n"
-            + _lines((t, e, f, 12.0, 1.0, 0.0, w) for t, e, w, f in own),
-        ),
-        "mapping": (
-            "mapping.toml",
-            'format = "vpp-mapping/1"\n\n[open_loop]\nlog = "log.csv"\n\n[open_loop.columns]\ntime = "t [ms]:ms"\n'
-            'omega_ref = "rpm cmd [rpm]:rpm"\nbeta_ref = "pitch cmd [deg]:deg"\nthrust = "Fz [N]:N"\n',
-        ),
-        "speed_map": (
-            "speed_map.json",
-            json.dumps(
-                {
-                    "format": SPEED_MAP_FORMAT,
-                    "signal": {"kind": "PWM", "minimum": 1000, "maximum": 2000, "turns_from": 1100, "fitted_to": 1700},
-                    "coefficients": [0.0, 4000.0, 0.0, 0.0],
-                    "nominal_voltage": 12.0,
-                    "rms": 1.0,
-                    "points": 6,
-                    "source": "fuzz",
-                }
-            ),
-        ),
+    speed_map = {
+        "format": SPEED_MAP_FORMAT,
+        "signal": {"kind": "PWM", "minimum": 1000, "maximum": 2000, "turns_from": 1100, "fitted_to": 1700},
+        "coefficients": [0.0, 4000.0, 0.0, 0.0],
+        "nominal_voltage": 12.0,
+        "rms": 1.0,
+        "points": 6,
+        "source": "fuzz",
     }
-    for name, (file, content) in texts.items():
-        found[name] = home / file
-        found[name].write_text(content, encoding="utf-8")
+    texts = {
+        "powered.json": json.dumps(powered),
+        "own_rig.json": json.dumps(rig),
+        "profile.csv": "time,thrust_set\n0,1.5\n0.3,6\n0.6,6\n",
+        "cell_lag.py": EFFECT,
+        "calibration.json": CALIBRATION.read_text(encoding="utf-8"),
+        "limits.json": json.dumps({"format": "vpp-limits/1", "limits": {"run_time": {"value": 60, "unit": "s"}}}),
+        "gains.json": json.dumps(gains),
+        "answers.txt": "\n\nwith\n" + "\n" * 60,
+        "log.csv": "t [ms],rpm cmd [rpm],pitch cmd [deg],Fz [N]\n" + _lines(rows),
+        "esc_log.csv": "time [s],esc,rpm,thrust [N]\n" + _lines(own),
+        "stand.csv": "Time (s),ESC signal (µs),Thrust (N),Voltage (V),Current (A),"
+        "Motor Electrical Speed (RPM),Motor Optical Speed (RPM)\n" + _lines((t, e, f, 12.0, 1.0, 0.0, w) for t, e, w, f in own),
+        "mapping.toml": 'format = "vpp-mapping/1"\n\n[open_loop]\nlog = "log.csv"\n\n[open_loop.columns]\ntime = "t [ms]:ms"\n'
+        'omega_ref = "rpm cmd [rpm]:rpm"\nbeta_ref = "pitch cmd [deg]:deg"\nthrust = "Fz [N]:N"\n',
+        "speed_map.json": json.dumps(speed_map),
+    }
+    for file, content in texts.items():
+        found[Path(file).stem] = home / file
+        (home / file).write_text(content, encoding="utf-8")
     other = whole.open_loop.part(slice(8000, 9200, 4))
     other = other.with_columns(time=other.time - other.time[0])
     write_record(OutputFolder(home), "record.csv", other)
     write_record(OutputFolder(home), "record.csv.gz", other)
     found |= {"record": home / "record.csv", "packed": home / "record.csv.gz"}
-    needed = {word for verb in verbs for words in COMMANDS[verb] for word in re.findall(r"\{(\w+)\}", " ".join(words))}
+    needed = {word for verb in verbs for word in re.findall(r"\{(\w+)\}", " ".join(COMMANDS[verb]))}
     if needed & {"parameters", "knowledge"}:
         _must("identify", found["campaign"], "--starts", "1", "-o", home / "known")
         found |= {"parameters": home / "known" / "parameters.json", "knowledge": home / "known" / "identification.json"}
@@ -593,16 +506,16 @@ def undamaged(verbs: Sequence[str], good: Mapping[str, Path], home: Path) -> Ite
         for words in COMMANDS[verb]:
             place = home / "case"
             place.mkdir()
-            code = _forked([verb, *(word.format(**{**good, "out": place / "out"}) for word in words)], place)
+            code = _forked([verb, *(word.format(**{**good, "out": place / "out"}) for word in words.split())], place)
             yield verb, code, (place / "stderr").read_text(errors="replace")
-            remove(place)
+            shutil.rmtree(place)
 
 
 def run_case(seed: int, good: Mapping[str, Path], home: Path, verbs: Sequence[str]) -> Case:
     """Damage a file by the seed, run its command in a fork, and check the result."""
     rng = random.Random(seed)
     verb = rng.choices(verbs, [RARE.get(verb, 1.0) for verb in verbs])[0]
-    words = rng.choice(COMMANDS[verb])
+    words = rng.choice(COMMANDS[verb]).split()
     given = {word[1:-1]: good[word[1:-1]] for word in words if re.fullmatch(r"\{\w+\}", word) and word != "{out}"}
     place, out = home / "case", home / "case" / "out"
     place.mkdir()
@@ -676,7 +589,7 @@ def _faults(verb: str, words: Sequence[str], code: int | None, said: str, out: P
         yield "exit code"
     if "Traceback" in said:
         yield "traceback"
-    lines = [line for line in said.splitlines() if not re.match(r"vpp: note: |vpp \w+: .* \(\d+ s\)$", line)]  # notes, stages
+    lines = [line for line in said.splitlines() if not NOTE_OR_STAGE.fullmatch(line)]
     if code == 2 and len(lines) != 1 and verb not in ("hil", "twin"):  # these print more as they run
         yield "not one line"
     files = [path for path in out.rglob("*") if path.is_file()]
@@ -685,19 +598,8 @@ def _faults(verb: str, words: Sequence[str], code: int | None, said: str, out: P
     if code == 2 and files and verb not in ("check", "hil", "twin"):  # an ended run keeps its files, by design
         yield "half-written"
     for path in files:
-        if path.suffix == ".json" and not _strict(path):
+        if path.suffix == ".json" and not valid(path):
             yield "NaN in JSON"
-
-
-def _strict(path: Path) -> bool:
-    def refuse(text: str) -> None:
-        raise ValueError(text)
-
-    try:
-        json.loads(path.read_bytes(), parse_constant=refuse)
-    except ValueError:
-        return False
-    return True
 
 
 def cases(first: int, runs: int, verbs: Sequence[str] = tuple(COMMANDS), minutes: float = 1e9) -> Iterator[Case]:
@@ -712,7 +614,7 @@ def cases(first: int, runs: int, verbs: Sequence[str] = tuple(COMMANDS), minutes
             if time.monotonic() > end:
                 return
             yield run_case(seed, good, home, verbs)
-            remove(home / "case")
+            shutil.rmtree(home / "case")
 
 
 def made_apart(home: Path, verbs: Iterable[str]) -> dict[str, Path]:
@@ -733,20 +635,10 @@ def made_apart(home: Path, verbs: Iterable[str]) -> dict[str, Path]:
     return {name: Path(path) for name, path in json.loads((home / "good.json").read_text()).items()}
 
 
-def remove(folder: Path) -> None:
-    """Remove a case's folder with all its contents."""
-    for path in sorted(folder.rglob("*"), reverse=True):
-        path.rmdir() if path.is_dir() and not path.is_symlink() else path.unlink()
-    folder.rmdir()
-
-
 def shown(found: Sequence[Case]) -> Iterator[str]:
     """The lines of the table: exit codes and faults of each verb, and examples of each fault."""
-    yield (
-        f"{'verb':13} {'cases':>6} {'exit 0':>7} {'exit 2':>7} "
-        + " ".join(f"{fault:>12}" for fault in FAULTS)
-        + f" {'slowest':>9}"
-    )
+    heads = " ".join(f"{fault:>12}" for fault in FAULTS)
+    yield f"{'verb':13} {'cases':>6} {'exit 0':>7} {'exit 2':>7} {heads} {'slowest':>9}"
     for verb in [*dict.fromkeys(case.verb for case in found), None]:
         own = [case for case in found if verb in (None, case.verb)]
         counts = Counter(fault for case in own for fault in set(case.faults))
@@ -759,9 +651,7 @@ def shown(found: Sequence[Case]) -> Iterator[str]:
             yield f"{fault}: seed {case.seed}, {case.verb}, {case.file}, {case.how}: exit {case.code}, {last}"
 
 
-def main(arguments: Sequence[str]) -> None:
-    """`python -m tests.studies fuzz`."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies fuzz", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--runs", type=int, default=2000, metavar="N", help="cases (default: %(default)s)")
     parser.add_argument("--first-seed", type=int, default=0, metavar="S", help="of the first case (default: %(default)s)")
     parser.add_argument("--verbs", default=",".join(COMMANDS), metavar="A,B", help="of %(default)s")

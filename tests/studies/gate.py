@@ -7,7 +7,6 @@ findings on good campaigns, which should have none. The emulated rigs beside the
 only printed.
 """
 
-import argparse
 import json
 import tempfile
 from collections.abc import Callable, Mapping
@@ -147,11 +146,6 @@ def dead(name: str) -> Change:
     return lambda c, rng: column(c, name, lambda x: np.full(len(x), 0.0), static=False)
 
 
-def few_moves(c: Campaign, rng) -> Campaign:
-    """The open-loop record's first moves of the speed only, and nothing else."""
-    return replace(c, static=None, steps=(), repeat=None, open_loop=c.open_loop.part(slice(0, len(c.open_loop) // 6)))
-
-
 def gaps(c: Campaign, rng) -> Campaign:
     """Three times 2 % of the rows are missing."""
 
@@ -176,45 +170,9 @@ def late_commands(c: Campaign, rng) -> Campaign:
     return records(c, change, steps=False)
 
 
-def other_speed(c: Campaign, rng) -> Campaign:
-    """The measured speed of another record."""
-    swapped = c.validation["omega"][: len(c.open_loop)]
-    return replace(c, open_loop=c.open_loop.with_columns(omega=swapped))
-
-
-def constant_command(c: Campaign, rng) -> Campaign:
-    """The speed's command was not logged."""
-    return records(c, lambda r: r.with_columns(omega_ref=np.full(len(r), np.median(r["omega_ref"]))), steps=False)
-
-
-def copied(c: Campaign, rng) -> Campaign:
-    """A repeat that is a copy."""
-    return replace(c, repeat=replace(c.open_loop, source="repeat.csv"))
-
-
 def unrelated(c: Campaign, rng) -> Campaign:
     """Thrust that runs backwards in time."""
     return replace(records(c, lambda r: r.with_columns(thrust=r["thrust"][::-1].copy()), steps=False), static=None, steps=())
-
-
-def as_it_is(c: Campaign, rng) -> Campaign:
-    """Nothing changed."""
-    return c
-
-
-def narrow_rig(c: Campaign) -> dict:
-    """A rig.json that allows less than was commanded."""
-    return {"speed": {"min": 0.0, "max": 0.8 * float(c.open_loop["omega_ref"].max()), "unit": "rpm"}}
-
-
-def newtons(c: Campaign) -> dict:
-    """A rig.json that declares the rig's thrust in N, whatever unit the files have."""
-    return {"thrust": {"min": 0.0, "max": SIZES[c.folder.name].scales.thrust_scale, "unit": "N"}}
-
-
-def wrong_scale(c: Campaign) -> dict:
-    """A rig.json with a thrust scale of another rig."""
-    return {"scales": {"thrust_scale": 0.02 * SIZES[c.folder.name].scales.thrust_scale}}
 
 
 @dataclass(frozen=True)
@@ -240,13 +198,23 @@ FAULTS = {
     "records' thrust in gf": Planted(scaled("thrust", 101.972, False), "thrust_unit"),
     "records' thrust in kgf": Planted(scaled("thrust", 0.101972, False), "thrust_unit"),
     "records' thrust in lbf": Planted(scaled("thrust", 0.224809, False), "thrust_unit"),
-    "all thrust in gf, rig.json in N": Planted(scaled("thrust", 101.972), "thrust_unit", newtons),
+    "all thrust in gf, rig.json in N": Planted(
+        scaled("thrust", 101.972),
+        "thrust_unit",
+        lambda c: {"thrust": {"min": 0.0, "max": SIZES[c.folder.name].scales.thrust_scale, "unit": "N"}},
+    ),
     "all thrust in mN": Planted(scaled("thrust", 1000.0), "thrust_unit"),
     "rows half the fastest lag apart": Planted(thinned, "slow_sampling", fit=True),
     "spikes": Planted(spiked, "spikes"),
     "tare off by 5 %": Planted(offset(0.05, True), "tare"),
     "tare off by 5 % in the records": Planted(offset(0.05, False), "tare", fit=True),
-    "few moves": Planted(few_moves, "thin", fit=True),
+    "few moves": Planted(
+        lambda c, rng: replace(
+            c, static=None, steps=(), repeat=None, open_loop=c.open_loop.part(slice(0, len(c.open_loop) // 6))
+        ),
+        "thin",
+        fit=True,
+    ),
     "thrust clipped": Planted(clipped, "clipped"),
     "thrust frozen": Planted(frozen("thrust"), "frozen"),
     "measured speed frozen": Planted(frozen("omega"), "frozen"),
@@ -254,11 +222,26 @@ FAULTS = {
     "measured speed dead": Planted(dead("omega"), "speed_dead"),
     "rows missing": Planted(gaps, "gap"),
     "commands logged late": Planted(late_commands, "early"),
-    "another record's speed": Planted(other_speed, "speed_off"),
-    "speed command not logged": Planted(constant_command, "not_logged"),
-    "repeat is a copy": Planted(copied, "copied"),
-    "beyond rig.json": Planted(as_it_is, "beyond_rig", narrow_rig),
-    "a scale of another rig": Planted(as_it_is, "on_bound", wrong_scale, fit=True),
+    "another record's speed": Planted(
+        lambda c, rng: replace(c, open_loop=c.open_loop.with_columns(omega=c.validation["omega"][: len(c.open_loop)])),
+        "speed_off",
+    ),
+    "speed command not logged": Planted(
+        lambda c, rng: records(c, lambda r: r.with_columns(omega_ref=np.full(len(r), np.median(r["omega_ref"]))), steps=False),
+        "not_logged",
+    ),
+    "repeat is a copy": Planted(lambda c, rng: replace(c, repeat=replace(c.open_loop, source="repeat.csv")), "copied"),
+    "beyond rig.json": Planted(
+        lambda c, rng: c,
+        "beyond_rig",
+        lambda c: {"speed": {"min": 0.0, "max": 0.8 * float(c.open_loop["omega_ref"].max()), "unit": "rpm"}},
+    ),
+    "a scale of another rig": Planted(
+        lambda c, rng: c,
+        "on_bound",
+        lambda c: {"scales": {"thrust_scale": 0.02 * SIZES[c.folder.name].scales.thrust_scale}},
+        fit=True,
+    ),
     "thrust of another time": Planted(unrelated, "poor_fit", fit=True),
 }
 
@@ -302,8 +285,7 @@ def planted(fault: str, campaign: Campaign, seed: int = 0) -> tuple[Finding, ...
         return said(measured, plan.fit)
 
 
-def main(arguments):
-    parser = argparse.ArgumentParser(prog="python -m tests.studies gate", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the rigs that faults are planted in")
     parser.add_argument("--good", type=int, default=10, metavar="N", help="good campaigns of each size (default: %(default)s)")
     parser.add_argument("--only", default="", metavar="TEXT", help="faults whose name holds this")

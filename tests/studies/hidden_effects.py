@@ -7,6 +7,7 @@ gives the true values of the project's parameters for a drawn size, in the proje
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from operator import attrgetter
 
 import numpy as np
 
@@ -59,10 +60,6 @@ def _some(name, least, full):
     return lambda g: {name: g.size(least, full)}
 
 
-def _some_signed(name, least, full):
-    return lambda g: {name: g.signed(least, full)}
-
-
 def _either_lag(which, name, least, full, signed=False):
     """The effect acts in the first or the last of a channel's lags."""
     return lambda g: {name: (g.signed if signed else g.size)(least, full), which: g.one(0.0, 1.0)}
@@ -72,24 +69,11 @@ def _same(setting, parameter, unit=lambda size: 1.0):
     return lambda s, size: {parameter: unit(size) * s[setting]}
 
 
-def _deg(size):
-    return size.span
-
-
-def _rpm(size):
-    return size.speed
+_deg, _rpm = attrgetter("span"), attrgetter("speed")
 
 
 def _rpm_per_deg(size):
     return size.speed / size.span
-
-
-def _per_rpm(size):
-    return 1.0 / size.speed
-
-
-def _newton_per_deg(size):
-    return size.thrust / size.span
 
 
 def _rate(g):
@@ -114,10 +98,6 @@ def _sag_parameters(s, size):
     return {"limit": size.speed * s["speed_max_w"], "sag": _rpm_per_deg(size) * s["sag"]}
 
 
-def _voltage(g):
-    return {"volt_share": g.size(0.1, 1.0), "discharge": g.any(0.05, 0.25)}
-
-
 def _fade(g):
     """A fade linear in time, towards an end, or with load."""
     form, there = g.one(0, 1, 2), {"fade": -g.size(0.015, 0.08)}
@@ -130,10 +110,6 @@ def _fade_parameters(s, size):
     if "fade_time" not in s:
         return {"rate": s["fade"] / 100.0}
     return {"rate": s["fade"] / s["fade_time"], "time_constant": s["fade_time"]}
-
-
-def _drift(g):
-    return {"bias": g.signed(0.004, 0.03), "drift": g.signed(0.01, 0.05)}
 
 
 LISTED = (
@@ -182,7 +158,11 @@ LISTED = (
         lambda g: {"speed_asym": -g.size(0.05, 0.5), "speed_last": g.one(0.0, 1.0)},
         _same("speed_asym", "asymmetry"),
     ),
-    Hidden("speed_dependent_lag", _either_lag("speed_last", "damping", 0.15, 1.2), _same("damping", "sensitivity", _per_rpm)),
+    Hidden(
+        "speed_dependent_lag",
+        _either_lag("speed_last", "damping", 0.15, 1.2),
+        _same("damping", "sensitivity", lambda size: 1.0 / size.speed),
+    ),
     Hidden(
         "speed_saturation", _some("speed_max_w", 0.96, 0.8), _same("speed_max_w", "maximum", _rpm), relatives=("supply_sag",)
     ),
@@ -194,7 +174,11 @@ LISTED = (
             "speed_saturation": lambda s: {"speed_max_w": 0.9 * s.get("speed_max_w", 1.0)}
         },  # equivalent if it acts at one load only
     ),
-    Hidden("supply_voltage", _voltage, _same("volt_share", "share")),
+    Hidden(
+        "supply_voltage",
+        lambda g: {"volt_share": g.size(0.1, 1.0), "discharge": g.any(0.05, 0.25)},
+        _same("volt_share", "share"),
+    ),
     Hidden(
         "pitch_speed_coupling",
         _either_lag("coupling_stiff", "coupling", 0.005, 0.1),
@@ -206,7 +190,11 @@ LISTED = (
         lambda g: {"inflow": g.size(0.1, 0.5), "inflow_time": g.any(0.08, 0.25)},
         lambda s, size: {"gain": s["inflow"], "time_constant": s["inflow_time"]},
     ),
-    Hidden("pitch_rate_feedthrough", _some("feedthrough", 0.005, 0.06), _same("feedthrough", "gain", _newton_per_deg)),
+    Hidden(
+        "pitch_rate_feedthrough",
+        _some("feedthrough", 0.005, 0.06),
+        _same("feedthrough", "gain", lambda size: size.thrust / size.span),
+    ),
     Hidden(
         "recirculation",
         lambda g: {"wash": g.size(0.015, 0.1), "wash_time": g.any(1.5, 4.0)},
@@ -223,7 +211,7 @@ LISTED = (
     # A drift without end: the project's parameter is its rate at the start.
     Hidden(
         "sensor_drift",
-        _drift,
+        lambda g: {"bias": g.signed(0.004, 0.03), "drift": g.signed(0.01, 0.05)},
         lambda s, size: {"offset": size.thrust * s["bias"], "rate": size.thrust * s["drift"] / 100.0},
     ),
     Hidden("reading_delay", _some("reading_delay", 0.008, 0.06), _same("reading_delay", "delay")),
@@ -261,10 +249,6 @@ class Tone:
         return self.amplitude * np.sin(2.0 * np.pi * self.frequency * clock.row * np.arange(len(speed)) + self.phase)
 
 
-def _gusts(g):
-    return {"extra": Gusts(g.size(0.013, 0.04), int(g.rng.integers(1 << 30)))}
-
-
 def _tone(least, full, frequencies):
     return lambda g: {"extra": Tone(g.size(least, full), g.one(*frequencies), g.rng.uniform(0.0, 2.0 * np.pi))}
 
@@ -283,12 +267,12 @@ OUTSIDE = (
     # The servo has whole steps of about 1 deg, counted from a normalised pitch of 0, not from 0 deg.
     Hidden("servo_steps", _some("pitch_step", 0.05, 0.1), relatives=("pitch_command_resolution",)),
     Hidden("speed_hunting", lambda g: {"hunt_hz": g.size(3.0, 1.5), "hunt_zeta": g.size(0.4, 0.15)}),
-    Hidden("one_sided_delay", _some_signed("late_up", 0.05, 0.15)),  # only steps up, or only steps down, are late
+    Hidden("one_sided_delay", lambda g: {"late_up": g.signed(0.05, 0.15)}),  # only steps up, or only steps down, are late
     Hidden("speed_ramp", _some("ramp", 2.0, 0.8)),  # the speed controller limits acceleration
     Hidden("stall_hysteresis", _some("stall", 0.06, 0.2)),  # thrust falls at high pitch and low speed, and recovers late
     # The load cell creeps with the logarithm of time: like several recirculations of the other sign.
     Hidden("cell_creep", _some("creep", 0.04, 0.12), relatives=("recirculation",)),
-    Hidden("gusts", _gusts),
+    Hidden("gusts", lambda g: {"extra": Gusts(g.size(0.013, 0.04), int(g.rng.integers(1 << 30)))}),
     Hidden("mains_hum", _tone(0.003, 0.01, (50.0, 100.0))),  # locked to the record's start
     Hidden("slow_swell", _tone(0.003, 0.008, (0.3, 0.5, 0.8))),  # ventilation, as above
 )

@@ -9,8 +9,6 @@ their errors are not Gaussian, even if sum and spread are known as well as the b
 if the regular coordinates (log of the sum, spread) are Gaussian with the covariance of the bound.
 """
 
-import argparse
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -133,7 +131,8 @@ def show(title: str, found: Trials) -> None:
     is unknown.
     """
     count, n, (ratio, uncertainty) = len(found.error), len(BASE_PARAMETERS), found.ratio
-    relative = 100 * np.median(found.theory, axis=0) / np.abs([*(TRUTH[n] for n in BASE_PARAMETERS), *_forms_at_truth()])
+    true = [*(TRUTH[n] for n in BASE_PARAMETERS), *(form(TRUTH) for form in FORMS.values())]
+    relative = 100 * np.median(found.theory, axis=0) / np.abs(true)
     bias = np.mean(found.error / found.theory, axis=0)
     attainable, _ = _rms(found.bent / found.theory)
     known = np.abs(found.error) <= NORMAL_95 * found.theory
@@ -162,22 +161,16 @@ def show_first(found: Trials) -> None:
     )
 
 
-def _forms_at_truth() -> list[float]:
-    return [form(TRUTH) for form in FORMS.values()]
-
-
 def _share(covered: np.ndarray) -> str:
     """Mean and standard error in %, over records, because the parameters of one record are not independent."""
     each = covered.reshape(len(covered), -1).mean(axis=1)
     return f"{100 * each.mean():5.1f} ± {100 * each.std() / np.sqrt(len(each)):.1f} %"
 
 
-def main(argv: Sequence[str] | None = None) -> None:
-    """Run the study."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies identification", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--seeds", type=int, default=1000, help="records of each table (default 1000)")
     parser.add_argument("--workers", type=int, default=1, help="processes (default 1); the numbers do not depend on it")
-    options = parser.parse_args(argv)
+    options = parser.parse_args(arguments)
     print("Aims: rmse at most 1.1 of the Cramer-Rao bound; 93 to 97 % of the intervals hold the truth.")
     white = trials(options.seeds, options.workers)
     show("White noise, 0.3 N", white)

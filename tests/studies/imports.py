@@ -4,7 +4,6 @@ Aim: the imported data equal the original to the digits that were written, or th
 no output.
 """
 
-import argparse
 import contextlib
 import io
 import sys
@@ -25,8 +24,7 @@ def run(words: list[str]) -> tuple[int, str, str]:
     return code, out.getvalue(), err.getvalue()
 
 
-def main(arguments):
-    parser = argparse.ArgumentParser(prog="python -m tests.studies imports", description=__doc__)
+def main(parser, arguments):
     parser.parse_args(arguments)
     counts = {False: [0, 0], True: [0, 0]}
     for format in formats():

@@ -89,10 +89,10 @@ def responded(size: Size, commands: Columns) -> np.ndarray:
 
 
 def measured(size: Size, commands: Columns, rng: np.random.Generator, noise: float = 1.0) -> Columns:
-    """The commands with the readings of the sensors; `noise` in units of the rig's own."""
-    thrust, omega, _ = responded(size, commands).T
+    """The commands with new readings of the sensors; `noise` in units of the rig's own."""
+    force, omega, _ = responded(size, commands).T
     shown = tachometer(commands["time"], omega, noise * JITTER * rng.standard_normal(REVOLUTIONS))
-    return {**commands, "omega": shown, "thrust": thrust + noise * size.noise * rng.standard_normal(len(thrust))}
+    return {**commands, "omega": shown, "thrust": force + noise * size.noise * rng.standard_normal(len(force))}
 
 
 JITTER = 25e-6
@@ -208,11 +208,6 @@ def at_rest(files: Files, size: Size, rng: np.random.Generator) -> Files:
     return {name: measured(size, given, rng) for name in ("open_loop", "repeat")}
 
 
-def resting_records(files: Files, size: Size, rng: np.random.Generator) -> Files:
-    """Long records in which no command moves, beside a map and steps."""
-    return files | recorded("-")(files, size, rng)
-
-
 def emptied(column: str, share: float):
     """Random cells without a value."""
 
@@ -222,9 +217,9 @@ def emptied(column: str, share: float):
     return each(change)
 
 
-def sparse(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
-    """A load cell with fewer readings than rows."""
-    return columns | {"thrust": np.where(np.arange(len(columns["time"])) % 30 == 0, columns["thrust"], np.nan)}
+def thrust(read: Callable[[np.ndarray, Size], np.ndarray]):
+    """The long records of another load cell, which reads `read(thrust, size)`."""
+    return each(lambda columns, size, rng: columns | {"thrust": read(columns["thrust"], size)})
 
 
 def section_emptied(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
@@ -248,14 +243,12 @@ def with_gaps(columns: Columns, size: Size, rng: np.random.Generator) -> Columns
 def uneven(files: Files, size: Size, rng: np.random.Generator) -> Files:
     """Row intervals that vary by a factor of three."""
     found = dict(files)
-    given = {n: files[n] for n in ("open_loop", "validation")}
-    for name, columns in given.items():
-        rows = len(columns["time"])
-        step = rng.uniform(0.5, 1.5, rows) / size.rate
-        commands = {n: columns[n] for n in ("omega_ref", "beta_ref")}
-        found[name] = measured(size, {"time": np.round(np.append(0.0, np.cumsum(step[1:])), 6), **commands}, rng)
+    for name in ("open_loop", "validation"):
+        step = rng.uniform(0.5, 1.5, len(files[name]["time"])) / size.rate
+        time = np.round(np.append(0.0, np.cumsum(step[1:])), 6)
+        found[name] = measured(size, files[name] | {"time": time}, rng)
         if name == "open_loop":
-            found["repeat"] = measured(size, {n: found[name][n] for n in ("time", "omega_ref", "beta_ref")}, rng)
+            found["repeat"] = measured(size, found[name], rng)
     return found
 
 
@@ -269,17 +262,6 @@ def sampled(rate: float, seconds: float):
         return found | {n: {k: c[-kept:] if k != "time" else c[:kept] for k, c in found[n].items()} for n in LONG}
 
     return change
-
-
-def quantised(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
-    """Thrust in counts of four standard deviations of the noise."""
-    count = 4.0 * size.noise
-    return columns | {"thrust": count * np.round(columns["thrust"] / count)}
-
-
-def saturated(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
-    """A load cell that saturates at 0.4 of the thrust scale."""
-    return columns | {"thrust": np.minimum(columns["thrust"], 0.4 * size.scales.thrust_scale)}
 
 
 def mid_flight(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
@@ -305,7 +287,7 @@ def noiseless(files: Files, size: Size, rng: np.random.Generator) -> Files:
     """The plant's own response to the precision of a file, without a repeat, which would be a copy."""
     found = {name: file for name, file in files.items() if name != "repeat"}
     for name in set(LONG) & set(found):
-        found[name] = measured(size, {n: files[name][n] for n in ("time", "omega_ref", "beta_ref")}, rng, 0.0)
+        found[name] = measured(size, files[name], rng, 0.0)
     exact = {n: files["static"][n] for n in ("omega_ref", "beta_ref")}
     thrust = [
         responded(size, {"time": np.arange(2.0), **{n: np.full(2, v) for n, v in zip(exact, point, strict=True)}})[0, 0]
@@ -320,33 +302,16 @@ def static_of_zeros(files: Files, size: Size, rng: np.random.Generator) -> Files
     return files | {"static": files["static"] | {n: np.zeros(len(files["static"][n])) for n in ("thrust", "thrust_std")}}
 
 
-def static_from_standstill(files: Files, size: Size, rng: np.random.Generator) -> Files:
-    """A grid that begins with the rotor at rest."""
-    return files | {"static": steady(size, rng, np.linspace(0.0, 1.0, 5), np.linspace(-5.0, 10.0, 5))}
-
-
-def offset(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
-    """A load cell whose zero is off by three times the thrust scale."""
-    return columns | {"thrust": columns["thrust"] + 3.0 * size.scales.thrust_scale}
-
-
 def noisier_repeat(files: Files, size: Size, rng: np.random.Generator) -> Files:
     """A repeat with four times the noise."""
-    given = {n: files["open_loop"][n] for n in ("time", "omega_ref", "beta_ref")}
-    return files | {"repeat": measured(size, given, rng, 4.0)}
-
-
-def dead_cell(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
-    """A load cell with a constant reading."""
-    return columns | {"thrust": np.full(len(columns["time"]), 1.0)}
+    return files | {"repeat": measured(size, files["open_loop"], rng, 4.0)}
 
 
 def from_standstill(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
     """The rotor is at standstill at the beginning and at the end."""
     rows = len(columns["time"])
     still = (np.arange(rows) < rows // 8) | (np.arange(rows) > 7 * rows // 8)
-    given = {n: columns[n] for n in ("time", "beta_ref")} | {"omega_ref": np.where(still, 0.0, columns["omega_ref"])}
-    return measured(size, given, rng)
+    return measured(size, columns | {"omega_ref": np.where(still, 0.0, columns["omega_ref"])}, rng)
 
 
 def raw_stretches(seconds: float):
@@ -402,7 +367,7 @@ CASES: Mapping[str, Case] = {
     "no move at all": Case("paper", recorded("--")),
     "no move, no speed column": Case("big", lambda *campaign: without("omega")(recorded("-")(*campaign), *campaign[1:])),
     "no move of a rotor at rest": Case("paper", at_rest),
-    "no move beside map and steps": Case("micro", resting_records),
+    "no move beside map and steps": Case("micro", lambda files, *more: files | recorded("-")(files, *more)),
     "static map only": Case("micro", only("static")),
     "steps only": Case("paper", only("steps")),
     "static map and steps only": Case("big", only("static", "steps")),
@@ -418,13 +383,15 @@ CASES: Mapping[str, Case] = {
     "speed 30 % empty": Case("paper", emptied("omega", 0.3)),
     "speed all empty": Case("big", emptied("omega", 1.1)),
     "speed almost empty": Case("micro", emptied("omega", 0.999)),
-    "thrust read every 30th row": Case("micro", each(sparse)),
+    "thrust read every 30th row": Case(
+        "micro", thrust(lambda read, size: np.where(np.arange(len(read)) % 30 == 0, read, np.nan))
+    ),
     "no speed column": Case("micro", without("omega")),
     "static at one pitch": Case("paper", gridded(np.linspace(0.35, 1.0, 9), [3.0])),
     "static at one speed": Case("micro", gridded([0.8], np.linspace(-5.0, 10.0, 9))),
     "static of two points": Case("big", gridded([0.5, 0.9], [5.0])),
     "static of zeros": Case("micro", static_of_zeros),
-    "static from standstill": Case("micro", static_from_standstill),
+    "static from standstill": Case("micro", gridded(np.linspace(0.0, 1.0, 5), np.linspace(-5.0, 10.0, 5))),
     "static of one point": Case("paper", gridded([0.5], [5.0])),
     "pitch 12 to 25 deg": Case(
         "paper",
@@ -439,15 +406,15 @@ CASES: Mapping[str, Case] = {
     "uneven sampling": Case("micro", uneven),
     "100 Hz": Case("paper", sampled(100.0, 40.0)),
     "1 kHz": Case("micro", sampled(1000.0, 12.0)),
-    "quantised thrust": Case("paper", each(quantised)),
-    "saturated load cell": Case("big", each(saturated)),
+    "quantised thrust": Case("paper", thrust(lambda read, size: 4.0 * size.noise * np.round(read / (4.0 * size.noise)))),
+    "saturated load cell": Case("big", thrust(lambda read, size: np.minimum(read, 0.4 * size.scales.thrust_scale))),
     "starts mid-flight": Case("micro", each(mid_flight)),
     "from standstill": Case("paper", each(from_standstill)),
     "voltage and current": Case("paper", each(powered)),
     "unknown columns": Case("micro", each(annotated)),
     "no noise": Case("paper", noiseless),
-    "huge offset": Case("big", each(offset)),
-    "dead load cell": Case("micro", each(dead_cell)),
+    "huge offset": Case("big", thrust(lambda read, size: read + 3.0 * size.scales.thrust_scale)),
+    "dead load cell": Case("micro", thrust(lambda read, size: np.full(len(read), 1.0))),
     "repeat of other noise": Case("big", noisier_repeat),
 }
 """Cases by their peculiarity."""

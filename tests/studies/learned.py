@@ -10,7 +10,6 @@ with the functions.
 
 import argparse
 import contextlib
-import json
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -28,9 +27,9 @@ from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.effect import data, law
 from vpp_fmu.export import Experiment, native_fmu, python_fmu
 from vpp_fmu.fmu import Fmu, FmuInstance, problems
+from vpp_fmu.invariants import reference
 from vpp_fmu.kernel.learned import DRIVERS, PORTS
 from vpp_fmu.kernel.plant import LIBRARY
-from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
@@ -38,6 +37,7 @@ from vpp_fmu.record import Record
 from .cases import Case, draw
 from .hidden_effects import LISTED, UNLISTED
 from .own_process import Failed, apart
+from .row_file import kept, read
 
 KINDS = ("unlisted", "deleted", "none")
 
@@ -90,8 +90,7 @@ RIGHT = {
 """Correct ports and drivers: those of the physics, and those that no record can distinguish from them."""
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Options of the study."""
+def main(parser, arguments):
     parser.add_argument("--kinds", default=",".join(KINDS), metavar="A,B", help="of %(default)s")
     parser.add_argument("--effects", default="", metavar="A,B", help="hide these only")
     parser.add_argument("--seed", type=int, default=1000, metavar="K", help="of the first case (default: %(default)s)")
@@ -106,25 +105,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", default="out/learned.jsonl", metavar="F", help="lines (default: %(default)s)")
     parser.add_argument("--pages", metavar="DIR", help="where a curve is known that should come out, draw both")
     parser.add_argument("--only-table", action="store_true", help="no new cases: the table of the file's lines")
-
-
-def main(arguments: list[str]) -> None:
-    """`python -m tests.studies learned`."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies learned", description=__doc__)
-    configure(parser)
     options = parser.parse_args(arguments)
     path = Path(options.output)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    done = read(path)
     if not options.only_table:
         known = {(row["name"], row["kind"]) for row in done}
-        with path.open("a") as file:
-            for case in (c for c in cases(options) if (c.name, _kind(c)) not in known):
-                row = one(case, options.limit, options.pages)
-                print(line(row), flush=True)
-                file.write(json.dumps(row) + "\n")
-                file.flush()
-                done.append(row)
+        missing = [case for case in cases(options) if (case.name, _kind(case)) not in known]
+        for row in kept(path, (one(case, options.limit, options.pages) for case in missing)):
+            print(line(row), flush=True)
+            done.append(row)
     print(table(done))
 
 
@@ -186,27 +175,19 @@ TRUE_CURVES = {
         "thrust_share",
         "speed",
         (0, 1),
-        lambda r, v: -r["notch"] * np.exp(-(((v / r.size.speed - 0.68) / 0.06) ** 2)),
+        lambda s, size, v: -s["notch"] * np.exp(-(((v / size.speed - 0.68) / 0.06) ** 2)),
     ),
-    "speed_surge": ("thrust", "speed_rate", (), lambda r, v: r["surge"] * r.size.thrust / r.size.speed * v),
+    "speed_surge": ("thrust", "speed_rate", (), lambda s, size, v: s["surge"] * size.thrust / size.speed * v),
     "loaded_servo": (
         "pitch_rate_share",
         "thrust",
         (0,),
-        lambda r, v: 1.0 / (1.0 + r["servo_load"] * np.maximum(v / r.size.thrust - 0.25, 0.0)) - 1.0,
+        lambda s, size, v: 1.0 / (1.0 + s["servo_load"] * np.maximum(v / size.thrust - 0.25, 0.0)) - 1.0,
     ),
-    "soft_stop": ("reading", "thrust", (0, 1), lambda r, v: -r["bend"] * np.maximum(v - 0.4 * r.size.thrust, 0.0)),
+    "soft_stop": ("reading", "thrust", (0, 1), lambda s, size, v: -s["bend"] * np.maximum(v - 0.4 * size.thrust, 0.0)),
 }
 """Port, driver, the powers of the driver that other parameters absorb (a thrust map's, a lag's), and the curve that the rig
 (rig.c) adds there over values of the driver."""
-
-
-class _Settings(dict):
-    """Settings of a case's rig, with its size."""
-
-    def __init__(self, case: Case):
-        super().__init__(case.rig.settings)
-        self.size = case.rig.size
 
 
 def draw_curve(case: Case, found: Diagnosis, folder: Path) -> None:
@@ -217,7 +198,7 @@ def draw_curve(case: Case, found: Diagnosis, folder: Path) -> None:
     if (term.lead.port, term.lead.driver) != (port, driver) or curve.lead.shape != "curve":
         return
     at, f, std = curve_of(curve)
-    fine, rig, there = np.linspace(at[0], at[-1], 400), _Settings(case), data(found)
+    fine, there = np.linspace(at[0], at[-1], 400), data(found)
     inside = np.sort(there[(there >= at[0]) & (there <= at[-1])])[:: max(1, len(there) // 5000)]
     basis = np.vander(inside / at[-1], 1 + max(powers, default=-1))
 
@@ -228,7 +209,7 @@ def draw_curve(case: Case, found: Diagnosis, folder: Path) -> None:
     lines = {"learned, as a table": (at, f)}
     if term is not curve:
         lines[f"law: {term.lead.shape}"] = fine, beside_table(lambda v: law(term, v))
-    lines["in the rig"] = fine, beside_table(lambda v: true(rig, v))
+    lines["in the rig"] = fine, beside_table(lambda v: true(case.rig.settings, case.rig.size, v))
     d, p = DRIVERS[driver], PORTS[port]
     title = f"{case.hidden[0].replace('_', ' ').capitalize()}, in no list: what was learned beside what is there"
     page = Page(title, "")
@@ -250,36 +231,28 @@ def exported(found: Diagnosis, record: Record, true: np.ndarray) -> dict:
     for fit in (found.base, found.final):
         parameters = found.parameters(fit)
         model, values = parameters.model, parameters.values
-        held = _inputs(model, record)
-        simulation = Simulation(model, values)
-        exact = [list(simulation.start(held[0]).values())]
-        exact += [list(simulation.advance(inputs, record.period).values()) for inputs in held[:-1]]
+        exact = reference(model, values, record.columns, np.full(len(record) - 1, record.period))
         with tempfile.TemporaryDirectory() as folder:
             for flavour, make in FLAVOURS.items():
                 path = Path(folder, f"{flavour}.fmu")
                 path.write_bytes(make(model, values, Experiment()))
                 said += problems(path)
-                shown = _through_fmpy(path, model, held, record.period)
-                differ[flavour] = differ.get(flavour, 0) + sum(a != b for a, b in zip(shown, exact, strict=True))
-        thrust = [row[0] for row in shown]
-        errors.append(float(np.sqrt(np.mean((np.asarray(thrust) - true) ** 2))))
+                shown = _through_fmpy(path, model, record)
+                differ[flavour] = differ.get(flavour, 0) + int(np.sum(np.any(shown != exact, axis=1)))
+        errors.append(float(np.sqrt(np.mean((shown[:, 0] - true) ** 2))))
     return {"fmus": {"said": said, "rows": 2 * len(record), "differ": differ, "errors": errors}}
 
 
-def _inputs(model: Model, record: Record) -> list[dict[str, float]]:
-    """The model's inputs by name in each row."""
+def _through_fmpy(path: Path, model: Model, record: Record) -> np.ndarray:
     names = [u.name for u in model.inputs]
-    return [dict(zip(names, row, strict=True)) for row in np.column_stack([record.columns[n] for n in names]).tolist()]
-
-
-def _through_fmpy(path: Path, model: Model, held: Sequence[dict], dt: float) -> list[list[float]]:
+    held = np.column_stack([record[name] for name in names]).tolist()
     with contextlib.closing(Fmu(path)) as unpacked:
-        instance = FmuInstance(unpacked, [u.name for u in model.inputs], [y.name for y in model.outputs])
-        shown = [instance.start(list(held[0].values()))]
-        take = instance.stepper(dt)
-        shown += [take(list(inputs.values())) for inputs in held[:-1]]
+        instance = FmuInstance(unpacked, names, [y.name for y in model.outputs])
+        shown = [instance.start(held[0])]
+        take = instance.stepper(record.period)
+        shown += [take(row) for row in held[:-1]]
         instance.close()
-    return shown
+    return np.array(shown)
 
 
 def _learned(case: Case, found: Diagnosis) -> dict:

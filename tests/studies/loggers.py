@@ -11,7 +11,6 @@ filter if it has one). The uncertainty of speed there is that of one mark a revo
 the log-likelihood of the weak effect, with the strong one known. Each case depends on `--first-seed` and its number alone.
 """
 
-import argparse
 import json
 import time
 from collections.abc import Callable, Sequence
@@ -27,10 +26,11 @@ from vpp_fmu.record import Record
 
 from . import command_sequences
 from .detectable import LIMIT, efficient_errors, evidence
-from .diagnosis import read, rows
+from .diagnosis import rows
 from .hidden_effects import HIDDEN, Draw
 from .physics import BASE, in_time
 from .rig import SIZES, Files, campaign, random_base, save
+from .row_file import kept, read
 from .scores import NAMED, named, share
 from .sensors import Encoder, LoggedRig, Logger, Mark, Telemetry
 
@@ -255,16 +255,6 @@ def wrong(row: dict) -> bool:
     return row["verdict"] in NAMED and not all(known)
 
 
-def learns(row: dict) -> bool:
-    """Has learned an effect that is in no list."""
-    return row["verdict"] == "learned"
-
-
-def open_ended(row: dict) -> bool:
-    """Says that something is missing, or partly missing, with or without names."""
-    return row["verdict"] in ("partly", "unexplained")
-
-
 def passes_over(row: dict) -> bool:
     """Names the strong effect of a pair as the only one."""
     return row["hidden"][0] in named(row) and not names_all(row) and not wrong(row)
@@ -280,15 +270,17 @@ def close(row: dict) -> bool:
     return row["over_noise"] <= CLOSE
 
 
-def silent(row: dict) -> bool:
-    """Says that nothing is missing."""
-    return row["verdict"] == "none"
+def verdict(*words: str) -> Callable[[dict], bool]:
+    """A test of the verdict."""
+    return lambda row: row["verdict"] in words
 
+
+_LEARNED, _OPEN, _NONE = verdict("learned"), verdict("partly", "unexplained"), verdict("none")
 
 COLUMNS: dict[str, dict[str, Callable[[dict], bool]]] = {
     "nothing": {"names": gives_name, "logger's": gives_logger, "missing": says_something},
-    "hidden": {"named": names_all, "wrong": wrong, "learned": learns, "open": open_ended, "none": silent},
-    "pairs": {"both": names_all, "admits": admits, "passes": passes_over, "wrong": wrong, "learned": learns, "none": silent},
+    "hidden": {"named": names_all, "wrong": wrong, "learned": _LEARNED, "open": _OPEN, "none": _NONE},
+    "pairs": {"both": names_all, "admits": admits, "passes": passes_over, "wrong": wrong, "learned": _LEARNED, "none": _NONE},
 }
 AIMS = {"nothing": ("names", "missing"), "hidden": ("named", "wrong"), "pairs": ("both", "passes")}
 """Columns (`wrong` may be beside a right name) that are also printed as shares with their intervals."""
@@ -359,11 +351,7 @@ def line(row: dict) -> str:
     return f"{head}: {verdict}; {row['over_noise']:.3f} of the noise{off}, {row['evidence']:.0f} nats, {row['seconds']:.0f} s"
 
 
-def main(arguments: list[str]) -> None:
-    """`python -m tests.studies loggers`."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tests.studies loggers", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def main(parser, arguments):
     parser.add_argument("--part", choices=PARTS, default="nothing", help="(default: %(default)s)")
     parser.add_argument("--seeds", type=int, metavar="N", help=f"cases (default: {PARTS})")
     parser.add_argument("--first-seed", type=int, default=0, metavar="K", help="of all that is drawn (default: %(default)s)")
@@ -383,16 +371,12 @@ def main(arguments: list[str]) -> None:
         print(json.dumps(cases[0].summary() | {"rig": asdict(cases[0].rig)}, indent=2))
         return
     path = Path(options.output or f"out/loggers_{options.part}.jsonl")
-    path.parent.mkdir(parents=True, exist_ok=True)
     done = {_key(row): row for row in read(path)}
     missing = [] if options.only_table else [c for c in cases if _key(c.summary()) not in done or options.only is not None]
-    with path.open("a") as file:
-        for row in rows(missing, options.workers, 1, options.limit, work=outcome):
-            print(line(row), flush=True)
-            done[_key(row)] = row
-            if options.only is None:
-                file.write(json.dumps(row) + "\n")
-                file.flush()
+    found = rows(missing, options.workers, 1, options.limit, work=outcome)
+    for row in kept(path, found) if options.only is None else found:
+        print(line(row), flush=True)
+        done[_key(row)] = row
     print(table(options.part, [row for c in cases if (row := done.get(_key(c.summary())))]))
 
 

@@ -3,7 +3,6 @@
 Aims: seconds grow no faster than the readings, and no more than 300 MB.
 """
 
-import argparse
 from itertools import pairwise
 
 from .cases import WHOLE, draw
@@ -13,9 +12,7 @@ from .own_process import Failed, apart
 MB = 300.0
 
 
-def main(arguments: list[str]) -> None:
-    """Run the study."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies long", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--seconds", type=float, nargs="+", default=[90.0, 600.0], metavar="S", help="of the records")
     parser.add_argument("--hidden", default="pitch_command_deadband", metavar="NAME", help="effect (default: %(default)s)")
     parser.add_argument("--size", default="paper", help="of the rig (default: %(default)s)")

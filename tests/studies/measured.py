@@ -7,7 +7,6 @@ the other predicted by the same model, with the fitted one's map of the speed. T
 of a day is the error after the steady map alone is fitted to that day, because no lag explains the difference between days.
 """
 
-import argparse
 import contextlib
 import io
 import tempfile
@@ -48,9 +47,7 @@ class Row:
     verdict: str
 
 
-def main(arguments: list[str]) -> None:
-    """`python -m tests.studies measured`."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies measured", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("folder", type=Path, metavar="FOLDER")
     parser.add_argument("--diagnose", action="store_true", help="also what the model lacks, and the error with it")
     options = parser.parse_args(arguments)

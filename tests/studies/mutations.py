@@ -5,7 +5,6 @@ statement. One at a time goes into a copy of the tree, and the tests of its part
 test notices survives. It is printed with its place: either it changes nothing that matters, or a test is missing.
 """
 
-import argparse
 import ast
 import os
 import random
@@ -142,13 +141,7 @@ def passed(tree: Path, part: Part) -> bool:
     """Whether a part's tests pass in a tree."""
     words = [
         sys.executable,
-        "-m",
-        "pytest",
-        "-q",
-        "-x",
-        "-p",
-        "no:cacheprovider",
-        "-n0",
+        *["-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-n0"],
         *(f"tests/{name}.py" for name in part.tests),
     ]
     words += ["-k", part.keep] if part.keep else []
@@ -172,8 +165,7 @@ def tried(tree: Path, part: Part, chosen: Sequence[Mutation]) -> list[Mutation]:
     return survivors
 
 
-def main(arguments):
-    parser = argparse.ArgumentParser(prog="python -m tests.studies mutations", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="of the code (default: all)")
     parser.add_argument("--sample", type=int, default=12, metavar="N", help="mutations of each part (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of the sample (default: %(default)s)")

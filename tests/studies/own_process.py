@@ -40,21 +40,15 @@ def apart(work: Callable, *arguments, limit: float | None = None, environment: M
         return pickle.loads(path.read_bytes())
 
 
-def peak() -> float:
-    """Peak memory of this process [MB].
+def peak(pid: int | str = "self") -> float:
+    """Peak memory of a process [MB].
 
-    It is read from /proc, since getrusage's begins with the memory of the process from which this one was forked.
+    It is read from /proc, since getrusage's begins with the memory of the process from which it was forked.
     """
-    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    status = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
     return int(status["VmHWM"].split()[0]) / 1024.0
 
 
-def main() -> None:
-    """Run as the other process."""
-    work, arguments = pickle.load(sys.stdin.buffer)
-    result = work(*arguments)
-    Path(sys.argv[1]).write_bytes(pickle.dumps(result))
-
-
 if __name__ == "__main__":
-    main()
+    work, arguments = pickle.load(sys.stdin.buffer)
+    Path(sys.argv[1]).write_bytes(pickle.dumps(work(*arguments)))

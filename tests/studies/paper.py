@@ -3,7 +3,6 @@
 They are those of a folder that `vpp paper -o FOLDER` wrote, or, without one, of a study that is run now.
 """
 
-import argparse
 import json
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -24,8 +23,7 @@ def _short(cells: Sequence) -> list:
     return [cells[COLUMNS.index(name)] for name in COLUMNS if name not in ("place", "why they differ")]
 
 
-def main(arguments):
-    parser = argparse.ArgumentParser(prog="python -m tests.studies paper", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("folder", nargs="?", type=Path, help="what `vpp paper` wrote")
     add_write(parser)
     options = parser.parse_args(arguments)

@@ -7,7 +7,6 @@ unknown dead band of the pitch command of 1 to 2.5 deg. Cost: integral of the sq
 flight.
 """
 
-import argparse
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -80,13 +79,12 @@ def _flown(task: Task, settings: Mapping[str, float], law, plants: np.ndarray, s
     return Trial(task, settings).flights(model, vector, plants, (seed, 19)).errors
 
 
-def main(options=None):
-    parser = argparse.ArgumentParser(prog="python -m tests.studies policy", description=__doc__.splitlines()[0])
+def main(parser, arguments):
     parser.add_argument("--seeds", type=int, default=20, metavar="N")
     parser.add_argument("--first-seed", type=int, default=0, metavar="N")
     parser.add_argument("--generations", type=int, default=600, metavar="N")
     parser.add_argument("--workers", type=int, default=2, metavar="N")
-    parsed = parser.parse_args(options)
+    parsed = parser.parse_args(arguments)
     seeds = range(parsed.first_seed, parsed.first_seed + parsed.seeds)
     found = spread(partial(costs, generations=parsed.generations), seeds, parsed.workers, what="rigs")
     for case in found[0]:

@@ -6,7 +6,6 @@ rms error over the Cramer-Rao bound of both readings, with its standard error, a
 The terms of the map are chosen by the fit: rigs on which it adds or drops one are counted, and have no line in the table.
 """
 
-import argparse
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,11 +77,10 @@ def draw(seed: int) -> Draw:
     return Draw(truth, noise, fit_power(steady_readings(points, ParameterSet(BASE).values)))
 
 
-def main(options=None):
-    parser = argparse.ArgumentParser(prog="python -m tests.studies power", description=__doc__.splitlines()[0])
+def main(parser, arguments):
     parser.add_argument("--rigs", type=int, default=100, metavar="N")
     parser.add_argument("--first-seed", type=int, default=0, metavar="N")
-    parsed = parser.parse_args(options)
+    parsed = parser.parse_args(arguments)
     drawn = [draw(seed) for seed in range(parsed.first_seed, parsed.first_seed + parsed.rigs)]
     own = [d for d in drawn if d.chosen]
     ratios, covered = np.array([d.errors / d.bound for d in own]), np.array([d.covered for d in own])

@@ -7,7 +7,6 @@ of speed by a curve that no effect has. Printed are the false names, the share n
 EXPECTED nats or more and of the others, and the share of the 95 % intervals that contain the true size.
 """
 
-import argparse
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -75,11 +74,15 @@ class Rig:
             found.append(rng.uniform(low, high, 501)[np.searchsorted(at, time, side="right")])
         return time, *found
 
+    def torque(self, w, b):
+        """Aerodynamic torque [N.m] at normalised speed and pitch."""
+        c = self.drawn["map"]
+        return c[0] * w**2 + c[1] * w**2 * b + c[2] * w**2 * b**2
+
     def electrical(self, time, omega, beta, faster, rate, thrust, hidden):
         """Power [W] of motor, ESC and servo."""
         d, w, b = self.drawn, omega / 6000.0, (beta + 5.0) / 15.0
-        driven = d["map"][0] * w**2 + d["map"][1] * w**2 * b + d["map"][2] * w**2 * b**2 + d["friction"]
-        driven = driven + d["inertia"] * faster * RAD_PER_S
+        driven = self.torque(w, b) + d["friction"] + d["inertia"] * faster * RAD_PER_S
         current = driven / d["constant"]
         winding = np.full(len(time), d["resistance"])
         if hidden == "resistance_heating" and len(time) > 1:
@@ -141,10 +144,9 @@ class Rig:
         omega, none = 6000.0 * w, np.zeros(len(w))
         beta = 15.0 * b - 5.0
         power = self.electrical(none, omega, beta, none, none, none, "")
-        torque = d["map"][0] * w**2 + d["map"][1] * w**2 * b + d["map"][2] * w**2 * b**2
         further = {"power": power * (1.0 + 0.005 * rng.standard_normal(len(w)))}
         if d["torque"]:
-            further["torque"] = torque * (1.0 + 0.005 * rng.standard_normal(len(w)))
+            further["torque"] = self.torque(w, b) * (1.0 + 0.005 * rng.standard_normal(len(w)))
         return StaticMap(omega, beta, omega, thrust_of(omega, beta), none + 0.1, none + 100.0, "static.csv", further)
 
     @cached_property
@@ -242,7 +244,7 @@ def truth(rig: Rig, found: PowerDiagnosis) -> dict:
     time, omega_ref, beta_ref = rig.commands(np.random.default_rng([rig.seed, 79]))
     omega, beta = (two_lags(c, *t, time[1])[0] for c, t in ((omega_ref, (0.12, 0.05)), (beta_ref, (0.1, 0.06))))
     w, b = omega / 6000.0, (beta + 5.0) / 15.0
-    driven = d["map"][0] * w**2 + d["map"][1] * w**2 * b + d["map"][2] * w**2 * b**2 + d["friction"]
+    driven = rig.torque(w, b) + d["friction"]
     loss = d["resistance"] * float(np.max(driven) / d["constant"]) ** 2
     return {
         ("resistance_heating", "gain"): rig.rise * loss**2,
@@ -250,13 +252,12 @@ def truth(rig: Rig, found: PowerDiagnosis) -> dict:
     }
 
 
-def main(options=None):
-    parser = argparse.ArgumentParser(prog="python -m tests.studies power_residual", description=__doc__.splitlines()[0])
+def main(parser, arguments):
     parser.add_argument("--rigs", type=int, default=60, metavar="N")
     parser.add_argument("--first-seed", type=int, default=0, metavar="N")
     parser.add_argument("--workers", type=int, default=1, metavar="N")
     parser.add_argument("--verbose", action="store_true", help="a line for each rig")
-    parsed = parser.parse_args(options)
+    parsed = parser.parse_args(arguments)
     seeds = range(parsed.first_seed, parsed.first_seed + parsed.rigs)
     with ProcessPoolExecutor(parsed.workers) as pool:
         found = []

@@ -8,7 +8,6 @@ are right, `family` if they are in a family that the diagnosis does not distingu
 lags within CLOSE. Otherwise it has `missed` a name or is `wrong`: it has a false name or a false "something is missing".
 """
 
-import argparse
 import itertools
 import time
 from collections.abc import Iterator
@@ -154,9 +153,7 @@ def outcome(case: Logged, seed: int = 0, library=SOME) -> dict:
     }
 
 
-def main(arguments: list[str]) -> None:
-    """`python -m tests.studies readings`."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies readings", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--rates", default=",".join(f"{r:g}" for r in RATES), metavar="A,B", help="Hz, of %(default)s")
     parser.add_argument("--seed", type=int, default=0, metavar="K", help="of commands and noise (default: %(default)s)")
     parser.add_argument("--whole", action="store_true", help="the whole library may be named")

@@ -5,7 +5,6 @@ one line with the found and the allowed value, no output. `--signals`: also comm
 work. Aim: the signal's exit code, one line, no process left, no output.
 """
 
-import argparse
 import contextlib
 import io
 import json
@@ -191,9 +190,7 @@ def stops(folder: Path) -> Iterator[str]:
             yield f"{what:36} {number.name:8} {ended.code:4} after {ended.seconds:.1f} s, {left}: {ended.error.strip()}"
 
 
-def main(arguments: list[str]) -> None:
-    """`python -m tests.studies refusals`."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies refusals", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--signals", action="store_true", help="also stop commands in the middle")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as name:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vpp_fmu.campaign import GRID, Campaign, StaticMap
+from vpp_fmu.campaign import Campaign, StaticMap, write_static, write_steps
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.record import Record, write_record
 from vpp_fmu.rig import infer_rig
@@ -230,11 +230,9 @@ def save(measured: Campaign, size: Size, path: Path) -> None:
         if (record := getattr(measured, name)) is not None:
             write_record(folder, f"{name}.csv", record)
     if measured.static is not None:
-        write_record(folder, "static.csv", Record({n: getattr(measured.static, n) for n in GRID}, "static"))
+        write_static(folder, measured.static)
     if measured.steps:
-        runs = [r.with_columns(run=np.full(len(r), k)) for k, r in enumerate(measured.steps)]
-        columns = {n: np.concatenate([r[n] for r in runs]) for n in ("run", *measured.steps[0].columns)}
-        write_record(folder, "steps.csv", Record(columns, "steps"))
+        write_steps(folder, measured.steps)
     content = dict(size.declared)
     for name, unit in (("speed", "rpm"), ("pitch", "deg")):
         low, high = content[name]

@@ -7,7 +7,6 @@ second column adds the speed channel to the fit, and may fall below the bound. D
 on a rig.
 """
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -64,9 +63,7 @@ class Trials:
     distance: np.ndarray
 
 
-def main(arguments: list[str]) -> None:
-    """Run the study."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies rigs", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--seeds", type=int, default=40, metavar="N", help="campaigns to identify (default: %(default)s)")
     parser.add_argument("--diagnoses", type=int, default=1, metavar="N", help="rigs for each effect (default: %(default)s)")
     parser.add_argument("--first-seed", type=int, default=0, metavar="K", help="of both (default: %(default)s)")

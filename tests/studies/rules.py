@@ -5,9 +5,7 @@ counts the cases in which a rule decided, those that ran without it, and those i
 right to wrong, wrong to right, or neither. A rule that decides in no case, or that changes no verdict, can be deleted.
 """
 
-import argparse
 import importlib
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -19,6 +17,7 @@ from vpp_fmu.kernel.plant import LIBRARY
 
 from . import diagnosis, scores
 from .cases import Case
+from .row_file import kept, read
 
 
 @dataclass(frozen=True)
@@ -133,16 +132,6 @@ RULES: Mapping[str, Rule] = {
 }
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Options of the study."""
-    diagnosis.configure(parser)
-    parser.set_defaults(output="out/rules.jsonl", limit=3600.0)
-    parser.add_argument("--rules", default=",".join(RULES), metavar="A,B", help="to remove (default: all)")
-    parser.add_argument(
-        "--removals", type=int, metavar="N", help="cases to run without each rule, of those in which it decides (default: all)"
-    )
-
-
 @dataclass(frozen=True)
 class Asked:
     """A case, and the rule to remove; None: all rules apply."""
@@ -155,29 +144,28 @@ class Asked:
         return self.case.summary() | {"without": self.rule}
 
 
-def main(arguments: list[str]) -> None:
-    """`python -m tests.studies rules`."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies rules", description=__doc__)
-    configure(parser)
+def main(parser, arguments):
+    diagnosis.configure(parser)
+    parser.set_defaults(output="out/rules.jsonl", limit=3600.0)
+    parser.add_argument("--rules", default=",".join(RULES), metavar="A,B", help="to remove (default: all)")
+    parser.add_argument(
+        "--removals", type=int, metavar="N", help="cases to run without each rule, of those in which it decides (default: all)"
+    )
     options = parser.parse_args(arguments)
     path = Path(options.output)
-    found = {_key(row): row for row in diagnosis.read(path)}
+    found = {_key(row): row for row in read(path)}
     if not options.only_table:
-        path.parent.mkdir(parents=True, exist_ok=True)
         cases = diagnosis.chosen(options)
-        with path.open("a") as file:
 
-            def run(asked: Sequence[Asked]) -> None:
-                missing = [one for one in asked if _key(one.summary()) not in found]
-                for row in diagnosis.rows(missing, options.workers, options.threads, options.limit, work=outcome):
-                    file.write(json.dumps(row) + "\n")
-                    file.flush()
-                    found[_key(row)] = row
+        def run(asked: Sequence[Asked]) -> None:
+            missing = [one for one in asked if _key(one.summary()) not in found]
+            for row in kept(path, diagnosis.rows(missing, options.workers, options.threads, options.limit, work=outcome)):
+                found[_key(row)] = row
 
-            run([Asked(case) for case in cases])
-            for rule in options.rules.split(","):
-                decided = [case for case in cases if rule in found[_key(Asked(case).summary())].get("decided", ())]
-                run([Asked(case, rule) for case in decided[: options.removals]])
+        run([Asked(case) for case in cases])
+        for rule in options.rules.split(","):
+            decided = [case for case in cases if rule in found[_key(Asked(case).summary())].get("decided", ())]
+            run([Asked(case, rule) for case in decided[: options.removals]])
     print(scores.tables([row for row in found.values() if row["without"] is None]), table(list(found.values())), sep="\n\n")
 
 

@@ -203,11 +203,8 @@ def by_effect(rows: Rows) -> list[str]:
 
 
 def _head(what: str) -> list[str]:
-    return [f"{label:44}" + "".join(f"{head:>9}" for head in heads).rstrip() for label, heads in _heads(what)]
-
-
-def _heads(what: str) -> list[tuple[str, list[str]]]:
-    return [("", [c.group for c in COLUMNS]), (what, [c.head for c in COLUMNS])]
+    lines = ("", [c.group for c in COLUMNS]), (what, [c.head for c in COLUMNS])
+    return [f"{label:44}" + "".join(f"{head:>9}" for head in heads).rstrip() for label, heads in lines]
 
 
 def _cells(what: str, part: Rows) -> str:
@@ -273,20 +270,14 @@ def figures(rows: Rows) -> list[str]:
     )
     compared = [p for c in singles if hit(c) for p in c["parameters"].values()]
     lines.append(share("parameters within 10 % or covered, of singles named", lambda p: p[3], compared))
-    lines += [_removed(what, part) for what, part in _shipped(rows, singles)]
+    # The phase of the vibration differs on another record.
+    kept = [c for c in rows if not ALWAYS & {*c["effects"], *c["hidden"]}]
+    lines.append(_removed("detectable singles, named or not", [c for c in singles if c in kept]))
+    lines.append(_removed("all that ships", [c for c in kept if ships(c)]))
     lines.append(share("what ships is worse than its base (aim: none)", worse, [c for c in rows if ships(c)]))
     lines += _calibration("no effect, before", _p_values(none, "before"))
     lines += _calibration("singles named, after", _p_values([c for c in singles if hit(c)], "after"))
     return lines + _costs(rows)
-
-
-def _shipped(rows: Rows, singles: Rows) -> list[tuple[str, Rows]]:
-    """Groups of cases, without vibration, whose phase differs on another record."""
-    kept = [c for c in rows if not ALWAYS & set(c["effects"]) and not ALWAYS & set(c["hidden"])]
-    return [
-        ("detectable singles, named or not", [c for c in singles if c in kept]),
-        ("all that ships", [c for c in kept if ships(c)]),
-    ]
 
 
 def _removed(what: str, part: Rows) -> str:

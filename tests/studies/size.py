@@ -3,7 +3,6 @@
 Lines of Python files that git tracks, with comments and docstrings. The chain: each module imports the next one.
 """
 
-import argparse
 import subprocess
 from collections import Counter
 from functools import cache
@@ -15,9 +14,7 @@ PACKAGES = "fmu_src", "vpp_fmu", "identification", "hil"
 DIAGNOSIS = "identification.diagnose.diagnose"
 
 
-def main(arguments: list[str]) -> None:
-    """Run the study."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies size", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--against", default="HEAD", metavar="REV", help="the commit before (default: %(default)s)")
     options = parser.parse_args(arguments)
     before, now = counted(options.against), counted("HEAD")

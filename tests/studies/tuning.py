@@ -5,8 +5,7 @@ measurement chain; the same model on rigs of 1.2 N and 180 N, three times as fas
 example campaign; then plants drawn from the parameters' uncertainty. Robust gains are judged on 200 held-out plants.
 """
 
-import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from identification.demo import example_folder
 from identification.diagnose.diagnose import diagnose
@@ -94,9 +93,8 @@ def show(title: str, found: Tuning) -> None:
             print(f"    {step}: {', '.join(f'{n} {c}' for n, c in zip(UNITS, changes, strict=True))}")
         print(f"    {', '.join(f'{margin} {change}' for margin, change in margin_rows(verdict))}")
         print(f"    cost {each.cost('start'):.4g} -> {each.cost('tuned'):.4g}, handed out: {labels(found, each)[each.chosen]}")
-    print(
-        f"  aim <= {SECONDS:g} s: {found.seconds:.1f} s; thrust through the FMUs differs by {_difference(found):.2g} N at most"
-    )
+    off = max(each.fmu_difference for each in found.tuned.values())
+    print(f"  aim <= {SECONDS:g} s: {found.seconds:.1f} s; thrust through the FMUs differs by {off:.2g} N at most")
 
 
 def show_against(found: Tuning) -> None:
@@ -128,16 +126,10 @@ def show_robust(title: str, found: Tuning) -> None:
     print(f"  {found.seconds:.1f} s")
 
 
-def _difference(found: Tuning) -> float:
-    return max(each.fmu_difference for each in found.tuned.values())
-
-
-def main(argv: Sequence[str] | None = None) -> None:
-    """Run the study."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies tuning", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="searches side by side")
     parser.add_argument("--draws", type=int, default=200, metavar="N", help="plants that robust gains are tuned on")
-    options = parser.parse_args(argv)
+    options = parser.parse_args(arguments)
     ideal = a_task(the_papers(), chain={})
     show("The paper's model, ideal measurement", tuned(ideal, options.workers))
     found = tuned(a_task(the_papers()), options.workers)

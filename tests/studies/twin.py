@@ -12,7 +12,6 @@ drivers and loop, too.
 Aims: no more than one false alarm in 100 h, and no change missed after a campaign of the paper's length.
 """
 
-import argparse
 import tempfile
 from collections import Counter
 from collections.abc import Mapping
@@ -87,9 +86,7 @@ class Known(NamedTuple):
     std: Mapping[str, float] = MappingProxyType({})
 
 
-def main(arguments: list[str]) -> None:
-    """Run the study."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies twin", description=__doc__)
+def main(parser, arguments):
     parser.add_argument("--seeds", type=int, default=100, metavar="N", help="of each change (default: %(default)s)")
     parser.add_argument("--hours", type=int, default=100, metavar="H", help="for false alarms (default: %(default)s)")
     parser.add_argument("--twins", type=int, default=24, metavar="N", help="rigs, each with a campaign (default: %(default)s)")
@@ -144,7 +141,7 @@ def alarms(hour: int, known: list[Known]) -> tuple[str, str, int, float]:
     for k in range(round(3600.0 / RUN)):
         rng = np.random.default_rng([hour, 3, k])
         if kind == "closed loop":
-            omega, beta, thrust = _loop(rng, one.own)
+            omega, beta, thrust, _ = _loop(rng, one.own)
         else:
             omega, beta = _orders(kind, rng)
             thrust = _read(rng, _true(one.own, omega, beta))
@@ -252,8 +249,8 @@ def _orders(kind: str, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray
     return orders["omega_ref"][rows], orders["beta_ref"][rows]
 
 
-def _loop(rng: np.random.Generator, own: dict[str, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Commands of the controller and the thrust that it reads, under set-points that change every 1 to 5 s."""
+def _loop(rng: np.random.Generator, own: dict[str, float]) -> tuple[np.ndarray, ...]:
+    """Commands of the controller, the thrust that it reads and the speed, under set-points that change every 1 to 5 s."""
     rows = round(RUN / DT)
     times = np.cumsum(rng.uniform(1.0, 5.0, rows // 200))
     wanted = rng.uniform(1.0, 10.0, len(times) + 1)[np.searchsorted(times, np.arange(rows) * DT)]
@@ -262,7 +259,8 @@ def _loop(rng: np.random.Generator, own: dict[str, float]) -> tuple[np.ndarray, 
     shown = loop.rows(sets, Course(wanted, noise, DT, 15.0, REST))[1]
     # The reading of a row precedes its commands: the first row is at rest, the others are one later.
     omega, beta = (np.concatenate([[at], column]) for at, column in zip(REST, shown[:, :2].T, strict=True))
-    return omega, beta, np.concatenate([shown[:1, 2], shown[:, 2]]) + np.concatenate([noise[:1], noise])
+    thrust, speed = (np.concatenate([shown[:1, k], shown[:, k]]) for k in (2, 3))
+    return omega, beta, thrust + np.concatenate([noise[:1], noise]), speed
 
 
 @cache
