@@ -152,25 +152,30 @@ def short_waits():
         yield
 
 
+def words_of(request, words) -> list[str]:
+    """The words of a call of `vpp`, after the FIRST_WORDS of the test's file, if it has some."""
+    return [*map(str, (*getattr(request.module, "FIRST_WORDS", ()), *words))]
+
+
 @pytest.fixture
-def printed(capsys):
+def printed(capsys, request):
     """Run `vpp`, which must succeed, and return its standard output."""
 
     def run(*words):
         capsys.readouterr()
-        assert main([*map(str, words)]) == 0
+        assert main(words_of(request, words)) == 0
         return capsys.readouterr().out
 
     return run
 
 
 @pytest.fixture
-def refused(capsys):
+def refused(capsys, request):
     """Run `vpp`, which must end with exit code 2 and one line on standard error, and return that line."""
 
     def run(*words):
         capsys.readouterr()
-        assert main([*map(str, words)]) == 2
+        assert main(words_of(request, words)) == 2
         said = capsys.readouterr().err
         assert said.count("\n") == 1
         return said
