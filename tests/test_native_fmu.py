@@ -23,6 +23,7 @@ from builders import ALL_ON, MODELS, PROBES, Slave, native, random_steps, refere
 from fmpy.build import build_platform_binary
 from fmpy.model_description import read_build_description
 
+from fmu_src.two_masses import MODEL as TWO_MASSES
 from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.export import native_fmu, toolchain
 from vpp_fmu.export.c_text import c_text
@@ -170,12 +171,13 @@ def test_its_source_allows_no_fused_multiply_add(tmp_path):
     assert not re.search(r"\tvfn?m(add|sub)", (tmp_path / "plant.s").read_text())
 
 
-def test_its_source_draws_no_warning(tmp_path):
-    for name, (model, values) in MODELS.items():
-        (tmp_path / f"{name}.c").write_text(c_text(model, values | model.values(values), "{}"))
-        strict = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only"]
-        subprocess.run([CC, *strict, f"{name}.c"], cwd=tmp_path, check=True)
-        subprocess.run([CC, *strict, "-DFMI2_FUNCTION_PREFIX=Vpp_", f"{name}.c"], cwd=tmp_path, check=True)
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_its_source_draws_no_warning(version, tmp_path):
+    for model, values in (*MODELS.values(), (TWO_MASSES, {})):
+        (tmp_path / "model.c").write_text(c_text(model, values | model.values(values), "{}", version))
+        strict = [CC, "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only", "model.c"]
+        for more in ([], ["-DFMI2_FUNCTION_PREFIX=Vpp_"]):
+            subprocess.run([*strict, *more], cwd=tmp_path, check=True)
 
 
 def test_the_reference_files_are_what_fmpy_gets(fmu_files, tmp_path):
