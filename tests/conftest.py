@@ -11,7 +11,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import pytest
-from builders import ALL_ON, FAST_PITCH, PROBES, random_steps, reference
+from builders import ALL_ON, FAST_PITCH, PROBES, random_steps, reference, shorten_tuning
 
 from tests.hil.quick_vpp import shorten_waits
 from tests.stalls import Stalls
@@ -150,6 +150,12 @@ def short_waits():
     with pytest.MonkeyPatch.context() as patch:
         shorten_waits(patch.setattr)
         yield
+
+
+@pytest.fixture
+def short_search(monkeypatch):
+    """One search per controller, in one round."""
+    shorten_tuning(monkeypatch.setattr)
 
 
 def words_of(request, words) -> list[str]:

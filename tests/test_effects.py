@@ -4,12 +4,12 @@ from functools import reduce
 
 import numpy as np
 import pytest
-from builders import OPTIONAL, PROBES, named, random_steps, reference, simulator, slopes
+from builders import OPTIONAL, PROBES, named, random_steps, reference, simulator, slopes, stepped
 from scipy.signal import lsim
 
 from identification.diagnose.search.candidates import Candidate
 from vpp_fmu.export import python_fmu
-from vpp_fmu.fmu import Fmu, FmuInstance
+from vpp_fmu.fmu import Fmu
 from vpp_fmu.invariants import INVARIANTS, Trial
 from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
 from vpp_fmu.kernel.simulation import Simulation
@@ -195,13 +195,7 @@ def test_a_new_effect_runs_everywhere_without_an_edit(tmp_path):
     path.write_bytes(python_fmu(model, values))
     fmu = Fmu(path)
     assert float(fmu.variables["crosswind"].start) == 2.0
-    instance = FmuInstance(fmu, list(inputs), ["thrust", "omega", "beta"])
-    rows = np.column_stack(list(inputs.values())).tolist()
-    stepped = [instance.start(rows[0])]
-    take = instance.stepper(STEP)
-    stepped += [take(row) for row in rows[:-1]]
-    np.testing.assert_array_equal(stepped, shown)
-    instance.close()
+    np.testing.assert_array_equal(stepped(fmu, inputs, STEP), shown)
     fmu.close()
 
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from builders import named, random_steps, reference, simulator, slopes
+from builders import named, random_steps, reference, simulator, slopes, stepped
 
 from vpp_fmu.export import native_fmu, python_fmu
-from vpp_fmu.fmu import Fmu, FmuInstance
+from vpp_fmu.fmu import Fmu
 from vpp_fmu.invariants import INVARIANTS, Trial
 from vpp_fmu.kernel.learned import DRIVERS, PORTS, learned, placed
 from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
@@ -148,14 +148,8 @@ def test_both_fmus_give_the_same_numbers(term, tmp_path):
     for make, name in ((python_fmu, "a.fmu"), (native_fmu, "b.fmu")):
         (tmp_path / name).write_bytes(make(model, values))
         fmu = Fmu(tmp_path / name)
-        instance = FmuInstance(fmu, list(inputs), ["thrust", "omega", "beta"])
-        rows = np.column_stack(list(inputs.values())).tolist()
-        stepped = [instance.start(rows[0])]
-        take = instance.stepper(STEP)
-        stepped += [take(row) for row in rows[:-1]]
-        instance.close()
+        np.testing.assert_array_equal(stepped(fmu, inputs, STEP), shown)
         fmu.close()
-        np.testing.assert_array_equal(stepped, shown)
 
 
 def settled(term, omega=4000.0, beta=4.0, **changes):

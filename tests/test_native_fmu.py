@@ -19,7 +19,7 @@ import fmpy
 import numpy as np
 import pytest
 import test_fmu
-from builders import ALL_ON, MODELS, PROBES, Slave, native, random_steps, reference
+from builders import ALL_ON, MODELS, PROBES, Slave, native, random_steps, reference, stepped
 from fmpy.build import build_platform_binary
 from fmpy.model_description import read_build_description
 
@@ -29,7 +29,7 @@ from vpp_fmu.export import native_fmu, toolchain
 from vpp_fmu.export.c_text import c_text
 from vpp_fmu.export.cross_check import reference_files
 from vpp_fmu.export.description import Experiment
-from vpp_fmu.fmu import Fmu, FmuInstance
+from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.native import compiler
@@ -140,11 +140,7 @@ def test_fmpy_compiles_it_from_its_sources(fmu_files, long_run, tmp_path, monkey
     fmu = Fmu(fmu_files["all_on"])
     shutil.copytree(tmp_path / "binaries", Path(fmu.folder, "binaries"), dirs_exist_ok=True)
     commands, _, exact = long_run
-    instance = FmuInstance(fmu, list(commands), OUTPUTS)
-    rows = np.column_stack(list(commands.values()))[:2000].tolist()
-    shown = [instance.start(rows[0])]
-    step = instance.stepper(0.004)
-    np.testing.assert_array_equal(shown + [step(row) for row in rows[:-1]], exact[:2000])
+    np.testing.assert_array_equal(stepped(fmu, commands), exact)
     fmu.close()
 
 
