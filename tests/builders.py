@@ -62,6 +62,21 @@ def simulator(model: Model, wrt: tuple[str, ...] = ()) -> Simulator:
     return _simulators[key]
 
 
+def slope_errors(model: Model, values: Mapping[str, float], wrt, inputs, steps, smooth: float = 0.9) -> dict[str, float]:
+    """Largest distance of each parameter's tangents from central differences, as a share of their size; of parameters that can
+    be varied in both directions. At least a share `smooth` of the rows has a valid difference."""
+    values, declared = model.values(values), {p.name: p for p in model.parameters}
+    tangents = simulator(model, tuple(wrt)).sensitivities(values, inputs, steps)[1]
+    errors = {}
+    for j, name in enumerate(wrt):
+        p = declared[name]
+        if not p.choices and p.minimum < values[name] < p.maximum:
+            numeric, valid, size = slopes(model, values, name, inputs, steps)
+            assert valid.mean() > smooth, f"{name}: hardly a row where differences agree"
+            errors[name] = float((np.where(valid, np.abs(tangents[:, :, j] - numeric), 0.0) / size).max())
+    return errors
+
+
 def shorten_tuning(change) -> None:
     """One search per controller, in one round, for tests of what is done with the gains. `change(name, value)` replaces an
     attribute."""

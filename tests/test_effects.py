@@ -4,7 +4,7 @@ from functools import reduce
 
 import numpy as np
 import pytest
-from builders import ALL_ON, OPTIONAL, PROBES, named, random_steps, reference, simulator, slopes, stepped
+from builders import ALL_ON, OPTIONAL, PROBES, named, random_steps, reference, simulator, slope_errors, stepped
 from scipy.signal import lsim
 
 from identification.diagnose.search.candidates import Candidate
@@ -69,17 +69,9 @@ def test_tangents_are_central_differences_away_from_kinks(effect, step):
     """Also where a threshold makes the curve flat: the tangent is 0 there."""
     model = plant([effect.name])
     wrt = (*(effect.full(p.name) for p in effect.parameters), "tau_omega_1", "tau_beta_1", "tau_beta_2", "c21")
-    values, declared = model.values(named(effect, effect.probe)), {p.name: p for p in model.parameters}
     inputs, steps = random_steps(2000, 150, model=model), np.full(1999, step)
-    tangents = simulator(model, wrt).sensitivities(values, inputs, steps)[1]
-    for j, name in enumerate(wrt):
-        p = declared[name]
-        if p.choices or not p.minimum < values[name] < p.maximum:
-            continue  # not a number to vary, or one side only
-        numeric, smooth, size = slopes(model, values, name, inputs, steps)
-        assert smooth.mean() > 0.9, f"{name}: hardly a row where differences agree"
-        error = np.where(smooth, np.abs(tangents[:, :, j] - numeric), 0.0).max(axis=0) / size
-        assert error.max() < 3e-3, f"{name}: thrust, omega, beta are off by these shares of their size: {error}"
+    errors = slope_errors(model, named(effect, effect.probe), wrt, inputs, steps)
+    assert max(errors.values()) < 3e-3, errors
 
 
 def test_deadband_ignores_changes_up_to_its_half_width():
