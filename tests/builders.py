@@ -12,7 +12,7 @@ from fmpy.fmi2 import fmi2CallbackLoggerTYPE as Logger
 
 from vpp_fmu.errors import BadInput
 from vpp_fmu.export import native_fmu
-from vpp_fmu.fmu import Fmu
+from vpp_fmu.fmu import Fmu, FmuInstance
 from vpp_fmu.invariants import random_steps, reference, slopes
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
@@ -62,10 +62,44 @@ def simulator(model: Model, wrt: tuple[str, ...] = ()) -> Simulator:
     return _simulators[key]
 
 
+def slope_errors(model: Model, values: Mapping[str, float], wrt, inputs, steps, smooth: float = 0.9) -> dict[str, float]:
+    """Largest distance of each parameter's tangents from central differences, as a share of their size; of parameters that can
+    be varied in both directions. At least a share `smooth` of the rows has a valid difference."""
+    values, declared = model.values(values), {p.name: p for p in model.parameters}
+    tangents = simulator(model, tuple(wrt)).sensitivities(values, inputs, steps)[1]
+    errors = {}
+    for j, name in enumerate(wrt):
+        p = declared[name]
+        if not p.choices and p.minimum < values[name] < p.maximum:
+            numeric, valid, size = slopes(model, values, name, inputs, steps)
+            assert valid.mean() > smooth, f"{name}: hardly a row where differences agree"
+            errors[name] = float((np.where(valid, np.abs(tangents[:, :, j] - numeric), 0.0) / size).max())
+    return errors
+
+
+def shorten_tuning(change) -> None:
+    """One search per controller, in one round, for tests of what is done with the gains. `change(name, value)` replaces an
+    attribute."""
+    change("identification.tune.tune.STARTS", (1.0,))
+    change("identification.tune.tune.SHAKES", (0, 0))
+    change("identification.tune.rounds.ROUNDS", 1)
+
+
 def two_lags(t, tau_1: float, tau_2: float) -> np.ndarray:
     """Unit step response of two different lags in a row, 0 for t <= 0 (textbook form of eqs. 13 to 15)."""
     t = np.maximum(t, 0.0)
     return 1.0 - (tau_1 * np.exp(-t / tau_1) - tau_2 * np.exp(-t / tau_2)) / (tau_1 - tau_2)
+
+
+def normalised(omega, beta):
+    """Speed and pitch in the paper's units."""
+    return omega / 6000.0, (beta + 5.0) / 15.0
+
+
+def paper_map(omega, beta):
+    """The paper's final thrust model, N."""
+    w, b = normalised(omega, beta)
+    return 15.0 * (0.355 * w**2 + 0.064 * w * b + 0.8 * w**2 * b - 0.16 * w * b**2 - 0.081 * w**3)
 
 
 def steps_through(t, at, values, response) -> np.ndarray:
@@ -88,6 +122,16 @@ def speed_delay() -> Effect:
 
 
 TWO_DELAYS = plant(["pitch_delay", "test_speed_delay"], (*LIBRARY, speed_delay()))
+
+
+def stepped(fmu: Fmu, inputs: Mapping[str, np.ndarray], dt: float = 0.004) -> np.ndarray:
+    """Thrust, omega, beta (rows,) of an FMU: at the start, and after each step of `dt` seconds under held inputs."""
+    instance = FmuInstance(fmu, list(inputs), ["thrust", "omega", "beta"])
+    rows = np.column_stack(list(inputs.values())).tolist()
+    shown, step = [instance.start(rows[0])], instance.stepper(dt)
+    shown += [step(row) for row in rows[:-1]]
+    instance.close()
+    return np.array(shown)
 
 
 class Slave:

@@ -11,7 +11,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import pytest
-from builders import ALL_ON, FAST_PITCH, PROBES, random_steps, reference
+from builders import ALL_ON, FAST_PITCH, PROBES, random_steps, reference, shorten_tuning
 
 from tests.hil.quick_vpp import shorten_waits
 from tests.stalls import Stalls
@@ -153,24 +153,35 @@ def short_waits():
 
 
 @pytest.fixture
-def printed(capsys):
+def short_search(monkeypatch):
+    """One search per controller, in one round."""
+    shorten_tuning(monkeypatch.setattr)
+
+
+def words_of(request, words) -> list[str]:
+    """The words of a call of `vpp`, after the FIRST_WORDS of the test's file, if it has some."""
+    return [*map(str, (*getattr(request.module, "FIRST_WORDS", ()), *words))]
+
+
+@pytest.fixture
+def printed(capsys, request):
     """Run `vpp`, which must succeed, and return its standard output."""
 
     def run(*words):
         capsys.readouterr()
-        assert main([*map(str, words)]) == 0
+        assert main(words_of(request, words)) == 0
         return capsys.readouterr().out
 
     return run
 
 
 @pytest.fixture
-def refused(capsys):
+def refused(capsys, request):
     """Run `vpp`, which must end with exit code 2 and one line on standard error, and return that line."""
 
     def run(*words):
         capsys.readouterr()
-        assert main([*map(str, words)]) == 2
+        assert main(words_of(request, words)) == 2
         said = capsys.readouterr().err
         assert said.count("\n") == 1
         return said

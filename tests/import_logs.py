@@ -3,6 +3,18 @@
 import csv
 
 import numpy as np
+from import_zoo import truth
+
+T = truth()
+"""The zoo's log, in a record's units."""
+
+HEADERS = {"time": "t [s]", "omega_ref": "speed cmd [rpm]", "beta_ref": "pitch cmd [deg]", "omega": "speed [rpm]"}
+HEADERS |= {"thrust": "Fz [N]"}
+
+
+def named(*names, **more):
+    """Columns of the zoo's log under headers with their units; `more`: further columns, or others in their place."""
+    return {HEADERS[name]: T[name] for name in names} | more
 
 
 def table(path, columns, delimiter=","):

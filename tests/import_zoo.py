@@ -45,9 +45,9 @@ class Format:
     be imported; `said`: words that the output must have."""
 
     name: str
-    file: str
     write: Callable[[Path, Mapping[str, np.ndarray]], None]
     words: Sequence[str] = ()
+    file: str = "log.csv"
     time: float = 1e-9
     rest: float = 1e-8
     refused: str = ""
@@ -107,24 +107,19 @@ def text(
     return write
 
 
-def stamped(form: str, cut: int = 6, hours: float = 0.0, spell: Callable[[str], str] = lambda s: s) -> Callable[[float], str]:
+def stamped(form: str, cut: int = 6) -> Callable[[float], str]:
     """A time of a calendar, to so many digits of a second."""
 
     def cell(seconds: float) -> str:
-        moment = START + datetime.timedelta(hours=hours, microseconds=round(1e6 * seconds))
-        return spell(moment.strftime(form).replace("%f", f"{moment.microsecond:06d}"[:cut]))
+        moment = START + datetime.timedelta(microseconds=round(1e6 * seconds))
+        return moment.strftime(form).replace("%f", f"{moment.microsecond:06d}"[:cut])
 
     return cell
 
 
-def epoch(unit: float, digits: int) -> Callable[[float], str]:
-    """Seconds since 1970 in a unit."""
-    first = int(START.replace(tzinfo=datetime.timezone.utc).timestamp() * 1000)  # ms
-    return lambda seconds: (
-        f"{(first + 1000 * round(1e6 * seconds) / 1e6) / 1000 / unit:.{digits}f}"
-        if unit == 1.0
-        else str(round((first * 1000 + round(1e6 * seconds)) * round(1e-6 / unit * 1e6) // 10**6))
-    )
+def epoch(seconds: float) -> int:
+    """Microseconds since 1970."""
+    return round(1e6 * START.replace(tzinfo=datetime.timezone.utc).timestamp()) + round(1e6 * seconds)
 
 
 def containers() -> list[Format]:
@@ -184,20 +179,20 @@ def containers() -> list[Format]:
         return lambda path, t: function(path, t, **options)
 
     return [
-        Format("Parquet", "log.parquet", part(parquet), OWN),
+        Format("Parquet", part(parquet), OWN, file="log.parquet"),
         Format(
             "Parquet, timestamps",
-            "log.parquet",
             part(parquet, stamp=True),
             [w for w in OWN if w != "time=time:s"] + ["time=time:iso"],
+            file="log.parquet",
         ),
-        Format("Parquet, units in its schema", "log.parquet", part(parquet, units=True)),
-        Format("MAT v5, vectors", "log.mat", part(mat), OWN),
-        Format("MAT v5, a struct", "log.mat", part(mat, struct=True), OWN),
-        Format("MAT v7.3", "log.mat", mat73, OWN),
-        Format("HDF5, vectors with units", "log.h5", part(hdf5)),
-        Format("HDF5, a matrix with names", "log.h5", part(hdf5, form="matrix"), OWN),
-        Format("HDF5, a compound", "log.h5", part(hdf5, form="compound"), OWN),
+        Format("Parquet, units in its schema", part(parquet, units=True), file="log.parquet"),
+        Format("MAT v5, vectors", part(mat), OWN, file="log.mat"),
+        Format("MAT v5, a struct", part(mat, struct=True), OWN, file="log.mat"),
+        Format("MAT v7.3", mat73, OWN, file="log.mat"),
+        Format("HDF5, vectors with units", part(hdf5), file="log.h5"),
+        Format("HDF5, a matrix with names", part(hdf5, form="matrix"), OWN, file="log.h5"),
+        Format("HDF5, a compound", part(hdf5, form="compound"), OWN, file="log.h5"),
     ]
 
 
@@ -245,55 +240,45 @@ def _texts() -> list[Format]:
     na = {"thrust": lambda v: "NA" if np.isnan(v) else number(v)}
     dash = {"thrust": lambda v: "-" if np.isnan(v) else number(v)}
     return [
-        Format("a record's own names", "log.csv", text(PLAIN), OWN),
-        Format("units in the names", "log.csv", text()),
-        Format("semicolon, decimal comma", "log.csv", text(**comma)),
-        Format("tab", "log.txt", text(delimiter="\t")),
-        Format("tab, decimal comma", "log.txt", text(delimiter="\t", decimal=",")),
-        Format("bar", "log.txt", text(delimiter="|")),
-        Format("spaces", "log.dat", text(PLAIN, delimiter="   "), OWN),
+        Format("a record's own names", text(PLAIN), OWN),
+        Format("units in the names", text()),
+        Format("semicolon, decimal comma", text(**comma)),
+        Format("tab", text(delimiter="\t"), file="log.txt"),
+        Format("tab, decimal comma", text(delimiter="\t", decimal=","), file="log.txt"),
+        Format("bar", text(delimiter="|"), file="log.txt"),
+        Format("spaces", text(PLAIN, delimiter="   "), OWN, file="log.dat"),
         Format(
             "spaces, units torn from names",
-            "log.dat",
             text({n: f"{n} {v.split()[-1]}" for n, v in TOLD.items()}, delimiter=" "),
+            file="log.dat",
         ),
-        Format("comma and space", "log.csv", text(delimiter=", ")),
-        Format("all quoted", "log.csv", text(quote=True)),
-        Format("quoted, comma and decimal comma", "log.csv", text(quote=True, decimal=",")),
-        Format("Excel's sep=", "log.csv", text(head=["sep=;"], **comma)),
-        Format("a row of units", "log.csv", text(bare, under=[units])),
-        Format("units in brackets, decimal comma", "log.csv", text(bare, under=[[f"[{u}]" for u in units]], **comma)),
+        Format("comma and space", text(delimiter=", ")),
+        Format("all quoted", text(quote=True)),
+        Format("quoted, comma and decimal comma", text(quote=True, decimal=",")),
+        Format("Excel's sep=", text(head=["sep=;"], **comma)),
+        Format("a row of units", text(bare, under=[units])),
+        Format("units in brackets, decimal comma", text(bare, under=[[f"[{u}]" for u in units]], **comma)),
         Format(
             "an empty column, - for its unit",
-            "log.csv",
             _with(
                 lambda t: t | {"note": t["time"]},
                 text(bare | {"note": "note"}, under=[[*units, "-"]], cells={"note": lambda v: ""}),
             ),
         ),
-        Format("units, then remarks", "log.csv", text(bare, under=[units, ["raw", "-", "-", "filtered", "raw", "raw"]])),
-        Format("numpy's savetxt", "log.txt", text(PLAIN, delimiter=" ", title=lambda row: f"# {row}", digits=".18e"), OWN),
-        Format(
-            "comments of three kinds",
-            "log.csv",
-            text(head=["# stand 3", "% by hand", "// no wind"], lines=_without(50, "# knock")),
-        ),
-        Format("a preamble", "log.csv", text(head=["Logger,V2.1", "Serial: 17", "", "Operator,Smith, J."])),
+        Format("units, then remarks", text(bare, under=[units, ["raw", "-", "-", "filtered", "raw", "raw"]])),
+        Format("numpy's savetxt", text(PLAIN, delimiter=" ", title=lambda row: f"# {row}", digits=".18e"), OWN, file="log.txt"),
+        Format("comments of three kinds", text(head=["# stand 3", "% by hand", "// no wind"], lines=_without(50, "# knock"))),
+        Format("a preamble", text(head=["Logger,V2.1", "Serial: 17", "", "Operator,Smith, J."])),
         Format(
             "no names",
-            "log.csv",
             text(dict.fromkeys(PLAIN, "")),
             ("--map", *(f"{n}={k}:{u}" for k, (n, u) in enumerate(UNITS.items(), 1))),
         ),
         Format(
-            "names once more",
-            "log.csv",
-            text(lines=lambda r: [*r[:200], ",".join(TOLD.values()), *r[200:]]),
-            said=["names once more 1"],
+            "names once more", text(lines=lambda r: [*r[:200], ",".join(TOLD.values()), *r[200:]]), said=["names once more 1"]
         ),
         Format(
             "LabVIEW, counts and units above the names",
-            "log.lvm",
             _with(
                 lambda t: t | {"note": t["time"]},
                 text(
@@ -311,59 +296,61 @@ def _texts() -> list[Format]:
                     cells={"note": lambda v: ""},
                 ),
             ),
+            file="log.lvm",
         ),
         Format(
             "a name before each value",
-            "serial.txt",
             text(dict.fromkeys(PLAIN, ""), delimiter=", ", head=["Booting...", "ready: 1"], cells=_named("{}={:.10g}")),
+            file="serial.txt",
             said=["lines without these values 2"],
         ),
         Format(
             "a name before each value, units behind it",
-            "serial.txt",
             text(
                 dict.fromkeys(PLAIN, ""),
                 delimiter=" ",
                 cells=_named("{}: {:.10g} {}", UNITS),
             ),
+            file="serial.txt",
         ),
         Format(
             "JSON lines",
-            "log.jsonl",
             text(
                 dict.fromkeys(PLAIN, ""),
                 delimiter=", ",
                 cells=_named('"{}": {:.10g}'),
                 lines=lambda rows: [f"{{{row}}}" for row in rows],
             ),
+            file="log.jsonl",
         ),
-        Format("cut off in the last row", "log.csv", text(lines=lambda r: [*r, "4.0,3000,2"]), said=["cut off at the end 1"]),
-        Format("a comma at each end", "log.csv", text(tail=",")),
-        Format("an index of dates without a name", "log.csv", text({**TOLD, "time": ""}, cells={"time": stamped("%F %T.%%f")})),
-        Format("durations", "log.csv", text({**TOLD, "time": "t"}, cells={"time": lambda s: f"0 days 00:00:{s:09.6f}"})),
+        Format("cut off in the last row", text(lines=lambda r: [*r, "4.0,3000,2"]), said=["cut off at the end 1"]),
+        Format("a comma at each end", text(tail=",")),
+        Format("an index of dates without a name", text({**TOLD, "time": ""}, cells={"time": stamped("%F %T.%%f")})),
+        Format("durations", text({**TOLD, "time": "t"}, cells={"time": lambda s: f"0 days 00:00:{s:09.6f}"})),
         Format(
             "a serial monitor's time before each row",
-            "serial.txt",
             text(
                 {n: v for n, v in TOLD.items() if n != "time"},
                 head=["23:59:58.100 -> booting"],
                 title=lambda row: f"23:59:58.200 -> {row}",
                 lines=lambda rows: [f"{stamped('%T.%%f', 3)(STEP * k)} -> {row}" for k, row in enumerate(rows)],
             ),
+            file="serial.txt",
             said=["midnight"],
         ),
-        Format("UTF-8 with mark, CRLF", "log.csv", text(mark=b"\xef\xbb\xbf", end="\r\n")),
+        Format("UTF-8 with mark, CRLF", text(mark=b"\xef\xbb\xbf", end="\r\n")),
         Format(
-            "UTF-16 LE with mark, tabs", "log.txt", text(mark=b"\xff\xfe", encoding="utf-16-le", delimiter="\t", end="\r\n")
+            "UTF-16 LE with mark, tabs",
+            text(mark=b"\xff\xfe", encoding="utf-16-le", delimiter="\t", end="\r\n"),
+            file="log.txt",
         ),
-        Format("UTF-16 BE with mark", "log.csv", text(mark=b"\xfe\xff", encoding="utf-16-be")),
-        Format("UTF-16 LE without mark", "log.csv", text(encoding="utf-16-le")),
-        Format("Latin-1, umlauts and degrees", "log.csv", text(german, encoding="latin-1", **comma)),
-        Format("lines ended by CR", "log.csv", text(end="\r")),
-        Format("gzip", "log.csv.gz", text(pack=True)),
+        Format("UTF-16 BE with mark", text(mark=b"\xfe\xff", encoding="utf-16-be")),
+        Format("UTF-16 LE without mark", text(encoding="utf-16-le")),
+        Format("Latin-1, umlauts and degrees", text(german, encoding="latin-1", **comma)),
+        Format("lines ended by CR", text(end="\r")),
+        Format("gzip", text(pack=True), file="log.csv.gz"),
         Format(
             "1.234,56",
-            "log.csv",
             text(
                 delimiter=";",
                 cells={n: lambda v: f"{v:,.6f}".translate(str.maketrans(",.", ".,")) for n in ("omega", "omega_ref", "thrust")},
@@ -371,19 +358,12 @@ def _texts() -> list[Format]:
             ),
             rest=1e-6,
         ),
-        Format(
-            '"1,234.56"',
-            "log.csv",
-            text(quote=True, cells={n: lambda v: f"{v:,.6f}" for n in ("omega", "omega_ref")}),
-            rest=1e-6,
-        ),
-        Format("1'234.56", "log.csv", text(cells={"omega": lambda v: f"{v:,.6f}".replace(",", "'")}), rest=1e-6),
+        Format('"1,234.56"', text(quote=True, cells={n: lambda v: f"{v:,.6f}" for n in ("omega", "omega_ref")}), rest=1e-6),
+        Format("1'234.56", text(cells={"omega": lambda v: f"{v:,.6f}".replace(",", "'")}), rest=1e-6),
         Format(
             "units behind the numbers",
-            "log.csv",
             text(
                 bare | {"thrust": "Fz"},
-                under=[],
                 cells={
                     "time": lambda v: f"{v:.3f} s",
                     "omega": lambda v: f"{v:.3f} rpm",
@@ -394,17 +374,15 @@ def _texts() -> list[Format]:
                 },
             ),
         ),
-        Format("1.5E+03", "log.csv", text(digits=".9E")),
-        Format("NA for no value", "log.csv", _with(_holes, text(cells=na)), keep=lambda n: np.arange(n) % 7 > 0),
+        Format("1.5E+03", text(digits=".9E")),
+        Format("NA for no value", _with(_holes, text(cells=na)), keep=lambda n: np.arange(n) % 7 > 0),
         Format(
             "- for no value, decimal comma",
-            "log.csv",
             _with(_holes, text(cells={n: lambda v, f=f: f(v).replace(".", ",") for n, f in dash.items()}, **comma)),
             keep=lambda n: np.arange(n) % 7 > 0,
         ),
         Format(
             "rad/s, gf, rad",
-            "log.csv",
             text(PLAIN, factors={"omega": TURN, "omega_ref": TURN, "thrust": 1e3 / G, "beta_ref": np.pi / 180}),
             [
                 *(w for w in OWN if "omega" not in w and "thrust" not in w and "beta" not in w),
@@ -416,7 +394,6 @@ def _texts() -> list[Format]:
         ),
         Format(
             "Hz, kg, mV",
-            "log.csv",
             text(
                 {**TOLD, "omega": "speed (Hz)", "omega_ref": "speed cmd (Hz)", "thrust": "Fz (kg)", "voltage": "Vbat (mV)"},
                 factors={"omega": 1 / 60, "omega_ref": 1 / 60, "thrust": 1 / G, "voltage": 1e3},
@@ -424,7 +401,6 @@ def _texts() -> list[Format]:
         ),
         Format(
             "1/min, lbf",
-            "log.csv",
             text(
                 {**TOLD, "omega": "n [1/min]", "omega_ref": "n_soll [min-1]", "thrust": "Thrust (lbf)"},
                 factors={"thrust": 1 / 4.4482216152605},
@@ -432,7 +408,6 @@ def _texts() -> list[Format]:
         ),
         Format(
             "rev/s, ozf",
-            "log.csv",
             text(
                 {**TOLD, "omega": "speed (rev/s)", "omega_ref": "speed cmd (rev/s)", "thrust": "thrust (ozf)"},
                 factors={"omega": 1 / 60, "omega_ref": 1 / 60, "thrust": 16 / 4.4482216152605},
@@ -440,7 +415,6 @@ def _texts() -> list[Format]:
         ),
         Format(
             "thrust downwards",
-            "log.csv",
             text({**TOLD, "thrust": "Fz (gf)"}, factors={"thrust": -1e3 / G}),
             ("--map", "time=1:s", "omega_ref=2:rpm", "beta_ref=3:deg", "omega=4:rpm", "thrust=5:-1 gf", "voltage=6:V"),
         ),
@@ -448,11 +422,10 @@ def _texts() -> list[Format]:
 
 
 def _clocks() -> list[Format]:
-    def timed(name, cell, said=(), time=1e-9, rest=1e-8, head="stamp", **options):
-        words = [w for w in OWN if not w.startswith("time=")] + [f"time=stamp{options.pop('unit')}"]
-        return Format(
-            name, "log.csv", text({**PLAIN, "time": head}, cells={"time": cell}, **options), words, time, rest, said=said
-        )
+    def timed(name, cell, unit="", said=(), time=1e-9, **options):
+        words = [w for w in OWN if not w.startswith("time=")] + [f"time=stamp{unit}"]
+        written = text({**PLAIN, "time": "stamp"}, cells={"time": cell}, **options)
+        return Format(name, written, words, time=time, said=said)
 
     def plain(scale, digits, offset=0.0):
         return lambda s: f"{(s + offset) * scale:.{digits}f}"
@@ -462,18 +435,16 @@ def _clocks() -> list[Format]:
         timed("ms", plain(1e3, 0), unit=":ms"),
         timed("minutes, first one not 0", plain(1 / 60, 10, 754.3), unit=":min", time=1e-7),
         timed("days of Excel", plain(1 / 86400, 12, 45443.2 * 86400), unit=":day", time=2e-6),
-        timed("since 1970, s", epoch(1.0, 6), unit=":s", time=1e-6),
-        timed("since 1970, ms", epoch(1e-3, 0), unit=":ms", time=1e-6),
-        timed("since 1970, us", epoch(1e-6, 0), unit=":us", time=1e-6),
-        timed("since 1970, ns", epoch(1e-9, 0), unit=":ns", time=1e-6),
-        timed("ISO, Z", stamped("%Y-%m-%dT%H:%M:%S.%%fZ"), unit=""),
+        timed("since 1970, s", lambda s: f"{epoch(s) / 1e6:.6f}", unit=":s", time=1e-6),
+        timed("since 1970, ms", lambda s: f"{epoch(s) // 1000}", unit=":ms", time=1e-6),
+        timed("since 1970, us", lambda s: f"{epoch(s)}", unit=":us", time=1e-6),
+        timed("since 1970, ns", lambda s: f"{epoch(s)}000", unit=":ns", time=1e-6),
+        timed("ISO, Z", stamped("%Y-%m-%dT%H:%M:%S.%%fZ")),
         timed("ISO, offset, blank", stamped("%Y-%m-%d %H:%M:%S.%%f+02:00", 3), unit=":iso"),
-        timed("31.05.2024 23:59:58,250", stamped("%d.%m.%Y %H:%M:%S,%%f", 3), unit="", delimiter=";", decimal=","),
-        timed("05/31/2024 11:59:58.250 PM", stamped("%m/%d/%Y %I:%M:%S.%%f %p", 3), unit=""),
-        timed("time of day over midnight", stamped("%H:%M:%S.%%f", 3), unit="", said=["midnight"]),
-        timed(
-            "whole seconds for 100 rows", stamped("%Y-%m-%d %H:%M:%S", hours=0.0), unit="", said=["spread evenly"], time=0.011
-        ),
+        timed("31.05.2024 23:59:58,250", stamped("%d.%m.%Y %H:%M:%S,%%f", 3), delimiter=";", decimal=","),
+        timed("05/31/2024 11:59:58.250 PM", stamped("%m/%d/%Y %I:%M:%S.%%f %p", 3)),
+        timed("time of day over midnight", stamped("%H:%M:%S.%%f", 3), said=["midnight"]),
+        timed("whole seconds for 100 rows", stamped("%Y-%m-%d %H:%M:%S"), said=["spread evenly"], time=0.011),
         timed(
             "a 32-bit counter of us, begun anew",
             lambda s: str((wrap - 1_500_000 + round(1e6 * s)) % wrap),
@@ -482,20 +453,14 @@ def _clocks() -> list[Format]:
         ),
         Format(
             "no time: rows 10 ms apart",
-            "log.csv",
             text({n: v for n, v in PLAIN.items() if n != "time"}),
             [w for w in OWN if not w.startswith("time=")] + ["time=row:10ms"],
         ),
         Format(
-            "goes back by 4 ms in 3 rows",
-            "log.csv",
-            _with(_clock_back, text()),
-            said=["goes back in 3 of 400 rows, by 4 ms"],
-            time=0.0101,
+            "goes back by 4 ms in 3 rows", _with(_clock_back, text()), said=["goes back in 3 of 400 rows, by 4 ms"], time=0.0101
         ),
         Format(
             "each tenth row twice",
-            "log.csv",
             text(lines=lambda r: [x for k, row in enumerate(r) for x in [row] * (1 + (k % 10 == 5))]),
             said=["40 rows at the time of the next one"],
         ),
@@ -515,53 +480,45 @@ def _refused() -> list[Format]:
 
     back = lambda t: t | {"time": np.where(np.arange(ROWS) < 200, t["time"], t["time"] - 1.0)}  # noqa: E731
     return [
-        Format("a workbook", "log.xlsx", workbook, refused="workbook"),
-        Format("a ROS bag", "log.bag", lambda path, t: path.write_bytes(b"#ROSBAG V2.0\n" + bytes(200)), refused="a ROS bag"),
-        Format("MCAP", "log.mcap", lambda path, t: path.write_bytes(b"\x89MCAP0\r\n" + bytes(200)), refused="MCAP"),
-        Format("comma for both", "log.csv", text(decimal=","), refused="decimal"),
-        Format("back by a second", "log.csv", _with(back, text()), refused="back by 0.99"),
-        Format("a unit that nobody knows", "log.csv", text(PLAIN), unit("bananas"), refused="bananas"),
-        Format("a unit of something else", "log.csv", text(PLAIN), unit("rpm"), refused="a unit like N"),
-        Format(
-            "no unit",
-            "log.csv",
-            text(PLAIN),
-            ("--map", "time=time:s", "thrust=thrust", "omega_ref=omega_ref:rpm"),
-            refused="no unit",
-        ),
-        Format("no thrust", "log.csv", text({n: v for n, v in TOLD.items() if n != "thrust"}), refused="thrust"),
-        Format("no command", "log.csv", text({n: v for n, v in TOLD.items() if n != "omega_ref"}), refused="command of speed"),
+        Format("a workbook", workbook, file="log.xlsx", refused="workbook"),
+        Format("a ROS bag", raw(b"#ROSBAG V2.0\n" + bytes(200)), file="log.bag", refused="a ROS bag"),
+        Format("MCAP", raw(b"\x89MCAP0\r\n" + bytes(200)), file="log.mcap", refused="MCAP"),
+        Format("comma for both", text(decimal=","), refused="decimal"),
+        Format("back by a second", _with(back, text()), refused="line 202: found 1.0 after 1.99, back by 0.99"),
+        Format("a unit that nobody knows", text(PLAIN), unit("bananas"), refused="bananas"),
+        Format("a unit of something else", text(PLAIN), unit("rpm"), refused="a unit like N"),
+        Format("no unit", text(PLAIN), ("--map", "time=time:s", "thrust=thrust", "omega_ref=omega_ref:rpm"), refused="no unit"),
+        Format("no thrust", text({n: v for n, v in TOLD.items() if n != "thrust"}), refused="thrust"),
+        Format("no command", text({n: v for n, v in TOLD.items() if n != "omega_ref"}), refused="command of speed"),
         Format(
             "two units in one column",
-            "log.csv",
             text(cells={"thrust": lambda v: f"{v:.3f} N" if round(1e3 * v) % 2 else f"{1e3 * v:.0f} mN"}),
             refused="whose cells are no numbers",
         ),
         Format(
             "one value a row",
-            "log.csv",
             _with(
                 lambda t: {"time": np.repeat(t["time"], 4), "value": np.stack([t[n] for n in LONG], 1).ravel()},
                 text({"time": "_time", "value": "_value"}, title=lambda row: f"{row},_field", lines=_long),
             ),
             refused="pivot the table by _field",
         ),
-        Format("no such column", "log.csv", text(PLAIN), ("--map", "thrust=Fx:N"), refused="column Fx"),
+        Format("no such column", text(PLAIN), ("--map", "thrust=Fx:N"), refused="column Fx"),
         Format(
-            "a word among numbers",
-            "log.csv",
-            text(cells={"thrust": lambda v: "overload" if v > 10.0 else f"{v:.5f}"}),
-            refused="overload",
+            "a word among numbers", text(cells={"thrust": lambda v: "overload" if v > 10.0 else f"{v:.5f}"}), refused="overload"
         ),
-        Format("a row too long", "log.csv", text(lines=_without(100, "1,2,3,4,5,6,7,8")), refused="8 cells"),
-        Format("bytes", "log.csv", raw(bytes(range(256)) * 20), refused="no text"),
-        Format("empty", "log.csv", raw(b""), refused="comments"),
-        Format("prose", "log.txt", raw(b"On the first day the rotor broke.\nOn the second day too.\n"), refused="line"),
-        Format("half a Parquet file", "log.parquet", raw(b"PAR1" + bytes(100)), refused="Parquet"),
+        Format("a row too long", text(lines=_without(100, "1,2,3,4,5,6,7,8")), refused="8 cells"),
+        Format("bytes", raw(bytes(range(256)) * 20), refused="no text"),
+        Format("empty", raw(b""), refused="comments"),
+        Format("prose", raw(b"On the first day the rotor broke.\nOn the second day too.\n"), file="log.txt", refused="line"),
+        Format("half a Parquet file", raw(b"PAR1" + bytes(100)), file="log.parquet", refused="Parquet"),
         Format(
-            "half a MAT file", "log.mat", raw(b"MATLAB 5.0 MAT-file, Platform: GLNXA64".ljust(128) + bytes(64)), refused="MAT"
+            "half a MAT file",
+            raw(b"MATLAB 5.0 MAT-file, Platform: GLNXA64".ljust(128) + bytes(64)),
+            file="log.mat",
+            refused="MAT",
         ),
-        Format("half an HDF5 file", "log.h5", raw(b"\x89HDF\r\n\x1a\n" + bytes(64)), refused="HDF5"),
+        Format("half an HDF5 file", raw(b"\x89HDF\r\n\x1a\n" + bytes(64)), file="log.h5", refused="HDF5"),
     ]
 
 

@@ -10,6 +10,7 @@ from functools import partial
 from importlib.resources import files
 
 import pytest
+from builders import shorten_tuning
 from jsonschema import Draft202012Validator
 from test_allocation import points
 from test_rcbenchmark import truth, write
@@ -128,9 +129,7 @@ def said(tmp_path_factory):
         patch.setenv("SOURCE_DATE_EPOCH", "0")
         (found.folder / "power").mkdir()
         write_static(OutputFolder(found.folder / "power"), points())
-        for where, fewer in (("STARTS", (1.0,)), ("SHAKES", (0, 0))):  # the searches have tests of their own
-            patch.setattr(f"identification.tune.tune.{where}", fewer)
-        patch.setattr("identification.tune.rounds.ROUNDS", 1)
+        shorten_tuning(patch.setattr)
         library = tuple(e for e in LIBRARY if e.off is None or e.name in FEW[1])
         patch.setattr("identification.demo.diagnose", partial(diagnose, library=library))
         for name in CALLS:

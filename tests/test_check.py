@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from builders import refusal
+from import_logs import lagged
 from studies.gate import FAULTS, good, planted, said, written
 
 from identification.gate.contents import contents
@@ -246,16 +247,7 @@ def test_the_least_diameter_is_that_of_the_largest_thrust_coefficient():
 
 def test_the_first_look_finds_lag_and_slopes_whatever_the_units(record):
     """One lag of 40 rows on speed and of 100 on pitch, thrust = w^2 (1 + b) in any unit."""
-    rows = np.arange(len(record))
-
-    def behind(command, lag):
-        settled, out = command[0], np.empty(len(rows))
-        for row in rows:
-            out[row] = settled
-            settled += (1.0 - np.exp(-1.0 / lag)) * (command[row] - settled)
-        return out
-
-    speed, pitch = behind(record["omega_ref"], 40.0), behind(record["beta_ref"], 100.0)
+    speed, pitch = lagged(record["omega_ref"], 1.0, 40.0), lagged(record["beta_ref"], 1.0, 100.0)
     thrust = (speed / 6000.0) ** 2 * (1.0 + (pitch + 5.0) / 15.0)
     for factor, time in ((1.0, 1.0), (102.0, 1e3), (-0.2, 1e6)):
         made = record.with_columns(thrust=factor * thrust, time=time * record.time)

@@ -34,15 +34,6 @@ def test_help_of_every_verb_has_an_example(verb, capsys):
     assert f"vpp {verb}" in capsys.readouterr().out.split("example:")[1]
 
 
-def test_an_unknown_parameter_is_refused_in_one_line(exported, tmp_path, refused):
-    parameters = json.loads((exported / "parameters.json").read_text())
-    entry = {"value": 1.0, "std": None, "unit": "s"}
-    (tmp_path / "unknown.json").write_text(json.dumps(parameters | {"parameters": {"tau_gamma": entry}}))
-    said = refused("export", "--parameters", tmp_path / "unknown.json", "-o", tmp_path)
-    for word in ("unknown.json", "tau_gamma", "found", "expected"):
-        assert word in said
-
-
 def test_swapped_plant_and_controller_are_refused_in_one_line(exported, tmp_path, refused):
     (tmp_path / "profile.csv").write_text("time,thrust_set\n0,1.5\n0.1,1.5\n")
     swapped = exported / "VppController.fmu", exported / "VppPlant.fmu"

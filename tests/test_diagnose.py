@@ -86,11 +86,6 @@ def nothing_missing():
     return diagnose(rig(), FEW)
 
 
-def test_a_library_of_one_candidate_is_diagnosed():
-    found = diagnose(rig(**BAND), some("pitch_command_deadband"))
-    assert (found.verdict, found.final.effects) == ("attributed", ("pitch_command_deadband",))
-
-
 def test_a_fit_estimated_as_in_identify_has_the_values_of_identify(nothing_missing):
     base, names = nothing_missing.selection.base, nothing_missing.base.problem.coordinates.names
     again = base.as_identified(None)
@@ -264,29 +259,11 @@ def test_no_record_to_fit_is_bad_input():
         diagnose(replace(rig(), open_loop=None, repeat=None, validation=None), FEW)
 
 
-def test_a_validation_record_alone_is_fitted():
-    alone = replace(rig(), open_loop=None, repeat=None)
-    found = diagnose(alone, some("sensor_lag"))
+@pytest.mark.parametrize("name", ["repeat", "validation"])
+def test_a_repeat_or_a_validation_record_alone_is_fitted(name):
+    found = diagnose(replace(rig(), **{other: None for other in ("open_loop", "repeat", "validation") if other != name}), FEW)
     assert (found.verdict, found.unseen) == ("none", None)
-    assert [one.name for one in found.fitted] == ["validation"]
-
-
-def test_an_effect_that_the_validation_record_refutes_is_not_in_the_model():
-    """The validation record comes from the base model as fitted to the others, so the added effect is wrong there."""
-    campaign = rig(**{"sensor_drift.rate": 0.02})
-    base = diagnose(replace(campaign, validation=None), some("sensor_drift")).base
-    validation = campaign.validation
-    thrust = Simulator(base.problem.model).simulate(base.values, *validation.run)[:, 0]
-    validation = validation.with_columns(thrust=thrust + NOISE * np.random.default_rng(1).standard_normal(len(thrust)))
-    found = diagnose(replace(campaign, validation=validation), some("sensor_drift"))
-    assert found.selection.final.effects == ("sensor_drift",)
-    assert "validation.csv" in found.refuted
-    assert found.verdict == "unexplained"
-    assert found.final is found.base
-    assert summary(found)["effects"] == []
-    assert summary(found)["refuted"]["effects"] == ["sensor_drift"]
-    assert summary(found)["after"]["rmse_thrust"] == summary(found)["before"]["rmse_thrust"]
-    assert "refuted" in diagnosis_page(found).html()
+    assert [one.name for one in found.fitted] == [name]
 
 
 def test_a_refuted_effect_is_reported_as_the_best_guess_with_the_reason():
@@ -300,6 +277,8 @@ def test_a_refuted_effect_is_reported_as_the_best_guess_with_the_reason():
     found = diagnose(replace(campaign, validation=validation), some(name), thorough=False)
     guess = found.best_guess
     assert (found.verdict, found.final.effects, guess.effects) == ("unexplained", (), (name,))
+    assert found.selection.final.effects == (name,)
+    assert found.final is found.base
     (size,) = guess.sizes
     assert (size.name, size.unit) == ("half_gap", "deg")
     assert abs(size.value - half) < 4.0 * size.std < 0.1 * half
@@ -307,10 +286,12 @@ def test_a_refuted_effect_is_reported_as_the_best_guess_with_the_reason():
     assert guess.explains > 0.9  # nothing else is missing
     assert guess.against == (found.refuted,)
     assert "validation.csv" in found.refuted
-    told = summary(found)["best_guess"]
-    assert told["effects"] == [
-        {"name": name, "parameters": {"half_gap": {"value": size.value, "std": size.std, "unit": "deg"}}}
-    ]
+    content = summary(found)
+    assert (content["effects"], content["refuted"]["effects"]) == ([], [name])
+    assert content["after"]["rmse_thrust"] == content["before"]["rmse_thrust"]
+    told = content["best_guess"]
+    values = {"half_gap": {"value": size.value, "std": size.std, "unit": "deg"}}
+    assert told["effects"] == [{"name": name, "parameters": values}]
     assert (told["explains"], told["against"]) == (guess.explains, [found.refuted])
     commands = found.experiment
     fits = found.selection.final, found.selection.base
@@ -323,6 +304,7 @@ def test_a_refuted_effect_is_reported_as_the_best_guess_with_the_reason():
     page = diagnosis_page(found).html()
     assert f"Best guess: {name.replace('_', ' ')}, half gap {shown}" in headline(found)
     assert headline(found) in page
+    assert "refuted" in page
     assert '<a href="next_experiment.csv">' in page
 
 
@@ -381,13 +363,6 @@ def test_the_validation_record_does_not_affect_the_selection(banded):
     found = diagnose(replace(campaign, validation=other), FEW)
     assert found.selection.final.values == banded.selection.final.values
     assert found.selection.judgements == banded.selection.judgements
-
-
-def test_a_repeat_alone_is_fitted():
-    alone = replace(rig(), open_loop=None, validation=None)
-    found = diagnose(alone, FEW)
-    assert [one.name for one in found.fitted] == ["repeat"]
-    assert found.verdict == "none"
 
 
 def test_a_given_model_s_effects_are_part_of_the_base():

@@ -4,7 +4,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from builders import named, random_steps, reference, simulator, steps_through, two_lags
+from builders import named, normalised, paper_map, random_steps, reference, simulator, steps_through, two_lags
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
@@ -36,15 +36,6 @@ def held(*parts, omega=5000.0, step=STEP):
     """Constant speed; pitch commands from (pitch, seconds) parts."""
     beta = np.concatenate([np.full(round(seconds / step), float(pitch)) for pitch, seconds in parts])
     return {"omega_ref": np.full(len(beta), float(omega)), "beta_ref": beta}
-
-
-def normalised(omega, beta):
-    return omega / 6000.0, (beta + 5.0) / 15.0
-
-
-def paper_map(omega, beta):
-    w, b = normalised(omega, beta)
-    return 15.0 * (0.355 * w**2 + 0.064 * w * b + 0.8 * w**2 * b - 0.16 * w * b**2 - 0.081 * w**3)
 
 
 def fine_base(inputs, split=16):

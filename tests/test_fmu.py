@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import fmpy
 import numpy as np
 import pytest
-from builders import ALL_ON, PROBES, Slave, random_steps, reference
+from builders import ALL_ON, PROBES, Slave, random_steps, reference, stepped
 from fmpy.fmi1 import FMICallException
 from fmpy.util import read_csv
 from fmpy.validation import validate_fmu
@@ -195,13 +195,7 @@ def test_it_carries_no_path_of_this_machine_and_needs_nothing_of_this_project(fm
 
 def test_2000_steps_with_every_effect_are_the_kernels_to_the_bit(fmus, long_run):
     commands, _, exact = long_run
-    instance = FmuInstance(fmus["all_on"], list(commands), OUTPUTS)
-    rows = np.column_stack(list(commands.values())).tolist()
-    shown = [instance.start(rows[0])]
-    step = instance.stepper(0.004)
-    shown += [step(row) for row in rows[:-1]]
-    np.testing.assert_array_equal(shown, exact)
-    instance.close()
+    np.testing.assert_array_equal(stepped(fmus["all_on"], commands), exact)
 
 
 def test_the_fmpy_command_runs_a_written_record_as_the_kernel_to_the_bit(fmu_files, tmp_path):

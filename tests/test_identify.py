@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from studies.synthetic import NOISE, TRUTH, commands, measured
 
-from identification.assessment.reading_noise import HOLDS, REPEATS
+from identification.assessment.reading_noise import REPEATS
 from identification.diagnose.initial_model import from_identification
-from identification.fit.tachometer import Tachometer
 from identification.gate.gate import passed
 from identification.identify import identify, off_bounds, slowest
 from identification.steps.response import StepSummary
@@ -90,16 +89,6 @@ def test_raw_samples_give_the_static_map(found):
         assert abs(coefficients[name] - TRUTH[name]) < 5 * std
 
 
-def test_a_second_record_makes_the_intervals_shorter(found, folder):
-    alone = identify(replace(read_campaign(folder), repeat=None, static_raw=None), starts=1)
-    assert alone.fitted == ("open_loop",)
-    assert alone.noise.std == pytest.approx(NOISE, rel=0.1)
-    assert alone.noise.source == HOLDS
-    both = identify(replace(read_campaign(folder), static_raw=None), starts=1)
-    # 0.71 for independent noise; a standard deviation is known to some 14 %.
-    assert 0.5 < np.median(both.refinement.uncertainty.std / alone.refinement.uncertainty.std) < 0.95
-
-
 def test_one_further_record_is_enough(folder):
     more = {"tuesday": read_campaign(folder).open_loop}
     found = identify(Campaign(folder, None, (), None, None, None), starts=1, records=more)
@@ -144,23 +133,6 @@ def test_findings_name_the_record_of_the_rows_left_out(folder):
     found = identify(replace(campaign, repeat=clipped), starts=1)
     (finding,) = [f for f in found.quality if f.code == "clipped"]
     assert (finding.file, finding.field, finding.level) == ("repeat.csv", "thrust", "warning")
-
-
-@pytest.mark.parametrize(("rate", "speed"), [(100.0, 15000.0), (250.0, 4000.0), (1000.0, 3000.0)])
-def test_the_model_of_the_tachometer_has_the_delay_of_its_mark(rate, speed):
-    """A rotor with constant acceleration and exact turns: each reading is the mean over the last whole turn. On average the
-    model is neither early nor late, with many turns in a row or many rows in a turn."""
-    time, gain = np.arange(0.0, 4.0, 1.0 / rate), 0.2 * speed
-    turns = (speed * time + 0.5 * gain * time**2) / 60.0
-    whole = np.floor(turns + 0.37)
-    passed = np.array(
-        [(-speed + np.sqrt(speed**2 + 2.0 * gain * 60.0 * max(n - 0.37, 0.0))) / gain for n in (*whole, *(whole - 1.0))]
-    )
-    last, before = passed[: len(time)], passed[len(time) :]
-    shown = np.where(last > before, 60.0 / np.where(last > before, last - before, 1.0), speed)
-    sensor = Tachometer(Record({"time": time, "omega_ref": 0.0 * time, "omega": np.round(shown)}, ""))
-    ahead = sensor.shows(speed + gain * time) - sensor.measured
-    assert abs(np.mean(ahead[5:])) < 0.1 * gain * (60.0 / speed)
 
 
 def test_a_lag_on_its_bound_is_not_used_as_a_time_scale():

@@ -1,7 +1,7 @@
 """Every format of the zoo: the imported record equals the log, or one line gives the reason of its refusal."""
 
 import pytest
-from import_zoo import came_out, containers, formats
+from import_zoo import Format, came_out, containers, formats, text
 
 from vpp_fmu.app.cli import main
 
@@ -9,19 +9,26 @@ NEEDS = {"Parquet": "pyarrow", "HDF5": "h5py", "MAT v7.3": "h5py"}
 """Libraries that read containers, by the beginning of a format's name."""
 
 
+@pytest.fixture
+def run(capsys):
+    """The command line: its exit code, output and errors."""
+    return lambda words: (main(words), *capsys.readouterr())
+
+
 @pytest.mark.parametrize("format", formats(), ids=lambda format: format.name)
-def test_the_imported_record_equals_the_log(format, tmp_path, capsys):
+def test_the_imported_record_equals_the_log(format, tmp_path, run):
     if format in containers() or "half a" in format.name:
         for kind, library in NEEDS.items():
             if kind in format.name:
                 pytest.importorskip(library, reason=f"{library} is not installed (extra import)")
 
-    def run(words):
-        code = main(words)
-        return code, *capsys.readouterr()
-
     good, told = came_out(format, tmp_path, run)
     assert good, told
+
+
+def test_the_comparison_detects_a_changed_value(tmp_path, run):
+    off = Format("off", lambda path, t: text()(path, t | {"thrust": t["thrust"] + 1e-4}))
+    assert not came_out(off, tmp_path, run)[0]
 
 
 def test_a_container_without_its_library_is_refused_with_the_extra_to_install(tmp_path, refused, monkeypatch):

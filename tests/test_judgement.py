@@ -281,15 +281,23 @@ def test_an_error_increases_if_the_blocks_agree(after, worse):
 @pytest.mark.parametrize(("partly", "told"), [(True, "cross-validated thrust error increases from 0.1 to 0.11 N"), (False, "")])
 def test_a_partial_explanation_must_not_increase_the_error_on_thirds(monkeypatch, partly, told):
     """The error of left-out thirds increases by a tenth, in one of three blocks alone, which is not significant."""
-    time = np.arange(0.0, 15.0, 0.05)
-    old = np.full(len(time), 0.1)
-    new = np.where(time < 5.0, np.sqrt(3.0 * 0.11**2 - 2.0 * 0.1**2), 0.1)
-    held = {n: HeldOut({"thrust": 1.0}, {"thrust": 1}, (e,), ()) for n, e in {"was": old, "now": new}.items()}
-    fit = SimpleNamespace(problem=SimpleNamespace(experiments=[SimpleNamespace(record=SimpleNamespace(time=time))]))
+    old, new = np.full(300, 0.1), np.where(SHORT < 5.0, np.sqrt(3.0 * 0.11**2 - 2.0 * 0.1**2), 0.1)
+    assert refuted(monkeypatch, old, old, new, partly) == told
+
+
+SHORT = np.arange(0.0, 15.0, 0.05)
+
+
+def refuted(monkeypatch, was, now, thirds, partly=False, runs=()):
+    """The reason against a set beside which the errors (300,) at SHORT are `now` in folds and `thirds` in thirds, instead of
+    `was`. `runs`: mean squares on step runs, `was` and `now`."""
     shipped = SimpleNamespace()
-    monkeypatch.setattr(validation, "cross_validated", lambda one, split: held["was" if one is shipped else "now"])
-    judge = SimpleNamespace(held_out=lambda one: held["was"], runs=())
-    assert reason_against(judge, shipped, shipped, fit, fit, partly) == told
+    fit = SimpleNamespace(problem=SimpleNamespace(experiments=[SimpleNamespace(record=SimpleNamespace(time=SHORT))]))
+    old, *new = (HeldOut({"thrust": 1.0}, {"thrust": 1}, (errors,), ()) for errors in (was, now, thirds))
+    monkeypatch.setattr(validation, "cross_validated", lambda one, split: old if one is shipped else new[1])
+    judge = SimpleNamespace(runs=list(runs), on_runs=lambda one: runs["was" if one is shipped else "now"])
+    judge.held_out = lambda one: old if one is shipped else new[0]
+    return reason_against(judge, shipped, shipped, fit, fit, partly)
 
 
 class Estimates:
@@ -356,19 +364,12 @@ def test_steady_points_lose_weight_only_beside_effects_of_the_map(name, widened)
     model, rng = plant([name]), np.random.default_rng(4)
     free = [n for n in effect.probe if effect.full(n) not in ("pitch_asymmetry.form",)]
     values = model.values({effect.full(n): effect.probe[n] for n in free})
-    told = {
-        "omega_ref": np.repeat(rng.uniform(2500.0, 5800.0, 40), 50),
-        "beta_ref": np.repeat(rng.uniform(-3.0, 9.0, 40), 50),
-    }
-    shown = Simulator(model).simulate(values, told, np.full(1999, 0.01))
-    columns = {"time": 0.01 * np.arange(2000), **told, "omega": shown[:, 1]}
+    shown = Simulator(model).simulate(values, commanded(2000), np.full(1999, 0.01))
+    columns = {"time": 0.01 * np.arange(2000), **commanded(2000), "omega": shown[:, 1]}
     record = Record(columns | {"thrust": shown[:, 0] + 0.1 * rng.standard_normal(2000)}, "drawn")
     names = ["tau_beta_1", "tau_beta_2", "c20", "c11"]
     told = Prior(("c20",), np.array([values["c20"] + 0.05]), np.array([[0.01**2]]))
-
-    def knowledge(*_):
-        return told
-
+    knowledge = lambda *_: told  # noqa: E731
     searcher = Searcher([Experiment([Fitted("drawn", record)], independent(15.0))], names, knowledge, values, LIBRARY)
     found = searcher.fit([name], {}, [effect.full(n) for n in free], values)
     assert found.at_rest is widened
@@ -435,7 +436,7 @@ def commanded(rows: int) -> dict[str, np.ndarray]:
 def test_an_estimate_with_the_map_of_another_fit_changes_the_lags_alone():
     """Records of a rotor that is slower in one direction: the map and its standard deviations are unchanged to the digit."""
     model, rng, name = plant(["speed_asymmetry"]), np.random.default_rng(6), "speed_asymmetry.asymmetry"
-    told = {"omega_ref": np.repeat(rng.uniform(2500.0, 5800.0, 40), 50), "beta_ref": np.repeat(rng.uniform(-3.0, 9.0, 40), 50)}
+    told = commanded(2000)
     shown = Simulator(model).simulate(model.values({name: 0.3}), told, np.full(1999, 0.01))
     read = shown[:, 0] + 0.1 * rng.standard_normal(2000)
     record = Record({"time": 0.01 * np.arange(2000), **told, "omega": shown[:, 1], "thrust": read}, "drawn")
@@ -578,26 +579,21 @@ def test_step_runs_can_choose_the_other_estimate(on_runs, chosen):
 
 
 @pytest.mark.parametrize(
-    ("after", "told"), [(0.1001, "cross-validated thrust error increases from 0.1 to 0.1001 N"), (0.0999, "")]
+    ("found", "final", "told"),
+    [
+        (0.1001, 0.1001, "cross-validated thrust error increases from 0.1 to 0.1001 N"),
+        (0.0999, 0.0999, ""),
+        (0.5, 0.09, ""),  # only the final estimate can refute a set: the static map as prior makes it known
+        (0.5, 0.21, "cross-validated thrust error increases from 0.2 to 0.21 N"),
+    ],
 )
-def test_a_model_with_a_larger_cross_validation_error_is_refuted(monkeypatch, after, told):
+def test_a_model_with_a_larger_cross_validation_error_is_refuted(monkeypatch, found, final, told):
     """Whatever the evidence, and even if the increase is not significant."""
     monkeypatch.setattr(validation, "error_increases", lambda *_: False)
-    judge, present, found = Estimates(present=0.1, found=after, base=0.2), estimate("present"), estimate("found")
+    judge = Estimates(present=0.1, found=found, final=final, base=0.2)
     monkeypatch.setattr(validation, "cross_validated", lambda one, split: judge.held_out(one))
-    assert reason_against(judge, present, estimate("base"), found, found) == told
-
-
-@pytest.mark.parametrize(
-    ("as_it_ships", "told"), [(0.09, ""), (0.21, "cross-validated thrust error increases from 0.2 to 0.21 N")]
-)
-def test_only_the_final_estimate_can_refute_a_set(monkeypatch, as_it_ships, told):
-    """The records of an actuator that latches hardly identify the map; with the static map as prior it is known."""
-    monkeypatch.setattr(validation, "error_increases", lambda *_: False)
-    judge = Estimates(present=0.1, found=0.5, final=as_it_ships, base=0.2)
-    monkeypatch.setattr(validation, "cross_validated", lambda one, split: judge.held_out(one))
-    found, final = estimate("found"), estimate("final")
-    assert reason_against(judge, estimate("present"), estimate("base"), found, final) == told
+    fits = (estimate(name) for name in ("present", "base", "found", "final"))
+    assert reason_against(judge, *fits) == told
 
 
 @pytest.mark.parametrize(
@@ -612,17 +608,9 @@ def test_a_larger_error_on_step_runs_refutes_a_set(monkeypatch, every, rise, tol
     """A limit at the edge of the fitted commands: half of 40 runs go further, or two much further (not significant in a t
     test). Their mean square increases from 0.01 N^2 by `rise`, sqrt(0.01 + 0.48 / 2) = 0.5. The folds gain 0.11^2 - 0.07^2 =
     0.0072, less than 0.24 and more than 0.005."""
-    time = np.arange(0.0, 15.0, 0.05)
-    held = {
-        n: HeldOut({"thrust": 1.0}, {"thrust": 1}, (np.full(len(time), e),), ()) for n, e in {"was": 0.11, "now": 0.07}.items()
-    }
     runs = {"was": np.full(40, 0.01), "now": 0.01 + np.where(np.arange(40) % every, 0.0, rise)}
-    found = SimpleNamespace(problem=SimpleNamespace(experiments=[SimpleNamespace(record=SimpleNamespace(time=time))]))
-    shipped = SimpleNamespace()
-    name = lambda one: "was" if one is shipped else "now"  # noqa: E731
-    monkeypatch.setattr(validation, "cross_validated", lambda one, split: held[name(one)])
-    judge = SimpleNamespace(held_out=lambda one: held[name(one)], on_runs=lambda one: runs[name(one)], runs=[1])
-    assert reason_against(judge, shipped, shipped, found, found) == told
+    was, now = np.full(300, 0.11), np.full(300, 0.07)
+    assert refuted(monkeypatch, was, now, now, runs=runs) == told
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from builders import TWO_DELAYS, random_steps, reference, simulator, steps_through, two_lags
+from builders import TWO_DELAYS, paper_map, random_steps, reference, simulator, steps_through, two_lags
 from scipy.signal import lsim
 
 from vpp_fmu.kernel.ops import NUMBERS
@@ -66,12 +66,6 @@ def test_lag_ramp_is_the_closed_form(tau, dt):
     exact = precise(decimal_lag_ramp, 2.5, -7.0, 4.0, tau, dt)
     assert NUMBERS.lag_ramp(2.5, -7.0, 4.0, tau, dt) == pytest.approx(exact, rel=0.0, abs=1e-14)
     assert NUMBERS.lag_ramp(2.5, -7.0, -7.0, tau, dt) == pytest.approx(NUMBERS.lag(2.5, -7.0, tau, dt), rel=0.0, abs=1e-14)
-
-
-def paper_map(omega, beta):
-    """The paper's final thrust model, normalised, in N."""
-    w, b = omega / 6000.0, (beta + 5.0) / 15.0
-    return 15.0 * (0.355 * w**2 + 0.064 * w * b + 0.8 * w**2 * b - 0.16 * w * b**2 - 0.081 * w**3)
 
 
 def paper_lags(inputs, time):

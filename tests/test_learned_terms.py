@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
-from builders import named, random_steps, reference, simulator, slopes
+from builders import named, random_steps, reference, simulator, slope_errors, stepped
 
 from vpp_fmu.export import native_fmu, python_fmu
-from vpp_fmu.fmu import Fmu, FmuInstance
+from vpp_fmu.fmu import Fmu
 from vpp_fmu.invariants import INVARIANTS, Trial
 from vpp_fmu.kernel.learned import DRIVERS, PORTS, learned, placed
 from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
-from vpp_fmu.native import Simulator
 from vpp_fmu.units import base_unit
 
 STEP = 0.004
@@ -76,15 +75,6 @@ def model_of(term):
     return plant([effect.name], placed(LIBRARY, effect, PORTS[port])), effect
 
 
-_simulators = {}
-
-
-def run(term, model, values, inputs, steps, wrt=()):
-    """Outputs and tangents; each simulator is made once."""
-    made = _simulators.setdefault((term, wrt), Simulator(model, wrt))
-    return made.sensitivities(values, inputs, steps)
-
-
 @sampled
 @each_term
 @pytest.mark.parametrize("name", ["declares itself", "C is Python", "the probe shows", "finite at every bound"])
@@ -106,8 +96,8 @@ def test_off_is_the_model_without_it_to_the_bit(term, dt):
         fine = {n: np.repeat(c, wanted)[: 299 * wanted + 1] for n, c in inputs.items()}
         without = simulator(BASE).simulate({}, fine, np.full(299 * wanted, dt / wanted))[::wanted]
     for values in (named(effect, effect.off), named(effect, {**effect.probe, **effect.off})):
-        np.testing.assert_allclose(run(term, model, values, inputs, steps)[0], without, rtol=1e-12, atol=1e-9)
-        np.testing.assert_array_equal(reference(model, values, inputs, steps), run(term, model, values, inputs, steps)[0])
+        np.testing.assert_allclose(simulator(model).simulate(values, inputs, steps), without, rtol=1e-12, atol=1e-9)
+        np.testing.assert_array_equal(reference(model, values, inputs, steps), simulator(model).simulate(values, inputs, steps))
 
 
 @sampled
@@ -115,10 +105,10 @@ def test_off_is_the_model_without_it_to_the_bit(term, dt):
 def test_the_communication_step_does_not_matter(term):
     model, effect = model_of(term)
     inputs, values = random_steps(2000, 150), named(effect, effect.probe)
-    at_8_ms = run(term, model, values, inputs, np.full(1999, 0.008))[0]
+    at_8_ms = simulator(model).simulate(values, inputs, np.full(1999, 0.008))
     for split in (2, 8):
         fine = {name: np.repeat(column, split)[: 1999 * split + 1] for name, column in inputs.items()}
-        shown = run(term, model, values, fine, np.full(1999 * split, 0.008 / split))[0][::split]
+        shown = simulator(model).simulate(values, fine, np.full(1999 * split, 0.008 / split))[::split]
         change = np.abs(at_8_ms - simulator(BASE).simulate({}, inputs, np.full(1999, 0.008))).max(axis=0)
         error = np.abs(shown - at_8_ms).max(axis=0)
         assert error[0] < 2e-3 + 0.005 * change[0], (error, change)
@@ -129,33 +119,20 @@ def test_the_communication_step_does_not_matter(term):
 def test_tangents_are_central_differences_away_from_kinks(term):
     model, effect = model_of(term)
     wrt = (*(effect.full(p.name) for p in effect.parameters if not p.choices), "tau_beta_1", "c21")
-    values, declared = model.values(named(effect, effect.probe)), {p.name: p for p in model.parameters}
-    inputs, steps = random_steps(2000, 150), np.full(1999, STEP)
-    tangents = run(term, model, values, inputs, steps, wrt)[1]
-    for j, name in enumerate(wrt):
-        if not declared[name].minimum < values[name] < declared[name].maximum:
-            continue
-        numeric, smooth, size = slopes(model, values, name, inputs, steps)
-        error = np.where(smooth, np.abs(tangents[:, :, j] - numeric), 0.0).max(axis=0) / size
-        assert error.max() < 3e-3, f"{name}: thrust, omega, beta are off by these shares of their size: {error}"
+    errors = slope_errors(model, named(effect, effect.probe), wrt, random_steps(2000, 150), np.full(1999, STEP), smooth=-1.0)
+    assert max(errors.values()) < 3e-3, errors
 
 
 @pytest.mark.parametrize("term", ["speed_command_share", "relay"])
 def test_both_fmus_give_the_same_numbers(term, tmp_path):
     model, effect = model_of(term)
     values, inputs = named(effect, effect.probe), random_steps(300, 40)
-    shown = run(term, model, values, inputs, np.full(299, STEP))[0]
+    shown = simulator(model).simulate(values, inputs, np.full(299, STEP))
     for make, name in ((python_fmu, "a.fmu"), (native_fmu, "b.fmu")):
         (tmp_path / name).write_bytes(make(model, values))
         fmu = Fmu(tmp_path / name)
-        instance = FmuInstance(fmu, list(inputs), ["thrust", "omega", "beta"])
-        rows = np.column_stack(list(inputs.values())).tolist()
-        stepped = [instance.start(rows[0])]
-        take = instance.stepper(STEP)
-        stepped += [take(row) for row in rows[:-1]]
-        instance.close()
+        np.testing.assert_array_equal(stepped(fmu, inputs, STEP), shown)
         fmu.close()
-        np.testing.assert_array_equal(stepped, shown)
 
 
 def settled(term, omega=4000.0, beta=4.0, **changes):
@@ -163,7 +140,7 @@ def settled(term, omega=4000.0, beta=4.0, **changes):
     model, effect = model_of(term)
     inputs, steps = {"omega_ref": np.full(61, omega), "beta_ref": np.full(61, beta)}, np.ones(60)
     values = named(effect, effect.probe) | {effect.full(n): v for n, v in changes.items()}
-    shown = run(term, model, values, inputs, steps)[0]
+    shown = simulator(model).simulate(values, inputs, steps)
     return shown, simulator(BASE).simulate({}, inputs, steps)[-1]
 
 
@@ -194,7 +171,7 @@ def test_a_play_loses_its_gap_when_the_driver_turns():
     model, effect = model_of("play")
     t = np.arange(0.0, 40.0, STEP)
     inputs = {"omega_ref": np.full(len(t), 4500.0), "beta_ref": np.where(t < 10.0, 0.0, np.where(t < 25.0, 6.0, 2.0))}
-    shown = run("play", model, named(effect, effect.probe), inputs, np.full(len(t) - 1, STEP))[0][:, 0]
+    shown = simulator(model).simulate(named(effect, effect.probe), inputs, np.full(len(t) - 1, STEP))[:, 0]
     lost = shown - simulator(BASE).simulate({}, inputs, np.full(len(t) - 1, STEP))[:, 0]
     assert lost[t < 10.0].max() == lost[0] == 0.0
     assert lost[np.searchsorted(t, 24.0)] == pytest.approx(-0.2, abs=1e-9)
@@ -204,8 +181,7 @@ def test_a_play_loses_its_gap_when_the_driver_turns():
 def test_a_sine_is_the_sine():
     model, effect = model_of("sine")
     inputs, steps = random_steps(3000, 100), np.full(2999, STEP)
-    added = (run("sine", model, named(effect, effect.probe), inputs, steps)[0] - simulator(BASE).simulate({}, inputs, steps))[
-        :, 0
-    ]
+    shown = simulator(model).simulate(named(effect, effect.probe), inputs, steps)
+    added = (shown - simulator(BASE).simulate({}, inputs, steps))[:, 0]
     phase = 2.0 * np.pi * 1.3 * STEP * np.arange(3000)
     np.testing.assert_allclose(added[1:], (0.3 * np.sin(phase) + 0.1 * np.cos(phase))[1:], atol=1e-9)

@@ -88,20 +88,23 @@ def test_a_split_row_is_the_same_in_pieces_side_by_side_and_with_sensitivities()
     assert np.array_equal(simulator.simulate_all([{}, {}], *run)[:, :, 1], whole)
 
 
-@pytest.mark.parametrize("marks", [1, 2, 4])
-def test_a_mark_reads_the_mean_of_the_last_part_of_a_revolution(marks):
-    """On a ramp that is the speed half a period before the pulse."""
-    time = np.arange(2000) * 0.002
-    omega = 3000.0 + 300.0 * time
-    turns = np.concatenate([[0.0], np.cumsum(0.5 * (omega[1:] + omega[:-1]) / 60.0 * np.diff(time))])
-    pulses = np.interp(np.arange(0.0, turns[-1], 1.0 / marks), turns, time)
-    last = np.searchsorted(pulses, time, side="right") - 1
-    period = pulses[np.maximum(last, 1)] - pulses[np.maximum(last, 1) - 1]
-    shown = np.where(last > 0, 60.0 / marks / period, omega[0])
-    columns = {"time": time, "omega_ref": omega, "beta_ref": 0.0 * time, "omega": shown}
+@pytest.mark.parametrize(
+    ("rate", "speed", "marks"),
+    [(100.0, 15000.0, 1), (250.0, 4000.0, 1), (1000.0, 3000.0, 1), (500.0, 3000.0, 1), (500.0, 3000.0, 2), (500.0, 3000.0, 4)],
+)
+def test_a_mark_reads_the_mean_of_the_last_part_of_a_revolution(rate, speed, marks):
+    """On a ramp that is the speed half a period before the pulse, with many turns in a row or many rows in a turn."""
+    time, gain = np.arange(0.0, 4.0, 1.0 / rate), 0.1 * speed
+    omega, turns = speed + gain * time, (speed * time + 0.5 * gain * time**2) / 60.0
+    count = np.floor(marks * (turns + 0.37))
+    came, before = (
+        (np.sqrt(speed**2 + 120.0 * gain * np.maximum((count - k) / marks - 0.37, 0.0)) - speed) / gain for k in (0, 1)
+    )
+    shown = np.where(came > before, 60.0 / marks / np.where(came > before, came - before, 1.0), speed)
+    columns = {"time": time, "omega_ref": omega, "beta_ref": 0.0 * time, "omega": np.round(shown)}
     sensor = Tachometer(Record(columns, "ramp", sensor=SpeedSensor("mark", marks)))
     error = sensor.shows(omega) - sensor.measured
-    assert abs(np.mean(error[10:])) < 300.0 * 0.0005  # half a millisecond of the ramp
+    assert abs(np.mean(error[10:])) < 0.1 * gain * 60.0 / speed / marks  # a tenth of a period of the ramp
 
 
 @pytest.mark.parametrize("rate", [50.0, 100.0, 200.0, 500.0])

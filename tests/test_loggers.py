@@ -5,6 +5,7 @@ from argparse import ArgumentParser
 
 import numpy as np
 import pytest
+from builders import two_lags
 
 from tests.studies import command_sequences, loggers
 from tests.studies.detectable import LIMIT, evidence
@@ -77,9 +78,7 @@ def integral(t):
 
 def answer(t):
     """Speed [rpm] at times [s] after the step."""
-    a, c = PAPER["tau_w1"], PAPER["tau_w2"]
-    t = np.maximum(t, 0.0)
-    return 6000.0 * (0.9 - 0.4 * (a * np.exp(-t / a) - c * np.exp(-t / c)) / (a - c))
+    return 6000.0 * (0.5 + 0.4 * two_lags(t, PAPER["tau_w1"], PAPER["tau_w2"]))
 
 
 @pytest.mark.parametrize("lag", [0.0, -0.5, -1.3, -2.0, 0.5, 2.0])

@@ -11,6 +11,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from builders import shorten_tuning
 
 import vpp_fmu as vpp
 from identification.diagnose import diagnose as diagnosing
@@ -56,9 +57,7 @@ def written(request, tmp_path_factory):
     with pytest.MonkeyPatch.context() as quick:
         quick.chdir(folder)
         quick.setattr("vpp_fmu.app.cli.diagnose.diagnose", functools.partial(diagnosing.diagnose, thorough=False))
-        quick.setattr("identification.tune.tune.STARTS", (1.0,))
-        quick.setattr("identification.tune.tune.SHAKES", (0, 0))
-        quick.setattr("identification.tune.rounds.ROUNDS", 1)
+        shorten_tuning(quick.setattr)
         quick.setattr("identification.plan.plan.DRAWS", 1)
         quick.setattr("vpp_fmu.app.cli.plan.plan", functools.partial(planning.plan, evaluations=20))
         if rig == "log":

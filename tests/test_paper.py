@@ -3,6 +3,7 @@ import re
 
 import numpy as np
 import pytest
+from builders import shorten_tuning
 from studies.paper import numbers
 
 from tests.tables import stored, table, written
@@ -45,8 +46,7 @@ def quick(tmp_path_factory, request):
     with capture.global_and_fixture_disabled(), pytest.MonkeyPatch.context() as patch:
         lines = []
         patch.setattr("builtins.print", lambda *words, **_: lines.append(" ".join(map(str, words))))
-        for name, fewer in (("tune.STARTS", (1.0,)), ("tune.SHAKES", (0, 0)), ("rounds.ROUNDS", 1)):
-            patch.setattr(f"identification.tune.{name}", fewer)  # the search has tests of its own
+        shorten_tuning(patch.setattr)
         assert main(["paper", "--quick", "--verbose", "-o", str(out)]) == 0
     return Quick(out, "\n".join(lines))
 

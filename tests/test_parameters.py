@@ -190,9 +190,11 @@ def test_json_has_the_contract_s_form():
     assert found["effects"] == ["pitch_delay"]
 
 
-@pytest.mark.parametrize(
-    "model", [plant(e.name for e in LIBRARY if e.off is not None), CONTROLLER], ids=["plant", "controller"]
-)
+MODELS = {"plant": plant(e.name for e in LIBRARY if e.off is not None), "controller": CONTROLLER}
+each_model = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+
+
+@each_model
 def test_ssv_holds_every_parameter(model):
     parameters = random_set(model)
     text = to_ssv(parameters, 'rig "a" & b')
@@ -216,9 +218,7 @@ def test_ssv_holds_every_parameter(model):
 
 
 @pytest.mark.skipif(importlib.util.find_spec("lxml") is None, reason="lxml is not installed")
-@pytest.mark.parametrize(
-    "model", [plant(e.name for e in LIBRARY if e.off is not None), CONTROLLER], ids=["plant", "controller"]
-)
+@each_model
 def test_ssv_obeys_the_standard_s_schema(model):
     from lxml import etree
 

@@ -251,9 +251,8 @@ SOURCE = {"rig": MEASURED.summary(), "sample_period": 0.005}
 
 
 @pytest.fixture
-def parameters(tmp_path, monkeypatch):
+def parameters(tmp_path):
     """A parameter file, and an identification.json beside it."""
-    monkeypatch.setitem(cli.VERBS, "plan", "the next experiment for a model")
     path = tmp_path / "parameters.json"
     path.write_text(to_json(ParameterSet(BASE, source=SOURCE).replaced(SORTED)))
     fitted = {name: {"value": SORTED[name], "std": 0.1 * abs(SORTED[name])} for name in BASE_PARAMETERS}

@@ -60,12 +60,6 @@ def test_the_minimum_is_that_of_scipy_on_the_transfer_functions(record):
         assert abs(found.values[name] - value) < 1e-4 * found.std[name]
 
 
-def test_a_fit_repeats_to_the_bit(record):
-    one, other = (refine(BASE, [record], AVERAGED) for _ in range(2))
-    assert one.values == other.values
-    np.testing.assert_array_equal(one.uncertainty.covariance, other.uncertainty.covariance)
-
-
 TIME = np.linspace(0.0, 3.0, 40)
 READ = 2.0 * np.exp(-1.3 * TIME) + 0.05 * np.random.default_rng(0).standard_normal(40)
 

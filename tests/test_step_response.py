@@ -222,17 +222,16 @@ def reason(records, odd) -> str:
     return summary.runs[-1].reason
 
 
-def test_a_noisy_run_is_left_out(pitch_runs):
-    assert reason(pitch_runs, run("beta", -5, 3, 6000, noise=1.5, seed=99, **FAST)).startswith("noise is ")
-
-
-def test_a_step_that_does_not_show_is_left_out(pitch_runs):
-    assert reason(pitch_runs, run("beta", -5, -4.99, 6000, noise=NOISE, seed=99, **FAST)).startswith("step too small")
-
-
-def test_a_step_that_ends_early_is_left_out(pitch_runs):
-    odd = run("beta", -5, 3, 6000, noise=0.0, seed=99, tau_beta_1=1.5, tau_beta_2=0.1)
-    assert reason(pitch_runs, odd).startswith("not settled")
+@pytest.mark.parametrize(
+    ("end", "noise", "lags", "why"),
+    [
+        (3.0, 1.5, FAST, "noise is "),
+        (-4.99, NOISE, FAST, "step too small"),
+        (3.0, 0.0, {"tau_beta_1": 1.5, "tau_beta_2": 0.1}, "not settled"),
+    ],
+)
+def test_a_run_that_is_noisy_small_or_short_is_left_out(pitch_runs, end, noise, lags, why):
+    assert reason(pitch_runs, run("beta", -5.0, end, 6000, noise=noise, seed=99, **lags)).startswith(why)
 
 
 def test_a_run_unlike_the_model_is_left_out(pitch_runs):
@@ -326,17 +325,7 @@ def test_figure_has_a_panel_a_step_and_greys_what_was_left_out(pitch_runs):
     summary = fit_steps([*pitch_runs, other, odd], VALUES, MAP)
     fig = step_responses(summary.runs, "Two lags explain all but one", unit="deg", level_unit="rpm")
     assert "Two lags explain all but one" in fig.layout.title.text
-    headings = [note.text for note in fig.layout.annotations]
-    assert headings == [
-        "-5 → 0 deg",
-        "-5 → 3 deg",
-        "-5 → 6 deg",
-        "-5 → 10 deg",
-        "10 → 5 deg",
-        "10 → 2 deg",
-        "10 → -1 deg",
-        "10 → -5 deg",
-    ]
+    assert [note.text for note in fig.layout.annotations] == [f"{start:g} → {end:g} deg" for start, end in PITCHES]
     assert len({trace.xaxis for trace in fig.data}) == 8
     grey = [trace for trace in fig.data if trace.line.color == FAINT]
     assert len(grey) == 1

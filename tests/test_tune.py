@@ -134,19 +134,6 @@ def test_without_limits_the_cost_prefers_an_unstable_loop(nominal):
     assert replace(tuned.objective, points=(above,)).penalised(keen) > 10.0 * tuned.cost("tuned")
 
 
-@pytest.fixture
-def short_search(monkeypatch):
-    """One search per controller, for tests of what is done with the gains."""
-    monkeypatch.setattr("identification.tune.tune.STARTS", (1.0,))
-    monkeypatch.setattr("identification.tune.tune.SHAKES", (0, 0))
-
-
-@pytest.fixture
-def shortest_search(short_search, monkeypatch):
-    """And one round of it."""
-    monkeypatch.setattr("identification.tune.rounds.ROUNDS", 1)
-
-
 def test_the_gains_do_not_depend_on_the_number_of_workers():
     objective = a_task(SHORT).objective(SPEED_ONLY)
     starts = {"speed_only": [(objective.gains, ("all",)), (0.5 * objective.gains, ("all",))]}
@@ -217,7 +204,7 @@ def vpp(folder, *arguments):
     return cli.main(["tune", "-o", str(folder / "out"), *arguments])
 
 
-def test_the_command_writes_gains_that_export_takes(tmp_path, capsys, shortest_search):
+def test_the_command_writes_gains_that_export_takes(tmp_path, capsys, short_search):
     (tmp_path / "plant.json").write_text(to_json(KNOWN))
     (tmp_path / "p.csv").write_text(SHORT_CSV)
     (tmp_path / "known.json").write_text(json.dumps(IDENTIFICATION))
@@ -262,7 +249,7 @@ def test_a_constant_set_point_has_no_steps_and_may_be_out_of_reach(wanted, point
     assert "speed alone" in tuning_page(found).html()
 
 
-def test_given_gains_bring_limits_and_sampling(tmp_path, shortest_search):
+def test_given_gains_bring_limits_and_sampling(tmp_path, short_search):
     given = ParameterSet(CONTROLLER).replaced({**DUAL, "sample_time": 0.008, "omega_max": 5800.0, "beta_fixed": 9.0})
     (tmp_path / "given.json").write_text(to_json(given))
     (tmp_path / "p.csv").write_text(SHORT_CSV)

@@ -15,7 +15,7 @@ from vpp_fmu.kernel.plant import BASE, plant
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.loop import run
 from vpp_fmu.native.closed_loop import ROW, ClosedLoop, Course
-from vpp_fmu.plants import FmuController, FmuPlant, KernelController, KernelPlant
+from vpp_fmu.plants import KernelController, KernelPlant
 from vpp_fmu.record import Record
 from vpp_fmu.response import steps
 from vpp_fmu.rig import Rig
@@ -50,20 +50,6 @@ def test_it_is_the_kernels_loop_to_the_bit(effects, gains, chain):
     assert list(found.columns) == list(expected.columns)
     for column in expected.columns:
         np.testing.assert_array_equal(found[column], expected[column], err_msg=column)
-
-
-@pytest.mark.parametrize("gains", [DUAL, SPEED_ONLY], ids=["dual", "speed only"])
-def test_it_is_the_fmus_loop_to_the_bit(fmu_files, gains):
-    loop, _, sets = loop_and_sets((), gains, ON_THE_WAY)
-    course = Course.of(SHORT, 0.004, 15.0, noisy(ON_THE_WAY), rest=IDLE)
-    plant_fmu = FmuPlant(fmu_files["fast_pitch"])
-    controller = Measured(FmuController(fmu_files["controller"], gains), ON_THE_WAY, course.noise)
-    expected = run(plant_fmu, controller, SHORT, IDLE)
-    found = loop.run(sets, course)
-    for column in ROW:
-        np.testing.assert_array_equal(found[column], expected[column], err_msg=column)
-    plant_fmu.close()
-    controller.close()
 
 
 def test_without_a_compiler_the_numbers_are_the_same(request):

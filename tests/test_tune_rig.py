@@ -134,13 +134,6 @@ def test_given_limits_beyond_the_rig_are_refused():
         controllers(on(MICRO), given, source="g.json")
 
 
-@pytest.fixture
-def short_search(monkeypatch):
-    monkeypatch.setattr("identification.tune.tune.STARTS", (1.0,))
-    monkeypatch.setattr("identification.tune.tune.SHAKES", (0, 0))
-    monkeypatch.setattr("identification.tune.rounds.ROUNDS", 1)
-
-
 def test_the_command_on_a_rig_of_fixed_pitch(tmp_path, printed, short_search):
     (tmp_path / "plant.json").write_text(to_json(on(fixed(pitch=(10.0, 10.0)), PACE["micro"])))
     said = printed("tune", "--parameters", tmp_path / "plant.json", "-o", tmp_path / "out")

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from builders import refusal
 from studies.degenerate import FAR
 from studies.incomplete_campaigns import SIZES, commanded, gridded, measured, only, recorded, whole
 
@@ -13,7 +12,6 @@ from identification.identify import identify
 from identification.steps.response import covariance
 from vpp_fmu.app.report.pages.identification import identification_page, key_figures, not_identifiable, remarks
 from vpp_fmu.campaign import Campaign, StaticMap
-from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import FINE_TUNED
 from vpp_fmu.record import Record
 from vpp_fmu.rig import infer_rig
@@ -80,18 +78,6 @@ def test_steps_alone_give_the_lags_of_the_thrust():
     assert found.uncertainty.names == LAGS
     assert set(found.not_identifiable) == set(MAP)
     assert any("lags are those of the thrust" in line for line in remarks(found))
-
-
-def test_a_campaign_without_information_is_refused_in_one_line():
-    empty = campaign("paper", only())
-    assert "no identifiable parameter" in refusal(identify, empty)
-    flat = campaign("paper", only("steps"))
-    still = tuple(r.with_columns(omega_ref=np.full(len(r), 4000.0), beta_ref=np.zeros(len(r))) for r in flat.steps)
-    with pytest.raises(BadInput, match="it is constant at 4000 rpm while omega runs"):
-        identify(replace(flat, steps=still))
-    still = tuple(r.with_columns(omega=np.full(len(r), 4000.0)) for r in still)
-    with pytest.raises(BadInput, match="0 changes of the commands instead of one"):
-        identify(replace(flat, steps=still))
 
 
 def test_one_record_of_any_kind_is_fitted_and_nothing_is_called_unseen():
