@@ -5,7 +5,6 @@ import zipfile
 
 import numpy as np
 import pytest
-from rigs import virtual_rig
 from scipy.stats import t
 
 from hil.columns import COLUMNS, LEARNED, SHOWN
@@ -80,16 +79,15 @@ class Seen(NoView):
         self.rows.append(dict(zip((name for name, *_ in SHOWN), values, strict=True)))
 
 
-def test_the_live_view_gets_the_twins_values_in_a_closed_loop(identified):
+def test_the_live_view_gets_the_twins_values_in_a_closed_loop(identified, new_rig):
     twin, seen = Adaptive(adaptive(adaptable(identified, "here"), BAND), DT), Seen()
     columns = (*COLUMNS, *(Column(LEARNED + name) for name in twin.outputs))
-    rig, log = virtual_rig(columns, adaptive=twin, view=seen)
+    rig, log = new_rig(columns=columns, adaptive=twin, view=seen)
     rig.start(3000.0, 2.0)
     before = len(seen.rows)
     for _ in range(5):
         rig.step(3000.0, 2.0)
     rig.stop()
-    rig.close()
     shown = np.array([[row["adaptive twin"], row["adapted"]] for row in seen.rows])
     assert np.isfinite(shown).all(axis=1).nonzero()[0].tolist() == list(range(before, before + 5))
     assert shown[:, 1].tolist() == pytest.approx(log["twin.adapted.sensor_gain.gain"].tolist(), nan_ok=True)

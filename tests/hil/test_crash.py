@@ -1,7 +1,6 @@
 """A loop that ends unexpectedly: the rotor idles, the command returns, and its files are complete."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -10,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rigs import step_profile
+from rigs import begun, step_profile
 
 from hil.runs import run_folder
 from hil.session import found_log, read_log
@@ -22,15 +21,6 @@ from vpp_fmu.plants import KernelController
 from vpp_fmu.record import write_record
 
 ROOT = Path(__file__).parents[2]
-
-
-def begun(folder, *words):
-    """`vpp hil run` in real time, in a separate process."""
-    profile = write_record(OutputFolder(folder), "step.csv", step_profile(hold=4.0))
-    given = ["--profile", str(profile), "-o", str(folder / "out"), *words]
-    command = [sys.executable, "-m", "tests.hil.quick_vpp", "hil", "run", *given]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def wait_for(done, seconds=60.0):
@@ -65,7 +55,7 @@ def ended(out):
 )
 def test_an_fmu_that_fails_during_a_run_leaves_a_rig_at_idle_and_all_files(tmp_path, how, code, cause):
     fmu = stubborn(tmp_path, how, 500)
-    process = begun(tmp_path, "--controller", str(fmu))
+    process = begun(tmp_path, 4.0, "--controller", str(fmu))
     _, said = process.communicate(timeout=90)
     assert process.returncode == code, said
     summary = ended(tmp_path / "out")
@@ -81,7 +71,7 @@ def test_a_killed_loop_leaves_all_files(tmp_path):
     def running():
         return any('"polarity"' in events.read_text() for events in (out / "runs").glob("*/log.events.jsonl"))
 
-    process = begun(tmp_path)
+    process = begun(tmp_path, 4.0)
     try:
         wait_for(lambda: running() or process.poll() is not None)
         assert process.poll() is None, process.communicate()[1]

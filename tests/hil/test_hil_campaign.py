@@ -4,14 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import LIMITS, virtual_rig
+from rigs import LIMITS
 
 from hil.campaign import PARTS, Plan, measure, plan_for, recorded, same_commands, seconds, steep, step_responses
 from hil.campaign_folder import measured_so_far, partial
-from hil.columns import COLUMNS
 from hil.commands import PAPERS, Step, grid, open_loop, resampled, steps, validation
 from hil.cycle import PERIOD
-from hil.emulator.rig import Rig as Emulated
 from hil.physics.rig_model import FULL_RIG
 from hil.rig import Rig
 from hil.safety.faults import Fault, FaultKind
@@ -29,10 +27,8 @@ def quiet(share):
 
 
 @pytest.fixture
-def rig():
-    one, _ = virtual_rig(COLUMNS, limits=steep(LIMITS))
-    yield one
-    one.close()
+def rig(new_rig):
+    return new_rig(limits=steep(LIMITS))[0]
 
 
 def test_the_grid_and_the_steps_are_the_papers():
@@ -86,16 +82,6 @@ def test_a_step_starts_settled_and_responds_only_after_its_command(rig):
     assert abs(thrust[moved] - before.mean()) < 5.0 * before.std()  # that row was sampled before its command acted
     assert thrust[-100:].mean() > before.mean() + 3.0
     assert found["omega_ref"][moved + 10] == 5000.0  # a step, in 10 ticks at most
-
-
-def test_steps_read_back_as_a_campaigns(rig, tmp_path):
-    plan = Plan(settle=0.5, before=0.2, after=0.3)
-    found = step_responses(rig, steps(1)[:3], plan, quiet)
-    write_record(OutputFolder(tmp_path), "steps.csv", found)
-    read = read_campaign(tmp_path).steps
-    assert [len(run) for run in read] == [125, 125, 125]
-    assert [run.time[0] for run in read] == [0.0, 0.0, 0.0]
-    np.testing.assert_allclose(np.concatenate([run["thrust"] for run in read]), found["thrust"], rtol=1e-8)
 
 
 def test_a_row_of_a_record_holds_the_sample_before_its_command(rig):
@@ -228,14 +214,6 @@ def test_a_slow_rig_gets_longer_times():
     slow = plan_for(PAPERS.timed(5.0))
     assert (slow.settle, slow.after, slow.section, slow.points) == (30.0, 50.0, 300.0, 10)
     assert plan_for(PAPERS.timed(0.05)) == Plan()
-
-
-def test_a_hidden_effect_is_in_the_campaign(rig):
-    gained, _ = virtual_rig(COLUMNS, Emulated({"load_cell_gain.gain": 1.2}, ("load_cell_gain",), seed=1), steep(LIMITS))
-    plan = Plan(points=2, settle=1.5, samples=300)
-    plain, more = (measure(one, "static", plan, quiet)["thrust"][-1] for one in (rig, gained))
-    gained.close()
-    assert more == pytest.approx(1.2 * plain, rel=0.02)
 
 
 @pytest.mark.parametrize(
