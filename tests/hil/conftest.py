@@ -1,9 +1,12 @@
-"""Rigs in virtual time that end with their test."""
+"""Rigs in virtual time that end with their test, and a short profile."""
 
 import contextlib
 
 import pytest
-from rigs import virtual_rig
+from rigs import step_profile, virtual_rig
+
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.record import write_record
 
 
 @pytest.fixture
@@ -17,3 +20,9 @@ def new_rig():
             return rig, log
 
         yield made
+
+
+@pytest.fixture
+def profile(tmp_path):
+    """File of a step up and down, of 3 s."""
+    return write_record(OutputFolder(tmp_path), "step.csv", step_profile(hold=1.0))

@@ -218,7 +218,7 @@ def once(row: Row) -> Outcome | str:
         if not wait_for(messages, "running", process):
             end = wait_for(messages, "ended", process)
             return judged(row, end, None) if row.within == 0.0 else causes_of(end)
-        with load(row.load):
+        with load(4 * row.load):
             time.sleep(0.2 * row.load)
             seen = (until_open if row.relay else until_idle)(rig, row.inject)
         if row.state == "gone":

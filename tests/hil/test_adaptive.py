@@ -102,15 +102,14 @@ def test_the_live_view_shows_the_parameter_of_an_alarm(identified):
     assert twin.shown(list((outputs | {"alarm": 1.0, "direction": 0.0}).values())) == (1.0, 0.9)  # no parameter
 
 
-def test_export_and_cosim(results, tmp_path, capsys):
+def test_export_and_cosim(results, tmp_path, printed):
     """Beside the plant of which it is made, the twin has no residual and no alarm, in both flavours."""
-    files = ["--parameters", str(results / "parameters.json"), "--twin", "--flavour", "both", "-o", str(tmp_path / "fmus")]
-    assert main(["export", *files]) == 0
+    printed("export", "--parameters", results / "parameters.json", "--twin", "--flavour", "both", "-o", tmp_path / "fmus")
     runs = []
     for flavour in ("", ".native"):
-        plant_fmu, controller, twin = (str(tmp_path / "fmus" / f"Vpp{n}{flavour}.fmu") for n in ("Plant", "Controller", "Twin"))
-        loop = ["--twin", twin, "--profile", str(results / "profile.csv"), "-o", str(tmp_path / f"run{flavour}")]
-        assert main(["cosim", plant_fmu, controller, *loop]) == 0
+        plant_fmu, controller, twin = (tmp_path / "fmus" / f"Vpp{n}{flavour}.fmu" for n in ("Plant", "Controller", "Twin"))
+        loop = ["--twin", twin, "--profile", results / "profile.csv", "-o", tmp_path / f"run{flavour}"]
+        printed("cosim", plant_fmu, controller, *loop)
         runs.append((tmp_path / f"run{flavour}" / "run.csv").read_bytes())
         assert "Adapted parameters" in (tmp_path / f"run{flavour}" / "report.html").read_text()
     assert runs[0] == runs[1]
@@ -119,7 +118,6 @@ def test_export_and_cosim(results, tmp_path, capsys):
     assert not np.any(columns["alarm"])
     with zipfile.ZipFile(tmp_path / "fmus" / "VppTwin.fmu") as packed:
         assert "acknowledge" in packed.read("modelDescription.xml").decode()
-    capsys.readouterr()
 
 
 @pytest.mark.parametrize(
@@ -133,11 +131,8 @@ def test_export_and_cosim(results, tmp_path, capsys):
     ],
     ids=["no parameters", "nothing to adapt", "no such parameter", "no identification", "hil without a twin"],
 )
-def test_bad_input_is_one_clear_line(words, said, results, tmp_path, capsys):
-    assert main([*(word.format(results) for word in words), "-o", str(tmp_path / "out")]) == 2
-    lines = capsys.readouterr().err.strip().splitlines()
-    assert len(lines) == 1
-    assert said in lines[0]
+def test_bad_input_is_one_clear_line(words, said, results, tmp_path, refused):
+    assert said in refused(*(word.format(results) for word in words), "-o", tmp_path / "out")
 
 
 def test_it_runs_in_the_loop_of_a_rig(results, tmp_path, capsys):

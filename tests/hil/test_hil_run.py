@@ -1,3 +1,4 @@
+import io
 import json
 import os
 import re
@@ -56,13 +57,13 @@ def test_a_command_reaches_as_far_as_every_limit_allows():
     assert reach({}, {}) == {}
 
 
-def test_a_set_point_beyond_the_limits_is_said_to_be_out_of_reach(tmp_path, capsys):
+def test_a_set_point_beyond_the_limits_is_said_to_be_out_of_reach(tmp_path, printed):
     """By the run and the report of its log; at its controller's limits the paper's rig has less thrust than the set-point."""
     (tmp_path / "far.csv").write_text("time,thrust_set\n0,2\n2,22\n5,22\n")
-    assert main(["hil", "run", "--virtual", "--profile", str(tmp_path / "far.csv"), "-o", str(tmp_path)]) == 0
+    said = printed("hil", "run", "--virtual", "--profile", tmp_path / "far.csv", "-o", tmp_path)
     (folder,) = (tmp_path / "runs").iterdir()
-    assert main(["hil", "report", str(folder)]) == 0
-    run, report = re.findall(r"^The step .*: the set-point of 22 N is (.*)\.$", capsys.readouterr().out, re.MULTILINE)
+    said += printed("hil", "report", folder)
+    run, report = re.findall(r"^The step .*: the set-point of 22 N is (.*)\.$", said, re.MULTILINE)
     assert run == report
     assert re.fullmatch(r"out of reach: [.\d]+ N at 6000 rpm, 10 deg", run)
     assert "out of reach" in (folder / "report.html").read_text()
@@ -155,15 +156,10 @@ def test_the_twins_alarm_is_reported_and_may_end_the_run(tmp_path, what, state):
         assert run.ended.startswith("twin: twin's alarm")
 
 
-@pytest.fixture
-def profile(tmp_path):
-    return write_record(OutputFolder(tmp_path), "step.csv", step_profile(hold=1.0))
-
-
-def test_the_command_writes_run_facts_and_report(tmp_path, profile, capsys, fmu_files):
+def test_the_command_writes_run_facts_and_report(tmp_path, profile, printed, fmu_files):
     out = tmp_path / "out"
-    words = ["hil", "run", "--virtual", "--profile", str(profile), "--hide", "linkage_play=0.4", "-o", str(out)]
-    assert main([*words, "--beside", str(fmu_files["plain"])]) == 0
+    words = ["hil", "run", "--virtual", "--profile", profile, "--hide", "linkage_play=0.4", "-o", out]
+    assert "the step from 1.5 to 12 N" in printed(*words, "--beside", fmu_files["plain"])
     assert sorted(os.listdir(out)) == ["hil.json", "log.csv", "report.html", "run.csv", "runs"]
     (own,) = (out / "runs").iterdir()
     assert (out / "run.csv").resolve() == (own / "run.csv").resolve()  # a link to the newest run
@@ -182,7 +178,6 @@ def test_the_command_writes_run_facts_and_report(tmp_path, profile, capsys, fmu_
     page = (out / "report.html").read_text()
     assert "Hardware in the loop" in page
     assert "linkage_play" in page
-    assert "the step from 1.5 to 12 N" in capsys.readouterr().out
 
 
 def test_the_plant_fmu_takes_the_rigs_place_by_one_option(tmp_path, profile, fmu_files):
@@ -207,11 +202,8 @@ def test_the_plant_fmu_takes_the_rigs_place_by_one_option(tmp_path, profile, fmu
         (["--controller", "c.fmu", "--gains", "g.json"], "only one of them"),
     ],
 )
-def test_wrong_options_are_reported_in_one_line(profile, capsys, words, said, tmp_path):
-    assert main(["hil", "run", "--profile", str(profile), "-o", str(tmp_path / "out"), *words]) == 2
-    error = capsys.readouterr().err
-    assert said in error
-    assert error.count("\n") == 1
+def test_wrong_options_are_reported_in_one_line(profile, refused, words, said, tmp_path):
+    assert said in refused("hil", "run", "--profile", profile, "-o", tmp_path / "out", *words)
 
 
 @pytest.mark.parametrize(
@@ -221,37 +213,25 @@ def test_wrong_options_are_reported_in_one_line(profile, capsys, words, said, tm
         ([0.0, 9000.0], [1.5, 12.0], "time: found 9000 s, expected at most the run time, 3600 s"),
     ],
 )
-def test_a_profile_that_the_limits_would_end_is_not_begun(time, thrust, said, tmp_path, capsys):
+def test_a_profile_that_the_limits_would_end_is_not_begun(time, thrust, said, tmp_path, refused):
     write_record(OutputFolder(tmp_path), "far.csv", Record({"time": np.array(time), "thrust_set": np.array(thrust)}, ""))
-    assert main(["hil", "run", "--virtual", "--profile", str(tmp_path / "far.csv"), "-o", str(tmp_path / "out")]) == 2
-    assert said in capsys.readouterr().err
+    assert said in refused("hil", "run", "--virtual", "--profile", tmp_path / "far.csv", "-o", tmp_path / "out")
 
 
-def test_the_real_rig_requires_a_typed_word(profile, capsys, monkeypatch, tmp_path):
+def test_the_real_rig_requires_a_typed_word(profile, capsys, refused, monkeypatch, tmp_path):
     calibration = tmp_path / "calibration.json"
     calibration.write_text(to_json(CALIBRATION))
-    words = ["hil", "run", "--calibration", str(calibration), "--profile", str(profile), "--rig", "real"]
-    assert main([*words, "-o", str(tmp_path / "out")]) == 2
-    assert "source: found no operator and date for load_cell, esc, pitch" in capsys.readouterr().err
+    words = ["hil", "run", "--calibration", calibration, "--profile", profile, "-o", tmp_path / "out", "--rig", "real"]
+    assert "source: found no operator and date for load_cell, esc, pitch" in refused(*words)
     calibration.write_text(to_json(replace(CALIBRATION, source={"who": "Ada", "when": "2026-03-07"})))
-    assert main([*words, "-o", str(tmp_path / "out")]) == 2
-    assert "a real rig of unknown range" in capsys.readouterr().err  # its highest speed is not declared
+    assert "a real rig of unknown range" in refused(*words)  # its highest speed is not declared
     rig = {"format": "vpp-rig/1", "speed": {"min": 2000, "max": 5000}, "pitch": {"min": -5, "max": 8}}
     (tmp_path / "rig.json").write_text(json.dumps({**rig, "thrust": {"min": 0, "max": 12}}))
-    words.append(str(tmp_path / "rig.json"))
-
-    class Typed:
-        def __init__(self, text):
-            self.text = text
-
-        def readline(self):
-            return self.text
-
-    monkeypatch.setattr("sys.stdin", Typed("yes\n"))
-    assert main([*words, "-o", str(tmp_path / "out")]) == 2
+    words.append(tmp_path / "rig.json")
+    monkeypatch.setattr("sys.stdin", io.StringIO("yes\n"))
+    assert main([*map(str, words)]) == 2
     printed = capsys.readouterr()
     assert "typed word" in printed.err
     assert "speed 2000 to 5000 rpm (rig.json), pitch -5 to 8 deg (rig.json)" in printed.out
-    monkeypatch.setattr("sys.stdin", Typed("spin\n"))
-    assert main([*words, "-o", str(tmp_path / "out")]) == 2
-    assert "pwm: not ready" in capsys.readouterr().err  # this machine has no rig
+    monkeypatch.setattr("sys.stdin", io.StringIO("spin\n"))
+    assert "pwm: not ready" in refused(*words)  # this machine has no rig

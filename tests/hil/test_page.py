@@ -29,7 +29,6 @@ from hil.session import read_log
 from tests.browser import browser
 from tests.hil.disk import esc_of
 from tests.hil.faults import CUT, RAMP
-from vpp_fmu.app.cli import main
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.parameters import ParameterSet
@@ -121,13 +120,11 @@ def test_it_listens_on_the_loopback_address_alone(page):
     assert [cells[1] for cells in listening if cells[3] == "0A" and cells[1].endswith(f":{port}")] == [f"0100007F:{port}"]
 
 
-def test_a_port_that_is_taken_is_refused_in_one_line(page, tmp_path, capsys):
+def test_a_port_that_is_taken_is_refused_in_one_line(page, tmp_path, refused):
     profile = write_record(OutputFolder(tmp_path), "step.csv", step_profile())
-    words = ["hil", "run", "--profile", str(profile), "-o", str(tmp_path / "out")]
-    assert main([*words, "--watch", str(urlsplit(page.address).port)]) == 2
-    assert "expected a port of 127.0.0.1 that is free" in capsys.readouterr().err
-    assert main([*words, "--watch", "--virtual"]) == 2
-    assert "--watch: found --watch and --virtual" in capsys.readouterr().err
+    words = ["hil", "run", "--profile", profile, "-o", tmp_path / "out", "--watch"]
+    assert "expected a port of 127.0.0.1 that is free" in refused(*words, urlsplit(page.address).port)
+    assert "--watch: found --watch and --virtual" in refused(*words, "--virtual")
 
 
 def test_it_shows_means_of_the_logs_rows_and_the_events_beside_them(page, tmp_path):

@@ -41,29 +41,28 @@ def test_one_bit_of_thrust_is_detected(run):
 
 
 @pytest.fixture
-def replayed(tmp_path, fmu_files):
-    """Replay run.csv by the command with the controller's FMU; returns the exit code."""
-    return lambda: main(["hil", "replay", f"{tmp_path}/run.csv", str(fmu_files["controller"]), "-o", f"{tmp_path}/out"])
+def words(tmp_path, fmu_files):
+    """The command that replays run.csv with the controller's FMU."""
+    return ["hil", "replay", tmp_path / "run.csv", fmu_files["controller"], "-o", tmp_path / "out"]
 
 
-def test_the_command_compares_a_file(run, tmp_path, capsys, replayed):
+def test_the_command_compares_a_file(run, tmp_path, capsys, words):
     write_run(tmp_path / "run.csv", run)
-    assert replayed() == 0
-    assert f"on the {len(run)} rows" in (said := capsys.readouterr()).out
+    assert main([*map(str, words)]) == 0
+    said = capsys.readouterr()
+    assert f"on the {len(run)} rows" in said.out
     assert "the same commands to the bit" in said.out
     assert said.err == ""
     assert json.loads((tmp_path / "out" / "replay.json").read_text())["same_to_the_bit"] is True
 
 
-def test_the_command_says_where_another_controller_differs(run, tmp_path, capsys, replayed):
+def test_the_command_says_where_another_controller_differs(run, tmp_path, printed, words):
     thrust = run["thrust"].copy()
     thrust[100] += 0.5
     write_run(tmp_path / "run.csv", run.with_columns(thrust=thrust))
-    assert replayed() == 0
-    assert "other commands from 0.400 s on" in capsys.readouterr().out
+    assert "other commands from 0.400 s on" in printed(*words)
 
 
-def test_a_file_that_is_no_run_is_refused(tmp_path, capsys, replayed):
+def test_a_file_that_is_no_run_is_refused(tmp_path, refused, words):
     (tmp_path / "run.csv").write_text("time,thrust\n0,1\n1,2\n")
-    assert replayed() == 2
-    assert "column thrust_set" in capsys.readouterr().err
+    assert "column thrust_set" in refused(*words)

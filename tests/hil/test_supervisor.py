@@ -57,7 +57,7 @@ def open_times(descriptor, seconds):
     + [(number, True) for number in (signal.SIGKILL, signal.SIGSTOP)],
 )
 def test_the_idle_pulse_comes_within_100_ms(tmp_path, number, busy):
-    with running_loop(tmp_path) as (loop, duty, allowed), load(busy):
+    with running_loop(tmp_path) as (loop, duty, allowed), load(4 * busy):
         assert os.pread(duty, 20, 0) == OPEN
         loop.send_signal(number)
         seen = open_times(duty, 0.3)
