@@ -198,8 +198,7 @@ class Cycle:
                 *(self.ticks.time, sensors.counts, sensors.saturated, sensors.thrust, sensors.thrust_age, sensors.omega),
                 *(sensors.revolution.pulses, sensors.mark_age, sensors.speed_age, self.throttle, self.commands[1]),
             )
-            fault = self.plausibility.check(reading)
-            if fault:
+            if fault := self.plausibility.check(reading):
                 self.fault(fault)
         supply = self.bench.supply
         if supply and self.states.state is SafetyState.RUN:  # in earlier states the open relay cuts the supply
@@ -211,11 +210,9 @@ class Cycle:
         if self._page and not self._page_gone and self._page.broken:
             self._page_gone = True
             self.note(f"page: {self._page.broken}; the run goes on without it")
-        overdue = self._overdue()
-        if overdue:
+        if overdue := self._overdue():
             self.fault(overdue)
-        asked = self._signals.asked if self._signals else None
-        if asked:
+        if self._signals and (asked := self._signals.asked):
             self.fault(asked)
 
     def _overdue(self) -> Fault | None:

@@ -227,7 +227,7 @@ class _File:
         self._path, self._part = path, path.with_name(f".{path.name}.part")
         self._cells: list[Callable[[float], str]] = [cell(column) for column in columns]
         self._pack = zlib.compressobj(1, wbits=31) if path.suffix == ".gz" else None
-        self._waiting, self._ends, self._rows, self._written, self.failure = bytearray(), [], 0, 0, ""
+        self._waiting, self._rows, self._written, self.failure = bytearray(), 0, 0, ""
         self._synced = time.monotonic()
         self._file = os.open(self._part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
         fcntl.flock(self._file, fcntl.LOCK_EX)  # else `found_log` would take it for an abandoned one

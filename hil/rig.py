@@ -301,9 +301,8 @@ class Rig:
                 thrust.append(self.last.thrust)
                 omega += self.last.omega
             found.append(_level(thrust, omega / len(thrust), beta))
-        fault = check.judge(*found)
         self.keep(polarity=[asdict(one) for one in found])
-        if fault:
+        if fault := check.judge(*found):
             self.fail(fault)
 
     def _driven_tick(self, omega_ref, beta_ref, wanted=NOBODY, cut=Cut.NONE) -> None:

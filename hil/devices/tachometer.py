@@ -120,10 +120,7 @@ class Tachometer:
         self._sequence, self._asked, self._heard_then = (self._sequence + 1) % 256, now, heard
         self._due = {number: asked for number, asked in self._due.items() if now - asked < self._timeout}
         self._due[self._sequence] = now
-        try:
-            self._port.write(encoded(Frame(frames.ASK_ANSWER, self._sequence)))
-        except OSError as error:
-            raise DeviceFault(self.name, FaultKind.UNPLUGGED, f"found {_reason(error)}, expected an open port") from error
+        self._say(frames.ASK_ANSWER, sequence=self._sequence)
 
     def arm(self) -> None:
         """Close the relay in the ESC's supply; the next answers report it. Requests keep it closed; 0.1 s without opens it."""
@@ -133,10 +130,10 @@ class Tachometer:
         """Open the relay."""
         self._say(frames.STOP)
 
-    def _say(self, kind: int, payload: bytes = b"") -> None:
+    def _say(self, kind: int, payload: bytes = b"", sequence: int = 0) -> None:
         try:
             if self._port is not None:
-                self._port.write(encoded(Frame(kind, 0, payload)))
+                self._port.write(encoded(Frame(kind, sequence, payload)))
         except OSError as error:
             raise DeviceFault(self.name, FaultKind.UNPLUGGED, f"found {_reason(error)}, expected an open port") from error
 

@@ -16,7 +16,7 @@ from hil.devices import ads1115 as driver
 from hil.emulator.shared import SharedNumbers
 
 REGISTERS = ("conversion", "config", "low", "high")
-STATE = ("pointer", "converting", "since")
+STATE = ("converting", "since")
 FAULTS = ("not_acknowledged", "timeout", "frozen", "overload")
 """Faults that any process may set: numbers of transfers to come that are not acknowledged, or time out (math.inf: all); 1: the
 conversions are frozen; volts added to the input."""
@@ -45,7 +45,7 @@ def brown_out(bus: SharedNumbers) -> None:
     """Emulate a dip of the chip's supply: its registers are as after power-up, and conversions stop."""
     for name, value in POWER_UP.items():
         bus[name] = value
-    bus["pointer"] = bus["converting"] = 0
+    bus["converting"] = 0
 
 
 class Ads1115Chip:
@@ -126,20 +126,12 @@ class _SmbusRequest(ctypes.Structure):  # struct i2c_smbus_ioctl_data
     )
 
 
-class _Message(ctypes.Structure):  # struct i2c_msg
-    _fields_ = (("addr", ctypes.c_uint16), ("flags", ctypes.c_uint16), ("len", ctypes.c_uint16), ("buf", ctypes.c_void_p))
-
-
-class _Transfer(ctypes.Structure):  # struct i2c_rdwr_ioctl_data
-    _fields_ = (("msgs", ctypes.c_void_p), ("nmsgs", ctypes.c_uint32))
-
-
 class _Kernel:
     """i2c-dev and the Pi's controller: turns a request's bytes in memory into transfers to the chip."""
 
-    WAIT, SLAVE, SLAVE_FORCE, FUNCS, RDWR, SMBUS = 0x0702, 0x0703, 0x0706, 0x0705, 0x0707, 0x0720
-    FUNCTIONS = 0x0EFF0001
-    """Plain I2C and the SMBus transfers that Linux makes of it."""
+    WAIT, SLAVE, FUNCS, SMBUS = 0x0702, 0x0703, 0x0705, 0x0720
+    FUNCTIONS, BLOCK = 0x0C000000, 8
+    """Reads and writes of blocks, the only transfers of the driver, and their size in a request."""
 
     def __init__(self, chips: dict[int, SharedNumbers], clock: Clock):
         self._chips, self._clock = chips, clock
@@ -147,7 +139,7 @@ class _Kernel:
         self._timeout = TIMEOUT
 
     def ioctl(self, file: int, request: int, argument) -> int:
-        if request in (self.SLAVE, self.SLAVE_FORCE):
+        if request == self.SLAVE:
             self._addresses[file] = argument
         elif request == self.WAIT:
             self._timeout = 0.01 * argument
@@ -155,37 +147,19 @@ class _Kernel:
             ctypes.c_ulong.from_address(ctypes.addressof(argument)).value = self.FUNCTIONS
         elif request == self.SMBUS:
             self._smbus(self._addresses.get(file, -1), _SmbusRequest.from_address(ctypes.addressof(argument)))
-        elif request == self.RDWR:
-            self._messages(_Transfer.from_address(ctypes.addressof(argument)))
         else:
             raise _refusal(errno.ENOTTY)
         return 0
 
     def _smbus(self, address: int, request: _SmbusRequest) -> None:
-        reading, command = request.read_write == 1, bytes([request.command])
-        data = (ctypes.c_uint8 * 34).from_address(request.data) if request.data else None
-        if request.size == 1:  # a byte without a command
-            if reading:
-                data[0] = self._transfer(address, b"", 1)[0]
-            else:
-                self._transfer(address, command)
-            return
-        # Where a transfer's bytes lie in the union: a byte or a word (low byte first) at its start, a block behind its length.
-        place = {2: (0, 1), 3: (0, 2), 8: (1, data[0] if data is not None else 0)}.get(request.size)
-        if place is None or not 0 < place[1] <= 32:
-            raise _refusal(errno.EOPNOTSUPP if place is None else errno.EINVAL)
-        start, count = place
-        if reading:
-            data[start : start + count] = list(self._transfer(address, command, count))
+        if request.size != self.BLOCK:
+            raise _refusal(errno.EOPNOTSUPP)
+        command, data = bytes([request.command]), (ctypes.c_uint8 * 34).from_address(request.data)
+        count = data[0]  # the block is behind its length
+        if request.read_write == 1:
+            data[1 : 1 + count] = list(self._transfer(address, command, count))
         else:
-            self._transfer(address, command + bytes(data[start : start + count]))
-
-    def _messages(self, transfer: _Transfer) -> None:
-        for message in (_Message * transfer.nmsgs).from_address(transfer.msgs):
-            if message.flags & 1:
-                ctypes.memmove(message.buf, self._transfer(message.addr, b"", message.len), message.len)
-            else:
-                self._transfer(message.addr, ctypes.string_at(message.buf, message.len))
+            self._transfer(address, command + bytes(data[1 : 1 + count]))
 
     def _transfer(self, address: int, written: bytes, count: int = 0) -> bytes:
         """One transfer as on the wires: the bytes written, the first of them the register, then `count` bytes read."""
@@ -195,9 +169,7 @@ class _Kernel:
         if bus.take("timeout"):
             self._clock.wait_until(self._clock.now() + self._timeout)
             raise _refusal(errno.ETIMEDOUT)
-        if written:
-            bus["pointer"] = written[0] & 3
-        name = REGISTERS[int(bus["pointer"])]
+        name = REGISTERS[written[0] & 3]
         if len(written) >= 3:
             self._store(bus, name, written[1] << 8 | written[2])
         word = int(bus[name])

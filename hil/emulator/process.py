@@ -12,13 +12,10 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from hil.bench import ESC, LAC, Bench, adc, supply
+from hil.bench import Bench
 from hil.calibration import Calibration, read_calibration, to_json
 from hil.clock import MonotonicClock
-from hil.devices.pwm import PwmChannel
-from hil.devices.tachometer import Tachometer
-from hil.emulator import i2c, pwm_tree
-from hil.emulator.rig import BUS, LINE, PORT, PULSES, Emulation, Rig, folder, hand, second_chip
+from hil.emulator.rig import LINE, PORT, Emulation, Rig, bench_in, folder
 from hil.emulator.serial_line import PtyLine
 from hil.realtime import real_time
 from hil.safety.faults import DeviceFault, FaultKind
@@ -39,21 +36,7 @@ def real_time_bench(rig: Rig, calibration: Calibration, truth: Calibration | Non
         at = ends.enter_context(folder())
         (at / CALIBRATION).write_text(to_json(truth or calibration))
         _start(rig, at, ends)
-        ends.enter_context(i2c.attached(at / BUS, clock, second=second_chip(truth or calibration, at)))
-        chip = at / PULSES / "pwmchip0"
-        with pwm_tree.attached(at / PULSES):
-            bench = Bench(
-                clock,
-                calibration,
-                adc(calibration, str(at / BUS), clock),
-                Tachometer(str(at / PORT), clock),
-                PwmChannel(chip, ESC, "esc", clock),
-                PwmChannel(chip, LAC, "lac", clock),
-                f"in real time, in {at}",
-                ends,
-                hand=hand(at, ends),
-                supply=supply(calibration, str(at / BUS), clock),
-            ).open()
+        bench = bench_in(at, clock, calibration, truth or calibration, str(at / PORT), f"in real time, in {at}", ends)
         undo.pop_all()
     return bench
 

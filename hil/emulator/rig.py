@@ -11,10 +11,10 @@ from pathlib import Path
 
 from hil.bench import ESC, LAC, Bench, adc, supply
 from hil.calibration import Calibration
-from hil.clock import VirtualClock
+from hil.clock import Clock, VirtualClock
 from hil.devices.pwm import PwmChannel
 from hil.devices.supply import Input
-from hil.devices.tachometer import Tachometer
+from hil.devices.tachometer import Port, Tachometer
 from hil.emulator import i2c, pwm_tree
 from hil.emulator.i2c import Ads1115Chip
 from hil.emulator.pwm_tree import PwmTree
@@ -238,18 +238,31 @@ def virtual_bench(rig: Rig, calibration: Calibration, truth: Calibration | None 
     emulation = Emulation(rig, truth or calibration, at, clock.now())
     line = emulation.line = MemoryLine(emulation.board, at / LINE, clock, rig.seed)
     ends.callback(emulation.close)
-    ends.enter_context(i2c.attached(at / BUS, clock, second=second_chip(truth or calibration, at)))
     clock.listeners.append(emulation.serve)
+    return bench_in(at, clock, calibration, truth or calibration, line.open_port, "in virtual time", ends)
+
+
+def bench_in(
+    at: Path,
+    clock: Clock,
+    calibration: Calibration,
+    truth: Calibration,
+    port: str | Callable[[], Port],
+    emulated: str,
+    ends: contextlib.ExitStack,
+) -> Bench:
+    """The devices of the emulated rig in the folder `at`, ready to use; `truth` as in `virtual_bench`."""
+    ends.enter_context(i2c.attached(at / BUS, clock, second=second_chip(truth, at)))
     chip = at / PULSES / "pwmchip0"
     with pwm_tree.attached(at / PULSES):
         return Bench(
             clock,
             calibration,
             adc(calibration, str(at / BUS), clock),
-            Tachometer(line.open_port, clock),
+            Tachometer(port, clock),
             PwmChannel(chip, ESC, "esc", clock),
             PwmChannel(chip, LAC, "lac", clock),
-            "in virtual time",
+            emulated,
             ends,
             hand=hand(at, ends),
             supply=supply(calibration, str(at / BUS), clock),

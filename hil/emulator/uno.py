@@ -70,11 +70,11 @@ class Relay:
 class Uno:
     """The board. `pulses(t)`: passes of the mark up to t, time of the last [s], period of the last whole revolution [s].
 
-    `boot`: from a reset to its greeting [s]; `clock_error`: relative error of its resonator, positive if fast (0.005 is usual).
+    `boot`: from a reset to its greeting [s].
     """
 
-    def __init__(self, pulses: Callable[[float], tuple[int, float, float]], boot: float = 0.5, clock_error: float = 0.0):
-        self._pulses, self._boot, self._rate = pulses, boot, (1.0 + clock_error) / TICK
+    def __init__(self, pulses: Callable[[float], tuple[int, float, float]], boot: float = 0.5):
+        self._pulses, self._boot = pulses, boot
         self._seen = 0
         self._up: float | None = None  # when it will be up, while it boots
         self._since: float | None = None  # when it came up: its time's zero; None before the first reset and while it boots
@@ -135,7 +135,7 @@ class Uno:
         return said
 
     def _ticks(self, t: float) -> int:
-        return math.floor((t - self._since) * self._rate) & 0xFFFFFFFF
+        return math.floor((t - self._since) * (1.0 / TICK)) & 0xFFFFFFFF
 
     @staticmethod
     def _hello(sequence: int) -> bytes:

@@ -81,7 +81,7 @@ def command(disk: Disk, *words: str) -> subprocess.Popen:
     """`vpp hil ...` on the disk."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    own = [*disk.words, sys.executable, "-m", "vpp_fmu", "hil", *words, "-o", str(disk.folder / "out")]
+    own = [*disk.words, sys.executable, "-m", "vpp_fmu", "hil", *words]
     return subprocess.Popen(own, env=environment, text=True, cwd=ROOT, start_new_session=True, **pipes)
 
 
@@ -103,11 +103,10 @@ def full(phase: str) -> Became:
         if phase == "campaign" and not disk.mounted:
             return Became(0, "not tried: no tmpfs can be mounted here", None, "", "")
         (disk.seen / "step.csv").write_text(PROFILE)
-        run = ["run", "--profile", str(disk.folder / "step.csv")]
-        words = ["campaign", *SMALL] if phase == "campaign" else run
+        words = ["campaign", *SMALL] if phase == "campaign" else ["run", "--profile", str(disk.folder / "step.csv")]
         if phase == "start":
             disk.fill(None)
-        process = command(disk, *words)
+        process = command(disk, *words, "-o", str(disk.folder / "out"))
         pulse = None
         if phase != "start":
             reached = {
@@ -141,22 +140,17 @@ def _kept(disk: Disk, phase: str) -> tuple[str, list[str]]:
         return "nothing was begun", ["it turned"] * turned
     if phase == "campaign":
         points = len(measured_so_far(out, "static"))
-        again = command(disk, "campaign", *SMALL, "--resume")
+        again = command(disk, "campaign", *SMALL, "--resume", "-o", str(disk.folder / "out"))
         _, said = again.communicate(timeout=PATIENCE)
         rows = (out / "static.csv").read_text().count("\n") - 1 if (out / "static.csv").exists() else 0
         wrong = [f"resumed: {said.strip()}"] * (again.returncode != 0) + ["no point was kept"] * (points < 1)
         return f"{points} points; resumed: {rows}", wrong + ["not 4 points"] * (rows != 4)
     (folder,) = (out / "runs").iterdir()
     rows = len(read_log(found_log(folder)))
-    again = subprocess.run(
-        [*disk.words, sys.executable, "-m", "vpp_fmu", "hil", "report", str(disk.folder / "out" / "runs" / folder.name)],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    again = command(disk, "report", str(disk.folder / "out" / "runs" / folder.name))
+    _, said = again.communicate(timeout=PATIENCE)
     summary = json.loads((folder / "hil.json").read_text())
-    wrong = [f"report: {again.stderr.strip()}"] * (again.returncode != 0) + ["no rows"] * (rows < 500)
+    wrong = [f"report: {said.strip()}"] * (again.returncode != 0) + ["no rows"] * (rows < 500)
     return f"{rows} rows in the log, of which a report was made", wrong + ["it still runs"] * (summary["status"] == "running")
 
 
@@ -165,14 +159,15 @@ def _until(process: subprocess.Popen, out: Path, reached: Callable[[dict], bool]
     end, esc = time.monotonic() + PATIENCE, None
     while time.monotonic() < end and process.poll() is None:
         if esc is None:
-            esc = _esc(process.pid)
+            esc = esc_of(process.pid)
         if any(reached(event) for log in out.rglob("*.events.jsonl") for event in read_events(events_of(log))):
             return esc
         time.sleep(0.02)
     return esc
 
 
-def _esc(pid: int) -> int | None:
+def esc_of(pid: int) -> int | None:
+    """The file of the ESC's pulse that a process has open, opened for reading."""
     with contextlib.suppress(OSError):
         for link in Path(f"/proc/{pid}/fd").iterdir():
             if os.readlink(link).endswith("pwm0/duty_cycle"):

@@ -111,6 +111,11 @@ def goes_on(name: str, must: str, inject, **more) -> Row:
     return Row(name, must, inject, "safe", "", None, **more)
 
 
+def wrong_sign(of: str, device: str) -> Row:
+    cause = f"{device}: wrong polarity"
+    return Row(f"wrong sign of the {of}", "ends at low speed", nothing, "fault", cause, 0.0, {"wrong": of})
+
+
 STUCK = {
     "seconds": 30,
     "swing": True,
@@ -119,9 +124,8 @@ STUCK = {
 FAST = {"limits": {"omega_max": 5500.0, "omega_trip": 5501.0}, "sabotage": "flat out"}
 """The trip speed is one rpm above the limit, closer than the speed loop can hold it."""
 
-LINGERS = {"physics": {"lingers": 8.0}}
+RELAY = {"within": OPEN, "task": {"physics": {"lingers": 8.0}}, "relay": True}
 TWIN_RAMPS, TWIN_IDLES = ({"twin": what, "seconds": 10} for what in ("ramp", "idle"))
-SIGN_OF_CELL, SIGN_OF_PITCH = {"wrong": "load cell"}, {"wrong": "pitch"}
 
 ROWS = (
     goes_on("serial: 20 x 3 answers with bit flips", "no wrong value, goes on", line("flipped", 3.0, 20)),
@@ -169,26 +173,9 @@ ROWS = (
     disk_full("end", "disk full: at the end", "idle, one line, report made later"),
     disk_full("campaign", "disk full: in a campaign", "idle, one line, goes on by --resume"),
     goes_on("clock set back by 1 h", "nothing", sends(signal.SIGUSR1), task={"sabotage": "clock back"}),
-    Row("killed together", "the board opens the relay", to_all, "gone", within=OPEN, task=LINGERS, relay=True),
-    Row(
-        "killed together, under load",
-        "the board opens the relay",
-        to_all,
-        "gone",
-        within=OPEN,
-        task=LINGERS,
-        load=True,
-        relay=True,
-    ),
-    Row(
-        "loop and supervisor killed",
-        "the board opens the relay",
-        to_loop_and_supervisor,
-        "gone",
-        within=OPEN,
-        task=LINGERS,
-        relay=True,
-    ),
+    Row("killed together", "the board opens the relay", to_all, "gone", **RELAY),
+    Row("killed together, under load", "the board opens the relay", to_all, "gone", load=True, **RELAY),
+    Row("loop and supervisor killed", "the board opens the relay", to_loop_and_supervisor, "gone", **RELAY),
     Row("twin: 5 N too many, ramp", "ramps down", pulls(5.0), cause="twin: twin's alarm", within=ALARM + RAMP, task=TWIN_RAMPS),
     Row("twin: 5 N too many, idle", "idle", pulls(5.0), cause="twin: twin's alarm", within=ALARM + CUT, task=TWIN_IDLES),
     goes_on("twin: 5 N too many, note", "says so, goes on", pulls(5.0), task={"twin": "note", "seconds": 6}),
@@ -203,17 +190,8 @@ ROWS = (
     Row(
         "PWM: pulse changed by others", "idle at once", writes("duty_cycle", "1900000\n"), cause="esc: output lost", within=CUT
     ),
-    Row(
-        "wrong sign of the load cell", "ends at low speed", nothing, cause="load cell: wrong pol", within=0.0, task=SIGN_OF_CELL
-    ),
-    Row(
-        "wrong sign of the pitch",
-        "ends at low speed",
-        nothing,
-        cause="pitch actuator: wrong pol",
-        within=0.0,
-        task=SIGN_OF_PITCH,
-    ),
+    wrong_sign("load cell", "load cell"),
+    wrong_sign("pitch", "pitch actuator"),
     Row("PWM: refused at arm", "does not arm", nothing, "safe", "esc: not ready", 0.0, {"refuse": "enable"}),
 )
 
@@ -240,7 +218,7 @@ def once(row: Row) -> Outcome | str:
         if not wait_for(messages, "running", process):
             end = wait_for(messages, "ended", process)
             return judged(row, end, None) if row.within == 0.0 else causes_of(end)
-        with load(row.load):
+        with load(4 * row.load):
             time.sleep(0.2 * row.load)
             seen = (until_open if row.relay else until_idle)(rig, row.inject)
         if row.state == "gone":

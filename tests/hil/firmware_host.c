@@ -40,8 +40,6 @@ unsigned take(unsigned byte) {
     return (unsigned)request.word << 16 | (unsigned)request.type << 8 | request.sequence;
 }
 
-unsigned crc(const uint8_t *data, unsigned count) { return crc16(data, (uint8_t)count); }
-
 unsigned extended(unsigned overflows, unsigned count, unsigned pending) {
     return ticks((uint16_t)overflows, (uint16_t)count, (uint8_t)pending);
 }

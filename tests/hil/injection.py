@@ -160,9 +160,9 @@ def stuck(rig: Injected) -> float:
 
 
 @contextlib.contextmanager
-def load(wanted: bool) -> Iterator[None]:
-    """Four busy processes."""
-    hogs = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(4 * wanted)]
+def load(count: int) -> Iterator[None]:
+    """`count` busy processes."""
+    hogs = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
     try:
         yield
     finally:

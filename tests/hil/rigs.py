@@ -1,11 +1,16 @@
 """Emulated rigs, rows of logs and profiles that several test files share."""
 
+import os
+import subprocess
+import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 
 from hil.calibration import read_calibration
+from hil.columns import COLUMNS
 from hil.emulator.rig import LINE, virtual_bench
 from hil.emulator.rig import Rig as Emulated
 from hil.emulator.serial_line import FAULTS
@@ -13,9 +18,11 @@ from hil.emulator.shared import SharedNumbers
 from hil.rig import Rig
 from hil.safety.limits import Limits
 from hil.session import Setup
-from vpp_fmu.record import Record
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.record import Record, write_record
 
-CALIBRATION = read_calibration(Path(__file__).parents[2] / "hil" / "emulator" / "calibration.json")
+ROOT = Path(__file__).parents[2]
+CALIBRATION = read_calibration(ROOT / "hil" / "emulator" / "calibration.json")
 LIMITS = Limits()
 
 
@@ -40,10 +47,16 @@ class Rows:
         return np.array([row[self._names.index(name)] for row in self.rows], float)
 
 
-def virtual_rig(columns, emulated=None, limits=LIMITS, **more):
+def virtual_rig(emulated=None, limits=LIMITS, columns=COLUMNS, **more):
     """(rig, its log) in virtual time."""
     log = Rows(columns)
     return Rig(virtual_bench(emulated or Emulated(seed=1), CALIBRATION), limits, log, **more), log
+
+
+def steps(rig, count, omega_ref=3000.0) -> None:
+    """Hold commands for `count` ticks."""
+    for _ in range(count):
+        rig.step(omega_ref, 2.0)
 
 
 def serial_faults(rig) -> SharedNumbers:
@@ -60,9 +73,26 @@ def duties(rig) -> tuple[int, int]:
 IDLE = (round(1e9 * CALIBRATION.esc_idle), round(1e9 * CALIBRATION.lac_idle))
 
 
+def within(seconds, reached):
+    """The result of `reached()` once it is true; a shared machine may take its time."""
+    deadline = time.monotonic() + seconds
+    while not (found := reached()):
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+    return found
+
+
 def step_profile(first=1.5, second=12.0, hold=2.0) -> Record:
     """The paper's step, up and down."""
     return Record({"time": hold * np.arange(4.0), "thrust_set": np.array([first, second, first, first])}, "step")
+
+
+def begun(folder, hold, *words) -> subprocess.Popen:
+    """`vpp hil run` over `step_profile` in real time, in a separate process; its files are in `folder`/out."""
+    profile = write_record(OutputFolder(folder), "step.csv", step_profile(hold=hold))
+    command = [sys.executable, "-m", "tests.hil.quick_vpp", "hil", "run", "--profile", str(profile), *words]
+    own = {"env": {**os.environ, "PYTHONPATH": str(ROOT)}, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen([*command, "-o", str(folder / "out")], **own)
 
 
 def asked(fault):

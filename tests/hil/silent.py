@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tests.hil.faults import causes_of
-from tests.hil.injection import started, wait_for
+from tests.hil.injection import load, started, wait_for
 from tests.stalls import Stalls
 
 AIM = 0
@@ -66,19 +66,16 @@ def busy(count: int):
         while not stop.is_set():
             subprocess.run([sys.executable, "-c", "import numpy, scipy.optimize"], check=False)
 
-    hogs = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
     thread = threading.Thread(target=programs, daemon=True)
-    if count:
-        thread.start()
-    try:
-        yield
-    finally:
-        stop.set()
-        for hog in hogs:
-            hog.kill()
-            hog.wait()
+    with load(count):
         if count:
-            thread.join()
+            thread.start()
+        try:
+            yield
+        finally:
+            stop.set()
+            if count:
+                thread.join()
 
 
 STARTS = 60.0

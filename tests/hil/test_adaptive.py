@@ -5,7 +5,6 @@ import zipfile
 
 import numpy as np
 import pytest
-from rigs import virtual_rig
 from scipy.stats import t
 
 from hil.columns import COLUMNS, LEARNED, SHOWN
@@ -80,16 +79,15 @@ class Seen(NoView):
         self.rows.append(dict(zip((name for name, *_ in SHOWN), values, strict=True)))
 
 
-def test_the_live_view_gets_the_twins_values_in_a_closed_loop(identified):
+def test_the_live_view_gets_the_twins_values_in_a_closed_loop(identified, new_rig):
     twin, seen = Adaptive(adaptive(adaptable(identified, "here"), BAND), DT), Seen()
     columns = (*COLUMNS, *(Column(LEARNED + name) for name in twin.outputs))
-    rig, log = virtual_rig(columns, adaptive=twin, view=seen)
+    rig, log = new_rig(columns=columns, adaptive=twin, view=seen)
     rig.start(3000.0, 2.0)
     before = len(seen.rows)
     for _ in range(5):
         rig.step(3000.0, 2.0)
     rig.stop()
-    rig.close()
     shown = np.array([[row["adaptive twin"], row["adapted"]] for row in seen.rows])
     assert np.isfinite(shown).all(axis=1).nonzero()[0].tolist() == list(range(before, before + 5))
     assert shown[:, 1].tolist() == pytest.approx(log["twin.adapted.sensor_gain.gain"].tolist(), nan_ok=True)
@@ -104,15 +102,14 @@ def test_the_live_view_shows_the_parameter_of_an_alarm(identified):
     assert twin.shown(list((outputs | {"alarm": 1.0, "direction": 0.0}).values())) == (1.0, 0.9)  # no parameter
 
 
-def test_export_and_cosim(results, tmp_path, capsys):
+def test_export_and_cosim(results, tmp_path, printed):
     """Beside the plant of which it is made, the twin has no residual and no alarm, in both flavours."""
-    files = ["--parameters", str(results / "parameters.json"), "--twin", "--flavour", "both", "-o", str(tmp_path / "fmus")]
-    assert main(["export", *files]) == 0
+    printed("export", "--parameters", results / "parameters.json", "--twin", "--flavour", "both", "-o", tmp_path / "fmus")
     runs = []
     for flavour in ("", ".native"):
-        plant_fmu, controller, twin = (str(tmp_path / "fmus" / f"Vpp{n}{flavour}.fmu") for n in ("Plant", "Controller", "Twin"))
-        loop = ["--twin", twin, "--profile", str(results / "profile.csv"), "-o", str(tmp_path / f"run{flavour}")]
-        assert main(["cosim", plant_fmu, controller, *loop]) == 0
+        plant_fmu, controller, twin = (tmp_path / "fmus" / f"Vpp{n}{flavour}.fmu" for n in ("Plant", "Controller", "Twin"))
+        loop = ["--twin", twin, "--profile", results / "profile.csv", "-o", tmp_path / f"run{flavour}"]
+        printed("cosim", plant_fmu, controller, *loop)
         runs.append((tmp_path / f"run{flavour}" / "run.csv").read_bytes())
         assert "Adapted parameters" in (tmp_path / f"run{flavour}" / "report.html").read_text()
     assert runs[0] == runs[1]
@@ -121,7 +118,6 @@ def test_export_and_cosim(results, tmp_path, capsys):
     assert not np.any(columns["alarm"])
     with zipfile.ZipFile(tmp_path / "fmus" / "VppTwin.fmu") as packed:
         assert "acknowledge" in packed.read("modelDescription.xml").decode()
-    capsys.readouterr()
 
 
 @pytest.mark.parametrize(
@@ -135,11 +131,8 @@ def test_export_and_cosim(results, tmp_path, capsys):
     ],
     ids=["no parameters", "nothing to adapt", "no such parameter", "no identification", "hil without a twin"],
 )
-def test_bad_input_is_one_clear_line(words, said, results, tmp_path, capsys):
-    assert main([*(word.format(results) for word in words), "-o", str(tmp_path / "out")]) == 2
-    lines = capsys.readouterr().err.strip().splitlines()
-    assert len(lines) == 1
-    assert said in lines[0]
+def test_bad_input_is_one_clear_line(words, said, results, tmp_path, refused):
+    assert said in refused(*(word.format(results) for word in words), "-o", tmp_path / "out")
 
 
 def test_it_runs_in_the_loop_of_a_rig(results, tmp_path, capsys):

@@ -1,5 +1,7 @@
 import json
+import operator
 from dataclasses import replace
+from functools import reduce
 from importlib.resources import files
 
 import pytest
@@ -21,11 +23,13 @@ def read(tmp_path, content):
     return read_calibration(path)
 
 
+def within(content, place):
+    """What is at a place of the file."""
+    return reduce(operator.getitem, place, content)
+
+
 def change(content, place, value):
-    *outer, last = place
-    for key in outer:
-        content = content[key]
-    content[last] = value
+    within(content, place[:-1])[place[-1]] = value
 
 
 @pytest.fixture
@@ -108,12 +112,8 @@ def test_the_hash_is_of_the_numbers_and_of_nothing_else(tmp_path, content, calib
         ("pitch", "table", "pitch", "values", 3),
     ):
         other = json.loads(SHIPPED.read_text())
-        value = other
-        for key in place:
-            value = value[key]
-        change(other, place, value * (1.0 + 1e-12))
-        if place[:2] in (("pitch", "minimum"), ("pitch", "maximum")):
-            change(other, place, value * (1.0 - 1e-12))
+        inwards = place[:2] in (("pitch", "minimum"), ("pitch", "maximum"))
+        change(other, place, within(other, place) * (1.0 - 1e-12 if inwards else 1.0 + 1e-12))
         seen.add(read(tmp_path, other).sha256)
     assert len(seen) == 11
 
@@ -183,11 +183,7 @@ def test_what_is_wrong_is_named(tmp_path, content, place, value, field, allowed)
 
 @pytest.mark.parametrize("missing", [("load_cell",), ("esc", "idle_pulse"), ("pitch", "table"), ("load_cell", "zero", "unit")])
 def test_what_is_missing_is_named(tmp_path, content, missing):
-    *outer, last = missing
-    inner = content
-    for key in outer:
-        inner = inner[key]
-    del inner[last]
+    del within(content, missing[:-1])[missing[-1]]
     with pytest.raises(BadInput, match="found nothing") as raised:
         read(tmp_path, content)
     assert raised.value.field == ", ".join(missing)

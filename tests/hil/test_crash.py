@@ -1,7 +1,6 @@
 """A loop that ends unexpectedly: the rotor idles, the command returns, and its files are complete."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -10,27 +9,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rigs import step_profile
+from rigs import begun
 
 from hil.runs import run_folder
 from hil.session import found_log, read_log
 from tests.hil.stubborn import stubborn
 from vpp_fmu.app.cli import main
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import OutputFolder, read_table
+from vpp_fmu.files import read_table
 from vpp_fmu.plants import KernelController
-from vpp_fmu.record import write_record
 
 ROOT = Path(__file__).parents[2]
-
-
-def begun(folder, *words):
-    """`vpp hil run` in real time, in a separate process."""
-    profile = write_record(OutputFolder(folder), "step.csv", step_profile(hold=4.0))
-    given = ["--profile", str(profile), "-o", str(folder / "out"), *words]
-    command = [sys.executable, "-m", "tests.hil.quick_vpp", "hil", "run", *given]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def wait_for(done, seconds=60.0):
@@ -65,7 +54,7 @@ def ended(out):
 )
 def test_an_fmu_that_fails_during_a_run_leaves_a_rig_at_idle_and_all_files(tmp_path, how, code, cause):
     fmu = stubborn(tmp_path, how, 500)
-    process = begun(tmp_path, "--controller", str(fmu))
+    process = begun(tmp_path, 4.0, "--controller", str(fmu))
     _, said = process.communicate(timeout=90)
     assert process.returncode == code, said
     summary = ended(tmp_path / "out")
@@ -81,7 +70,7 @@ def test_a_killed_loop_leaves_all_files(tmp_path):
     def running():
         return any('"polarity"' in events.read_text() for events in (out / "runs").glob("*/log.events.jsonl"))
 
-    process = begun(tmp_path)
+    process = begun(tmp_path, 4.0)
     try:
         wait_for(lambda: running() or process.poll() is not None)
         assert process.poll() is None, process.communicate()[1]
@@ -96,10 +85,9 @@ def test_a_killed_loop_leaves_all_files(tmp_path):
     assert summary["made_from"] == "the log"
 
 
-def test_a_log_whose_writer_died_too_is_cut_behind_its_last_whole_row(tmp_path, capsys):
+def test_a_log_whose_writer_died_too_is_cut_behind_its_last_whole_row(tmp_path, profile, printed, refused):
     out = tmp_path / "out"
-    profile = write_record(OutputFolder(tmp_path), "step.csv", step_profile(hold=1.0))
-    assert main(["hil", "run", "--virtual", "--profile", str(profile), "-o", str(out)]) == 0
+    printed("hil", "run", "--virtual", "--profile", profile, "-o", out)
     folder = (out / "log.csv").resolve().parent
     summary = json.loads((folder / "hil.json").read_text())
     whole = (folder / "run.csv").read_bytes()
@@ -108,7 +96,7 @@ def test_a_log_whose_writer_died_too_is_cut_behind_its_last_whole_row(tmp_path, 
     (folder / ".log.csv.part").write_bytes(text[: len(text) * 9 // 10])
     for name in ("log.csv", "run.csv", "report.html"):
         (folder / name).unlink()
-    assert main(["hil", "report", str(folder)]) == 0
+    printed("hil", "report", folder)
     assert whole.startswith((folder / "run.csv").read_bytes()[:-1])  # the same bytes, up to the cut
     assert json.loads((folder / "hil.json").read_text())["status"] == "ended early"
     wrong = {
@@ -120,11 +108,9 @@ def test_a_log_whose_writer_died_too_is_cut_behind_its_last_whole_row(tmp_path, 
     }
     for name, (found, says) in wrong.items():
         (folder / "hil.json").write_text(json.dumps(summary | {name: found}))
-        capsys.readouterr()
-        assert main(["hil", "report", str(folder)]) == 2
-        assert f"{folder / 'hil.json'}: {says}\n" in capsys.readouterr().err
+        assert f"{folder / 'hil.json'}: {says}\n" in refused("hil", "report", folder)
     (folder / "hil.json").unlink()
-    assert main(["hil", "report", str(folder)]) == 0  # its log and its events are there
+    printed("hil", "report", folder)  # its log and its events are there
 
 
 def test_a_report_of_nothing_or_of_a_log_that_grows_is_refused(tmp_path):
@@ -142,8 +128,7 @@ def test_a_report_of_nothing_or_of_a_log_that_grows_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(("size", "rows"), [(0, 0), (300_000, 1000)], ids=["from the start", "at the end"])
-def test_a_full_disk_loses_no_row_that_was_written(tmp_path, size, rows):
-    profile = write_record(OutputFolder(tmp_path), "step.csv", step_profile(hold=1.0))
+def test_a_full_disk_loses_no_row_that_was_written(tmp_path, profile, size, rows):
     words = ["hil", "run", "--virtual", "--profile", str(profile), "-o", str(tmp_path / "out")]
     text = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)\n"
     text += "from vpp_fmu.app.cli import main; sys.exit(main(sys.argv[2:]))"
@@ -193,7 +178,7 @@ def test_every_run_has_its_own_folder(tmp_path):
     assert (tmp_path / "run.csv").read_text() == "new"
 
 
-def test_an_error_that_nobody_foresaw_keeps_what_was_measured(tmp_path, monkeypatch):
+def test_an_error_that_nobody_foresaw_keeps_what_was_measured(tmp_path, profile, monkeypatch):
     counted = iter(range(10**6))
 
     def step(self, thrust_set, thrust):
@@ -202,7 +187,6 @@ def test_an_error_that_nobody_foresaw_keeps_what_was_measured(tmp_path, monkeypa
         return 3000.0, 2.0
 
     monkeypatch.setattr(KernelController, "step", step)
-    profile = write_record(OutputFolder(tmp_path), "step.csv", step_profile(hold=1.0))
     with pytest.raises(ZeroDivisionError):
         main(["hil", "run", "--virtual", "--profile", str(profile), "-o", str(tmp_path / "out")])
     summary = json.loads((tmp_path / "out" / "hil.json").read_text())

@@ -127,7 +127,7 @@ def results(tmp_path_factory):
     return folder
 
 
-def test_a_day_writes_its_rounds_and_continues_with_its_gains(results, tmp_path, capsys, monkeypatch):
+def test_a_day_writes_its_rounds_and_continues_with_its_gains(results, tmp_path, capsys, refused, monkeypatch):
     shorten_waits(monkeypatch.setattr)
     monkeypatch.setattr(flight, "MISSION", 15.0)
     monkeypatch.setattr(days, "rig_profile", lambda *_: SHORT)
@@ -146,8 +146,7 @@ def test_a_day_writes_its_rounds_and_continues_with_its_gains(results, tmp_path,
     again = read_parameters(folder / "parameters.json", plant)
     assert again.values == read_parameters(results / "parameters.json", plant).values or only["model"] != "as it was"
     assert "<title>A day of the rig" in (folder / "report.html").read_text()
-    assert main(["twin", str(folder), *options]) == 2
-    assert "DAY" in capsys.readouterr().err
+    assert "DAY" in refused("twin", folder, *options)
 
 
 def test_after_a_loss_of_thrust_the_adapted_model_explains_the_alarm(results, tmp_path, monkeypatch):
@@ -257,14 +256,11 @@ def test_a_flight_that_ends_early_is_the_last_one(results, tmp_path, monkeypatch
         (["--parameters", "{}/parameters.json", "--gains", "{}/parameters.json"], "parameters.json"),
     ],
 )
-def test_bad_input_is_one_line_and_leaves_no_folder(results, tmp_path, capsys, options, said):
+def test_bad_input_is_one_line_and_leaves_no_folder(results, tmp_path, refused, options, said):
     (results / "alone").mkdir(exist_ok=True)
     (results / "alone" / "parameters.json").write_text((results / "parameters.json").read_text())
     virtual = [] if "real" in options else ["--virtual"]
-    assert main(["twin", str(tmp_path / "day"), *virtual, *(option.format(results) for option in options)]) == 2
-    line = capsys.readouterr().err
-    assert line.count("\n") == 1
-    assert said in line
+    assert said in refused("twin", tmp_path / "day", *virtual, *(option.format(results) for option in options))
     assert not (tmp_path / "day").exists()
 
 

@@ -7,6 +7,7 @@ import sys
 import time
 
 import pytest
+from rigs import within
 
 from hil.clock import MonotonicClock
 from hil.devices.ads1115 import Ads1115
@@ -55,14 +56,6 @@ def folder(tmp_path):
         assert far.wait(10) == 0
 
 
-def within(seconds, reached):
-    """Wait until `reached()` holds; a shared machine may take its time."""
-    deadline = time.monotonic() + seconds
-    while not reached():
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
-
-
 def test_a_pulse_written_here_comes_back_as_volts_and_marks_as_revolutions(folder):
     clock = MonotonicClock()
     with i2c.attached(folder / "i2c", clock) as bus, pwm_tree.attached(folder / "pwm"):
@@ -102,18 +95,6 @@ def test_a_pulse_written_here_comes_back_as_volts_and_marks_as_revolutions(folde
         faults.close()
         for device in (tachometer, adc, esc):
             device.close()
-
-
-def test_a_timeout_takes_its_time(folder):
-    clock = MonotonicClock()
-    with i2c.attached(folder / "i2c", clock) as bus:
-        adc = Ads1115(str(folder / "i2c"), clock=clock, hold=5.0)
-        adc.start()
-        bus["timeout"] = 1
-        before = time.monotonic()
-        assert not adc.read().fresh
-        assert 0.02 <= time.monotonic() - before < 0.5
-        adc.close()
 
 
 def test_shared_numbers_are_whole_and_shared(tmp_path):

@@ -3,10 +3,9 @@
 from dataclasses import replace
 
 import pytest
-from rigs import IDLE, duties, virtual_rig
+from rigs import IDLE, duties, steps
 
 from hil import rig as hil_rig
-from hil.columns import COLUMNS
 from hil.rig import RunEnded
 from hil.safety.states import SafetyState
 from tests.hil.faults import ROWS, tried
@@ -19,35 +18,27 @@ ON_THE_BUSES = {
 }
 
 
-def drive(rig):
-    for _ in range(150):
-        rig.step(4000.0, 2.0)
-
-
 @pytest.mark.parametrize("name", ON_THE_BUSES)
-def test_a_fault_on_a_bus_ends_as_it_must(monkeypatch, name):
+def test_a_fault_on_a_bus_ends_as_it_must(new_rig, monkeypatch, name):
     monkeypatch.setattr(hil_rig, "TARE_SAMPLES", 250)
     monkeypatch.setattr(hil_rig, "SETTLE", 0.5)
-    row, (rig, log) = ON_THE_BUSES[name], virtual_rig(COLUMNS)
-    try:
-        rig.start(4000.0, 2.0)
-        esc = rig.bench.esc.duty_file
-        row.inject(Injected(None, esc.parents[3], esc, b"", 0.0))
-        began = len(log.rows)
-        if row.within is None:
-            drive(rig)
-            assert rig.states.state is SafetyState.RUN
-            assert abs(log["omega"][began:] - 4000.0).max() < 60.0  # no wrong value
-        else:
-            with pytest.raises(RunEnded, match=row.cause):
-                drive(rig)
-            assert rig.states.state is SafetyState.FAULT
-            assert duties(rig) == IDLE
-            assert (len(log.rows) - began) * rig.dt <= 1e-3 * row.within + 0.1
-            opened = log["throttle"][began:]
-            assert opened.max() <= 1.1 * opened[0]  # no wrong reading opened the throttle
-    finally:
-        rig.close()
+    row, (rig, log) = ON_THE_BUSES[name], new_rig()
+    rig.start(4000.0, 2.0)
+    esc = rig.bench.esc.duty_file
+    row.inject(Injected(None, esc.parents[3], esc, b"", 0.0))
+    began = len(log.rows)
+    if row.within is None:
+        steps(rig, 150, 4000.0)
+        assert rig.states.state is SafetyState.RUN
+        assert abs(log["omega"][began:] - 4000.0).max() < 60.0  # no wrong value
+    else:
+        with pytest.raises(RunEnded, match=row.cause):
+            steps(rig, 150, 4000.0)
+        assert rig.states.state is SafetyState.FAULT
+        assert duties(rig) == IDLE
+        assert (len(log.rows) - began) * rig.dt <= 1e-3 * row.within + 0.1
+        opened = log["throttle"][began:]
+        assert opened.max() <= 1.1 * opened[0]  # no wrong reading opened the throttle
 
 
 def test_a_killed_loop_leaves_an_idle_rotor_and_its_log():

@@ -26,7 +26,6 @@ from hil.devices.frames import (
     WORD,
     Frame,
     FrameReader,
-    crc16,
     encoded,
     read_answer,
     read_hello,
@@ -78,13 +77,6 @@ def edges(board, *times):
 
 class TestHeader:
     """The board's treatment of mark passes and bytes."""
-
-    def test_crc(self, board):
-        assert board.crc(b"123456789", 9) == 0x29B1
-        chance = random.Random(1)
-        for count in range(60):
-            data = chance.randbytes(count)
-            assert board.crc(data, count) == crc16(data)
 
     def test_greeting(self, board):
         frame = ctypes.create_string_buffer(32)

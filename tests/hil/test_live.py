@@ -50,23 +50,29 @@ def test_an_adaptive_twin_shows_its_first_parameter_and_that_of_its_alarm():
     assert shown_beside({"sensor_gain.gain": "1"})[0][names.index("adapted")] == ("sensor_gain.gain", "#7.4g", "")
 
 
-@pytest.mark.parametrize("columns", [60, 200])
-def test_the_terminals_own_width_is_used(columns):
+@pytest.fixture
+def terminal():
+    """Both ends of a terminal: what it shows, and what a program writes to."""
     ours, theirs = os.openpty()
-    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
-    labels = [(f"quantity {k}", "5.1f", "N") for k in range(20)]
-    text = f"""
-import time
-from hil.live import view
-shown = view({labels!r}, {{}})
-shown.show(*[1.0] * 20)
-time.sleep(0.8)
-shown.close()
-"""
-    subprocess.run([sys.executable, "-c", text], stderr=theirs, stdout=subprocess.DEVNULL, check=True, timeout=30)
-    os.close(theirs)
-    seen = os.read(ours, 65536).decode()
+    os.set_blocking(ours, False)
+    yield ours, theirs
     os.close(ours)
+    os.close(theirs)
+
+
+def ran(terminal, labels, code):
+    """Standard output of a program whose view `shown` is on the terminal."""
+    text = f"import time\nfrom hil.live import view\nshown = view({labels!r}, {WORDS!r})\n{code}"
+    own = {"stderr": terminal[1], "stdout": subprocess.PIPE}
+    return subprocess.run([sys.executable, "-c", text], **own, check=True, timeout=30).stdout
+
+
+@pytest.mark.parametrize("columns", [60, 200])
+def test_the_terminals_own_width_is_used(terminal, columns):
+    fcntl.ioctl(terminal[1], termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+    labels = [(f"quantity {k}", "5.1f", "N") for k in range(20)]
+    ran(terminal, labels, "shown.show(*[1.0] * 20); time.sleep(0.8); shown.close()")
+    seen = os.read(terminal[0], 65536).decode()
     assert max(len(part) for part in seen.split("\r\x1b[K")) == columns - 1
 
 
@@ -74,34 +80,22 @@ def test_without_a_terminal_nothing_is_shown(capsys):
     assert isinstance(view(LABELS, WORDS), NoView)
 
 
-def test_a_terminal_shows_the_newest_row():
-    ours, theirs = os.openpty()
-    text = f"""
-import time
-from hil.live import view
-shown = view({LABELS!r}, {WORDS!r})
+def test_a_terminal_shows_the_newest_row(terminal):
+    code = """
 for k in range(60):
     shown.show(1.0, 0.1 * k, 1000.0 + k)
     time.sleep(0.01)
 time.sleep(0.4)
 shown.close()
 """
-    done = subprocess.run([sys.executable, "-c", text], stderr=theirs, check=True, timeout=30)
-    os.close(theirs)
-    os.set_blocking(ours, False)
-    seen = os.read(ours, 65536).decode()
-    os.close(ours)
-    assert done.returncode == 0
+    ran(terminal, LABELS, code)
+    seen = os.read(terminal[0], 65536).decode()
     assert "thrust   5.90 N | speed  1059 rpm" in seen
     assert seen.endswith("\r\x1b[K")  # the line is gone at the end
 
 
-def test_a_blocked_terminal_does_not_delay_the_loop():
-    ours, theirs = os.openpty()
-    text = f"""
-import time
-from hil.live import view
-shown = view({LABELS!r}, {WORDS!r})
+def test_a_blocked_terminal_does_not_delay_the_loop(terminal):
+    code = """
 began = time.monotonic()
 for k in range(10000):
     shown.show(1.0, 0.1 * k, 1000.0 + k)
@@ -109,10 +103,7 @@ took = time.monotonic() - began
 shown.close()
 print(took)
 """
-    termios.tcflow(theirs, termios.TCOOFF)  # Ctrl-S
+    termios.tcflow(terminal[1], termios.TCOOFF)  # Ctrl-S
     began = time.monotonic()
-    done = subprocess.run([sys.executable, "-c", text], stderr=theirs, stdout=subprocess.PIPE, check=True, timeout=30)
-    assert float(done.stdout) < 2.0
+    assert float(ran(terminal, LABELS, code)) < 2.0
     assert time.monotonic() - began < 20.0
-    os.close(theirs)
-    os.close(ours)

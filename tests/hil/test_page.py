@@ -14,7 +14,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
-from rigs import CALIBRATION, step_profile, virtual_rig
+from rigs import CALIBRATION, begun, step_profile
 
 from hil.calibration import to_json
 from hil.columns import COLUMNS, LEARNED
@@ -27,8 +27,8 @@ from hil.safety.states import SafetyState
 from hil.safety.stop import StopSignals
 from hil.session import read_log
 from tests.browser import browser
+from tests.hil.disk import esc_of
 from tests.hil.faults import CUT, RAMP
-from vpp_fmu.app.cli import main
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.parameters import ParameterSet
@@ -120,13 +120,11 @@ def test_it_listens_on_the_loopback_address_alone(page):
     assert [cells[1] for cells in listening if cells[3] == "0A" and cells[1].endswith(f":{port}")] == [f"0100007F:{port}"]
 
 
-def test_a_port_that_is_taken_is_refused_in_one_line(page, tmp_path, capsys):
+def test_a_port_that_is_taken_is_refused_in_one_line(page, tmp_path, refused):
     profile = write_record(OutputFolder(tmp_path), "step.csv", step_profile())
-    words = ["hil", "run", "--profile", str(profile), "-o", str(tmp_path / "out")]
-    assert main([*words, "--watch", str(urlsplit(page.address).port)]) == 2
-    assert "expected a port of 127.0.0.1 that is free" in capsys.readouterr().err
-    assert main([*words, "--watch", "--virtual"]) == 2
-    assert "--watch: found --watch and --virtual" in capsys.readouterr().err
+    words = ["hil", "run", "--profile", profile, "-o", tmp_path / "out", "--watch"]
+    assert "expected a port of 127.0.0.1 that is free" in refused(*words, urlsplit(page.address).port)
+    assert "--watch: found --watch and --virtual" in refused(*words, "--virtual")
 
 
 def test_it_shows_means_of_the_logs_rows_and_the_events_beside_them(page, tmp_path):
@@ -249,20 +247,16 @@ def test_the_page_describes_the_adaptive_twin_in_plain_words(tmp_path):
 COLUMNS_SHOWN = [column.name for column in COLUMNS if column.name not in ("time", "state", "alarm")] + ["alarm"]
 
 
-def test_a_run_goes_on_without_its_page_and_says_so(page):
-    rig, _ = virtual_rig(COLUMNS, page=page)
-    try:
-        rig.start(3000.0, 2.0)
-        os.kill(page.pid, signal.SIGKILL)
-        for _ in range(2000):
-            rig.step(3000.0, 2.0)
-            time.sleep(0.0 if page._broken else 0.0005)
-        assert rig.states.state is SafetyState.RUN
-        noted = [(state, why) for _, state, why in rig.transitions if why.startswith("page: ")]
-        assert len(noted) == 1
-        assert f"process {page.pid} has died (exit code -9); the run goes on without it" in noted[0][1]
-    finally:
-        rig.close()
+def test_a_run_goes_on_without_its_page_and_says_so(page, new_rig):
+    rig, _ = new_rig(page=page)
+    rig.start(3000.0, 2.0)
+    os.kill(page.pid, signal.SIGKILL)
+    for _ in range(2000):
+        rig.step(3000.0, 2.0)
+        time.sleep(0.0 if page._broken else 0.0005)
+    assert rig.states.state is SafetyState.RUN
+    (noted,) = [why for _, _, why in rig.transitions if why.startswith("page: ")]
+    assert f"process {page.pid} has died (exit code -9); the run goes on without it" in noted
 
 
 def test_the_page_ends_with_its_parent_process():
@@ -287,25 +281,13 @@ def _state(process: int) -> str:
 @contextlib.contextmanager
 def running(folder: Path, *words):
     """`vpp hil run --watch` in real time, in a separate process: (process, the page's address)."""
-    profile = write_record(OutputFolder(folder), "step.csv", step_profile(hold=20.0))
-    given = ["--profile", str(profile), "--watch", "-o", str(folder / "out"), *words]
-    command = [sys.executable, "-m", "tests.hil.quick_vpp", "hil", "run", *given]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    process = subprocess.Popen(command, env=environment, text=True, **pipes)
+    process = begun(folder, 20.0, "--watch", *words)
     try:
         said = next(line for line in process.stdout if "http://" in line)
         yield process, re.search(r"http://\S+", said)[0]
     finally:
         process.kill()
         process.communicate()
-
-
-def esc_of(process: subprocess.Popen) -> int:
-    """The file of the ESC's pulse, open for reading."""
-    links = Path(f"/proc/{process.pid}/fd").iterdir()
-    path = next(Path(os.readlink(link)) for link in links if os.readlink(link).endswith("pwm0/duty_cycle"))
-    return os.open(path, os.O_RDONLY)
 
 
 def until_idle(esc: int, began: float) -> float:
@@ -327,7 +309,7 @@ def causes(out: Path) -> list[str]:
 def test_stop_pressed_twice_is_idle_at_once(tmp_path, capsys):
     with running(tmp_path) as (process, address):
         streamed(address, lambda whole: whole.get("now", {}).get("state") == "run" and whole["now"]["throttle"] > 0.1)
-        esc, own = esc_of(process), f"http://{urlsplit(address).netloc}"
+        esc, own = esc_of(process.pid), f"http://{urlsplit(address).netloc}"
         assert os.pread(esc, 32, 0).split(b"\n")[0] != b"1000000"
         assert asked(f"{address}stop", "POST", Origin=own) == 200
         began = time.monotonic()
@@ -375,7 +357,7 @@ def test_in_a_browser_curves_move_and_stop_stops(tmp_path, capsys):
             seen.wait_for("new Promise(requestAnimationFrame).then(() => document.fonts.ready).then(() => true)")
             (tmp_path / f"{name}.png").write_bytes(seen.picture())
             assert seen.run("document.documentElement.scrollWidth <= innerWidth")  # nothing to the right of the window
-        esc = esc_of(process)
+        esc = esc_of(process.pid)
         took = until_idle(esc, seen.press("#stop"))
         os.close(esc)
         seen.wait_for("document.getElementById('banner').textContent.includes('It is over')")

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import CALIBRATION, LIMITS, duties, setup, step_profile, virtual_rig
+from rigs import CALIBRATION, IDLE, LIMITS, duties, setup, step_profile, steps
 
 from hil.bench import locked
-from hil.columns import COLUMNS
 from hil.commands import PAPERS
 from hil.emulator.rig import Rig as Emulated
 from hil.rig import RunEnded
@@ -21,11 +20,6 @@ WRONG = {
     "load cell": replace(CALIBRATION, newton_per_count=-CALIBRATION.newton_per_count),
     "pitch": replace(CALIBRATION, pitches=CALIBRATION.pitches[::-1]),
 }
-
-
-def drive(rig):
-    for _ in range(3):
-        rig.step(3000.0, 2.0)
 
 
 def levels(first, second, error=0.03):
@@ -63,15 +57,14 @@ def test_noise_alone_is_no_fault():
 
 @pytest.mark.parametrize("wrong", WRONG)
 @pytest.mark.parametrize("known", [True, False])
-def test_a_wrong_sign_ends_below_2500_rpm_with_its_cause(wrong, known):
-    rig, log = virtual_rig(COLUMNS, polarity=Polarity(LIMITS, PAPERS, known=known))
+def test_a_wrong_sign_ends_below_2500_rpm_with_its_cause(new_rig, wrong, known):
+    rig, log = new_rig(polarity=Polarity(LIMITS, PAPERS, known=known))
     rig.bench.calibration = WRONG[wrong]  # the loop's; the emulated rig keeps the right one
     rig._cycle.zero = WRONG[wrong].zero
     with pytest.raises(RunEnded, match=r"wrong polarity.*expected the other sign"):
         rig.start(4000.0, 2.0)
     assert log["omega"].max() < 2500.0
-    assert duties(rig)[0] == round(1e9 * CALIBRATION.esc_idle)
-    rig.close()
+    assert duties(rig)[0] == IDLE[0]
 
 
 @pytest.mark.parametrize("hidden", [(), ("load_cell_gain",), ("lac_command_deadband",), ("linkage_play",)])
@@ -82,25 +75,24 @@ def test_a_good_rig_passes_with_any_hidden_effect(hidden, tmp_path):
     assert np.isfinite(done.record["thrust"]).all()
 
 
-def test_a_second_opener_is_refused_and_writes_nothing():
-    rig, _ = virtual_rig(COLUMNS)
+def test_a_second_opener_is_refused_and_writes_nothing(new_rig):
+    rig, _ = new_rig()
     rig.start(3000.0, 2.0)
     before = duties(rig)
     with pytest.raises(Exception, match=r"rig: not ready: found in use by process \d+ .*; nothing written"):
         locked(rig.bench.esc.folder.parent)
     assert duties(rig) == before
-    rig.close()
 
 
 @pytest.mark.parametrize(("file", "text"), [("enable", "0\n"), ("period", "20000000\n"), ("duty_cycle", "1900000\n")])
-def test_an_output_that_somebody_else_writes_to_ends_the_run_at_idle(file, text):
-    rig, log = virtual_rig(COLUMNS)
+def test_an_output_that_somebody_else_writes_to_ends_the_run_at_idle(new_rig, file, text):
+    rig, log = new_rig()
     rig.start(3000.0, 2.0)
-    (rig.bench.esc.folder / file).write_text(text)
+    esc = rig.bench.esc
+    (esc.folder / file).write_text(text)
     began = len(log.rows)
-    with pytest.raises(RunEnded, match=r"esc: output lost.*somebody else writes here"):
-        drive(rig)
+    with pytest.raises(RunEnded, match=r"esc: output lost.*expected 1, 2500000 ns, normal, .*somebody else writes here"):
+        steps(rig, 3)
     assert len(log.rows) - began <= 2
-    assert duties(rig)[0] == round(1e9 * CALIBRATION.esc_idle)
-    assert (rig.bench.esc.folder / "enable").read_text()[0] == "1"
-    rig.close()
+    shown = [(esc.folder / name).read_text().split("\n")[0] for name in ("enable", "period", "duty_cycle")]
+    assert shown == ["1", "2500000", str(IDLE[0])]

@@ -5,9 +5,8 @@ import signal
 import time
 
 import pytest
-from rigs import LIMITS, virtual_rig
+from rigs import LIMITS, steps
 
-from hil.columns import COLUMNS
 from hil.emulator.rig import BYSTANDER, SHOWN
 from hil.emulator.rig import Rig as Emulated
 from hil.emulator.shared import SharedNumbers
@@ -19,8 +18,8 @@ def bystander(rig):
     return SharedNumbers(rig.bench.esc.duty_file.parents[3] / SHOWN, BYSTANDER)
 
 
-def test_the_relay_is_closed_for_a_run_and_open_before_and_after_it():
-    rig, log = virtual_rig(COLUMNS)
+def test_the_relay_is_closed_for_each_run_and_open_before_and_after_it(new_rig):
+    rig, log = new_rig()
     seen = bystander(rig)
     assert seen["relay"] == 0.0
     rig.start(3000.0, 2.0)
@@ -32,12 +31,12 @@ def test_the_relay_is_closed_for_a_run_and_open_before_and_after_it():
     assert seen["relay"] == 0.0
     rig.start(3000.0, 2.0)  # the word again
     assert seen["relay"] == 1.0
+    assert len(rig.tares) == 2
     seen.close()
-    rig.close()
 
 
-def test_without_requests_the_supply_is_cut_and_thrust_falls_though_the_pulse_remains():
-    rig, _ = virtual_rig(COLUMNS)
+def test_without_requests_the_supply_is_cut_and_thrust_falls_though_the_pulse_remains(new_rig):
+    rig, _ = new_rig()
     rig.start(5000.0, 5.0)
     seen, clock, pulse = bystander(rig), rig.bench.clock, rig.bench.esc.duty_file.read_text()
     before, began = seen["thrust"], clock.now()
@@ -48,31 +47,23 @@ def test_without_requests_the_supply_is_cut_and_thrust_falls_though_the_pulse_re
     assert seen["thrust"] < 0.2 * before
     assert rig.bench.esc.duty_file.read_text() == pulse  # nobody has touched it
     seen.close()
-    rig.close()
 
 
-def test_a_relay_that_opens_in_a_run_ends_it_at_once():
-    rig, _ = virtual_rig(COLUMNS)
+def test_a_relay_that_opens_in_a_run_ends_it_at_once(new_rig):
+    rig, _ = new_rig()
     rig.start(3000.0, 2.0)
     rig.bench.tachometer.stop()
     with pytest.raises(RunEnded, match="relay: relay open: found it open, expected it closed in a run: commanded"):
-        drive(rig)
+        steps(rig, 10)
     assert rig.states.state.value == "fault"
-    rig.close()
 
 
-def test_a_relay_that_does_not_close_keeps_the_rotor_from_turning(monkeypatch):
-    rig, log = virtual_rig(COLUMNS)
+def test_a_relay_that_does_not_close_keeps_the_rotor_from_turning(new_rig, monkeypatch):
+    rig, log = new_rig()
     monkeypatch.setattr(rig.bench.tachometer, "arm", lambda: None)
     with pytest.raises(RunEnded, match=r"relay: not ready: found open 0\.5 s after"):
         rig.start(3000.0, 2.0)
     assert log["throttle"].max() == 0.0
-    rig.close()
-
-
-def drive(rig):
-    for _ in range(10):
-        rig.step(3000.0, 2.0)
 
 
 def test_supervisor_loop_and_writer_killed_at_once_leave_a_rotor_without_supply(tmp_path):

@@ -40,27 +40,29 @@ def test_one_bit_of_thrust_is_detected(run):
     assert found.first_difference == row
 
 
-def test_the_command_compares_a_file(run, tmp_path, capsys, fmu_files):
+@pytest.fixture
+def words(tmp_path, fmu_files):
+    """The command that replays run.csv with the controller's FMU."""
+    return ["hil", "replay", tmp_path / "run.csv", fmu_files["controller"], "-o", tmp_path / "out"]
+
+
+def test_the_command_compares_a_file(run, tmp_path, capsys, words):
     write_run(tmp_path / "run.csv", run)
-    words = ["hil", "replay", str(tmp_path / "run.csv"), str(fmu_files["controller"]), "-o", str(tmp_path / "out")]
-    assert main(words) == 0
-    assert f"on the {len(run)} rows" in (said := capsys.readouterr()).out
+    assert main([*map(str, words)]) == 0
+    said = capsys.readouterr()
+    assert f"on the {len(run)} rows" in said.out
     assert "the same commands to the bit" in said.out
     assert said.err == ""
     assert json.loads((tmp_path / "out" / "replay.json").read_text())["same_to_the_bit"] is True
 
 
-def test_the_command_says_where_another_controller_differs(run, tmp_path, capsys, fmu_files):
+def test_the_command_says_where_another_controller_differs(run, tmp_path, printed, words):
     thrust = run["thrust"].copy()
     thrust[100] += 0.5
     write_run(tmp_path / "run.csv", run.with_columns(thrust=thrust))
-    words = ["hil", "replay", str(tmp_path / "run.csv"), str(fmu_files["controller"]), "-o", str(tmp_path / "out")]
-    assert main(words) == 0
-    assert "other commands from 0.400 s on" in capsys.readouterr().out
+    assert "other commands from 0.400 s on" in printed(*words)
 
 
-def test_a_file_that_is_no_run_is_refused(tmp_path, capsys, fmu_files):
+def test_a_file_that_is_no_run_is_refused(tmp_path, refused, words):
     (tmp_path / "run.csv").write_text("time,thrust\n0,1\n1,2\n")
-    words = ["hil", "replay", str(tmp_path / "run.csv"), str(fmu_files["controller"]), "-o", str(tmp_path / "out")]
-    assert main(words) == 2
-    assert "column thrust_set" in capsys.readouterr().err
+    assert "column thrust_set" in refused(*words)

@@ -23,38 +23,31 @@ def test_a_good_rig_passes(tmp_path):
     assert len(found.log) == 1000
 
 
-class Spoilt(Setup):
-    """A rig whose ADC bus has a fault from the start."""
+@pytest.mark.parametrize(
+    ("fault", "value", "found_bad"),
+    [
+        ("frozen", 1.0, {"faults", "adc, conversions", "load cell at rest"}),
+        ("overload", 1.2, {"load cell at rest"}),
+        ("not_acknowledged", 1e9, {"faults", "adc"}),
+    ],
+)
+def test_a_bad_adc_is_found(tmp_path, monkeypatch, fault, value, found_bad):
+    good = Setup.bench
 
-    def bench(self):
-        bench = super().bench()
+    def spoilt(self):
+        bench = good(self)
         shared = i2c.open_bus(bench.esc.duty_file.parents[3] / BUS)
-        for name, value in FAULT.items():
-            shared[name] = value
+        shared[fault] = value
         shared.close()
         return bench
 
-
-FAULT = {}
-
-
-@pytest.mark.parametrize(
-    ("fault", "found_bad"),
-    [
-        ({"frozen": 1.0}, {"faults", "adc, conversions", "load cell at rest"}),
-        ({"overload": 1.2}, {"load cell at rest"}),
-        ({"not_acknowledged": 1e9}, {"faults", "adc"}),
-    ],
-)
-def test_a_bad_adc_is_found(tmp_path, monkeypatch, fault, found_bad):
-    monkeypatch.setattr("test_selftest.FAULT", fault)
-    whole = setup()
-    found = selftest(Spoilt(whole.calibration, whole.limits, whole.emulated, virtual=True), 4.0, tmp_path)
+    monkeypatch.setattr(Setup, "bench", spoilt)
+    found = selftest(setup(), 4.0, tmp_path)
     assert found_bad <= bad(found)
     assert len(found.log) == 1000  # the other checks still run
 
 
-def test_an_output_that_is_not_idle_is_found(tmp_path, monkeypatch):
+def test_an_output_that_is_not_idle_is_found():
     outputs = module._outputs([("/sys/pwmchip0/pwm0/duty_cycle", 1_000_000, "1500000")])
     assert not outputs[0].good
     assert "1500000 ns" in outputs[0].found

@@ -19,7 +19,6 @@ from hil.safety.faults import FaultKind
 from hil.safety.limits import Limits
 from hil.safety.plausibility import SupplyLimits
 from hil.session import Setup, read_log
-from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
@@ -169,14 +168,13 @@ def test_an_old_log_is_read_as_before(tmp_path):
     np.testing.assert_array_equal(loop_part(read_log(path))["thrust"], done.record["thrust"])
 
 
-def test_the_command_says_what_it_reads(tmp_path, capsys):
+def test_the_command_says_what_it_reads(tmp_path, refused):
     calibration, limits = tmp_path / "wired.json", tmp_path / "limits.json"
     calibration.write_text(to_json(RIG))
     limits.write_text(json.dumps({"format": "vpp-limits/1", "limits": {"voltage_max": {"value": 20.0, "unit": "V"}}}))
     profile = write_record(OutputFolder(tmp_path), "p.csv", PROFILE)
-    words = ["hil", "run", "--virtual", "--profile", str(profile), "--calibration", str(calibration), "--limits", str(limits)]
-    assert main([*words, "-o", str(tmp_path / "out")]) != 0
-    assert "supply: supply beyond its limit: voltage" in capsys.readouterr().err
+    words = ["hil", "run", "--virtual", "--profile", profile, "--calibration", calibration, "--limits", limits]
+    assert "supply: supply beyond its limit: voltage" in refused(*words, "-o", tmp_path / "out")
     facts = json.loads((tmp_path / "out" / "hil.json").read_text())
     assert facts["supply"] == list(WIRED)
     assert facts["limits"]["voltage_max"] == 20.0
@@ -191,18 +189,17 @@ def test_energy_is_the_integral_of_voltage_times_current_held_until_the_next_rea
     assert energy(PROFILE) is None
 
 
-def test_a_run_and_a_campaign_measure_power_where_it_is_asked_for(tmp_path, capsys):
+def test_a_run_and_a_campaign_measure_power_where_it_is_asked_for(tmp_path, printed):
     """The shaft's power is below that of the supply, and the loss in the winding is most of the difference."""
     write_record(OutputFolder(tmp_path), "profile.csv", PROFILE)
-    given = ["hil", "run", "--virtual", "--power", "--profile", str(tmp_path / "profile.csv"), "-o", str(tmp_path / "run")]
-    assert main(given) == 0
-    assert re.search(r"energy from the supply: \d+ J, \d+\.?\d* W in the mean", capsys.readouterr().out)
+    said = printed("hil", "run", "--virtual", "--power", "--profile", tmp_path / "profile.csv", "-o", tmp_path / "run")
+    assert re.search(r"energy from the supply: \d+ J, \d+\.?\d* W in the mean", said)
     (folder,) = (tmp_path / "run" / "runs").iterdir()
     facts = json.loads((folder / "hil.json").read_text())
     assert facts["energy"]["value"] == pytest.approx(facts["energy"]["mean_power"] * 4.0, rel=0.01)
     assert "energy from the supply" in (folder / "report.html").read_text()
     small = ["--parts", "static", "--points", "3", "--samples", "500", "--settle", "2.0"]
-    assert main(["hil", "campaign", "--virtual", "--power", *small, "-o", str(tmp_path / "c")]) == 0
+    printed("hil", "campaign", "--virtual", "--power", *small, "-o", tmp_path / "c")
     static = read_campaign(tmp_path / "c").static
     electrical = static.further["voltage"] * static.further["current"]
     shaft = (static.further["torque"] + 0.0104 + 1.8e-5 * static.omega * RPM) * static.omega * RPM
@@ -211,9 +208,9 @@ def test_a_run_and_a_campaign_measure_power_where_it_is_asked_for(tmp_path, caps
     np.testing.assert_allclose(shaft + copper, electrical, rtol=0.05, atol=1.0)
 
 
-def test_power_of_a_rig_without_its_sensors_is_refused(tmp_path, capsys):
+def test_power_of_a_rig_without_its_sensors_is_refused(tmp_path, refused):
     path = tmp_path / "c.json"
     path.write_text(to_json(replace(CALIBRATION, supply={"voltage": WIRED["voltage"]})))
-    assert main(["hil", "campaign", "--virtual", "--power", "--calibration", str(path), "-o", str(tmp_path / "c")]) == 2
-    assert "supply: found no current" in capsys.readouterr().err
+    said = refused("hil", "campaign", "--virtual", "--power", "--calibration", path, "-o", tmp_path / "c")
+    assert "supply: found no current" in said
     assert not (tmp_path / "c").exists()

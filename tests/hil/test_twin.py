@@ -16,7 +16,7 @@ from hil.twin.cusum import Cusum, run_length, threshold_for
 from hil.twin.directions import Directions, Grid
 from hil.twin.twin import BLOCK, Twin
 from vpp_fmu.errors import BadInput
-from vpp_fmu.kernel.plant import BASE, plant
+from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.plants import FmuPlant, KernelPlant, Sample
 
 WHITE = Band(white=0.12, slow=0.0, slow_time=0.1, steady=0.0)
@@ -224,31 +224,6 @@ def test_a_step_is_found_after_the_stated_delay():
             assert np.mean(delays) == pytest.approx(expected, abs=4.0 * np.std(delays) / 500**0.5)
         else:
             assert np.mean(delays) < 0.7 * twin.delay
-
-
-STEPS = [(2500.0, 0.0), (4500.0, 6.0), (3500.0, -3.0), (5500.0, 2.0), (3000.0, 8.0)]
-
-
-def beside(names, parameters, seconds=20.0):
-    """A twin of the plain plant beside a rig with hidden effects; noise on the thrust."""
-    rig, twin = KernelPlant(plant(names), parameters), Twin(KernelPlant(), Band(0.12, 0.05, 0.15, 0.02))
-    hiss = noise(COLOURED, round(seconds / 0.004), 0.004, 11).tolist()
-    thrust = rig.start(*STEPS[0]).thrust
-    twin.start(0.0, *STEPS[0])
-    for k, extra in enumerate(hiss):
-        commands = STEPS[int(k * 0.004 / 2.0) % len(STEPS)]
-        shown = twin.update(k * 0.004, *commands, thrust + extra)
-        thrust = rig.step(*commands).thrust
-    return twin, shown
-
-
-def test_a_rig_like_its_model_raises_no_alarm_and_a_new_effect_does():
-    twin, shown = beside((), {})
-    assert not shown.alarmed
-    assert twin.since is None
-    twin, shown = beside(("pitch_offset",), {"pitch_offset.offset": 1.0})
-    assert shown.alarmed
-    assert -0.01 <= twin.since < 4.0
 
 
 def test_missed_ticks_are_simulated():

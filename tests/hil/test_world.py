@@ -52,11 +52,6 @@ def test_hidden_effects_change_it():
     assert hidden.thrust == pytest.approx(1.1 * plain.thrust)
 
 
-def test_the_amplifier_shows_thrust_in_volts():
-    one = settled()
-    assert one.volts(3.0) == pytest.approx(0.5 + 0.1 * one.thrust)
-
-
 def test_a_conversion_that_ended_in_the_past_shows_the_past():
     driven = [0.2, 0.0]
     one = World(POWERTRAIN, {}, lambda: tuple(driven), QUIET)
@@ -122,14 +117,6 @@ def test_the_same_seed_gives_the_same_world_and_another_another():
 
     assert seen(1) == seen(1)
     assert seen(1) != seen(2)
-
-
-def test_the_number_of_advances_changes_nothing():
-    fine, coarse = world(0.0), world(0.0)
-    for k in range(1, 101):
-        fine.advance(0.001 * k)
-    coarse.advance(0.1)
-    assert (fine.thrust, fine.omega) == (coarse.thrust, coarse.omega)
 
 
 def test_the_stepper_continues_where_it_stopped():

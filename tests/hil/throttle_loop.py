@@ -1,8 +1,8 @@
 """A loop that holds the throttle open until its supervisor stops it: `python throttle_loop.py DUTY REPORT MODE`.
 
 Prints "<supervisor's process> <fifo>" once it runs, and "faulted" once it has seen that it was stopped. MODE: "run"; "stop"
-(stops itself between a beat and the write of the pulse); "hang" (sleeps for 0.3 s there); "fork" (leaves a child behind that
-holds all its files); "hurry" (in real time, as a run is).
+(stops itself between a beat and the write of the pulse); "fork" (leaves a child behind that holds all its files); "hurry" (in
+real time, as a run is).
 """
 
 import contextlib
@@ -38,8 +38,6 @@ def hold(supervisor: Supervisor, duty: str, mode: str) -> None:
             print(supervisor.pid, int(supervisor.fifo), flush=True)
         if tick == 50 and mode == "stop":
             os.kill(os.getpid(), signal.SIGSTOP)
-        if tick == 50 and mode == "hang":
-            time.sleep(0.3)
         os.pwrite(output, b"%d\n" % round(OPEN * 1e9), 0)
         clock.wait_until(start + tick * TICK)
     print("faulted", flush=True)
