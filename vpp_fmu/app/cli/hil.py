@@ -50,6 +50,7 @@ from hil.twin.band import Band, read_band
 from hil.twin.twin import Twin
 from identification.tune.controllers import rig_controller, said_of
 from vpp_fmu.app.cli.answer import Answer, Lines, say
+from vpp_fmu.app.cli.inputs import read_gains
 from vpp_fmu.app.cli.options import SEED, Number, real, whole
 from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.app.cli.prompts import Prompts
@@ -58,7 +59,6 @@ from vpp_fmu.app.report.pages.rig import calibration_page, fmu_page, replay_page
 from vpp_fmu.date import now
 from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.files import OutputFolder, read_text
-from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, plant
 from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, read_parameters
 from vpp_fmu.parquet import check_parquet
@@ -457,7 +457,7 @@ def gains_of(options) -> ParameterSet:
     """The kernel's controller for the rig of the options; it samples once per tick, unless its file has another sample time.
     BadInput if its limits exceed the rig's."""
     parameters, file = plant_of(options), which(options, fmu=True).file
-    given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
+    given = read_gains(options)
     rig = declared_rig(file, parameters.rig) if file else None
     return rig_controller(parameters, given, options.gains, rig, tick_of(given))
 

@@ -13,19 +13,18 @@ from identification.assessment.prediction import predict
 from identification.assessment.reading_noise import reading_noise
 from identification.plan.plan import NOISE, Plan, plan, step_of
 from vpp_fmu.app.cli.answer import Answer
-from vpp_fmu.app.cli.knowledge import knowledge_of
+from vpp_fmu.app.cli.inputs import add_plant, knowledge_of, read_plant
 from vpp_fmu.app.cli.options import SEED, Number
-from vpp_fmu.app.cli.output import add_effects_from, add_output, written
+from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.app.cli.prompts import Prompts
 from vpp_fmu.app.report.pages.plan import headline, key_figures, plan_page
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
-from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, plant
+from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.outputs import OutputSet
-from vpp_fmu.own_effects import library_with
-from vpp_fmu.parameters import ParameterSet, parameters_file, read_parameters
+from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import write_record
 from vpp_fmu.rig import DECLARED, RANGES, SLEWS, Rig, declared_rig
 from vpp_fmu.structured import as_json
@@ -55,9 +54,7 @@ def configure(parser):
     def number(name, default, text, metavar="X"):
         parser.add_argument(name, type=OPTIONS[name], metavar=metavar, help=f"{text} (default: {default})")
 
-    text = "the plant's parameters, a file or its folder"
-    parser.add_argument("--parameters", type=parameters_file, metavar="F", required=True, help=text)
-    add_effects_from(parser)
+    add_plant(parser, required=True)
     text = "identification.json of the data there are (default: the one beside --parameters; without it nothing is known)"
     parser.add_argument("--knowledge", metavar="F", help=text)
     text = "take range, sampling and noise from this campaign (default: what --parameters tells of its own)"
@@ -101,8 +98,7 @@ class Basis:
 
 
 def run(options):
-    library = library_with(options.effects_from)
-    parameters = read_parameters(options.parameters, lambda names: plant(names, library)).without_power
+    parameters = read_plant(options).without_power
     known_in, known = knowledge_of(options, parameters)
     knowledge, inflation = known or (None, 1.0)
     basis = _basis(options, parameters, known_in)

@@ -18,6 +18,7 @@ from identification.tune.controllers import controllers
 from vpp_fmu.app.cli import hil
 from vpp_fmu.app.cli.answer import Answer, Lines
 from vpp_fmu.app.cli.hil import allowed_words
+from vpp_fmu.app.cli.inputs import read_gains
 from vpp_fmu.app.cli.options import WORKERS, whole
 from vpp_fmu.app.cli.output import dated, stages
 from vpp_fmu.app.day.day import BOTH, POLICIES, Day, Rig, Round, diagnosed, new_day, next_round
@@ -26,7 +27,7 @@ from vpp_fmu.app.report.sentences import change
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
-from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, read_parameters, to_json
+from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, to_json
 from vpp_fmu.policy import FILE
 from vpp_fmu.structured import as_json
 
@@ -53,7 +54,7 @@ def configure(parser):
 def run(options):
     _check_new(options.day)
     setup, parameters = hil.setup_of(options), hil.plant_of(options)
-    given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
+    given = read_gains(options)
     settings = controllers(parameters, given, hil.tick_of(given), options.gains or "gains").settings
     if "dual" not in settings:
         raise BadInput(options.parameters, "rig", "one moving channel", "speed and pitch: a day tunes both")
