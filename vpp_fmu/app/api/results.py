@@ -1,9 +1,9 @@
 """Results of the verbs: key figures to print, all numbers as a dictionary, files in a folder, and figures."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from plotly import graph_objects as go
@@ -108,6 +108,36 @@ class Result(ABC):
         return table_html(type(self).__name__, ("what", "value", "note"), self.key_figures())
 
 
+class Functions(NamedTuple):
+    """What a verb makes of its result: key figures, the content of its JSON file, the report, and the files in a folder."""
+
+    key_figures: Callable[[Any], KeyFigures]
+    summary: Callable[[Any], dict[str, Any]]
+    page: Callable[..., Page]
+    write: Callable[..., None]
+
+
+class Found(Result):
+    """A result that is `found`, described by the functions of its verb; page and files may name the `source` of parameters."""
+
+    functions: ClassVar[Functions]
+
+    def __init__(self, found: Any, *source: str):
+        self.found, self._source = found, source
+
+    def key_figures(self) -> KeyFigures:
+        return self.functions.key_figures(self.found)
+
+    def to_dict(self) -> dict[str, Any]:
+        return self.functions.summary(self.found)
+
+    def page(self) -> Page:
+        return self.functions.page(self.found, *self._source)
+
+    def _write(self, folder: OutputFolder) -> None:
+        self.functions.write(folder, self.found, *self._source)
+
+
 class CheckResult(Result):
     """A campaign's files, missing data and quality problems. `found`: the whole check."""
 
@@ -147,13 +177,12 @@ class CheckResult(Result):
         write_check(folder, self.found)
 
 
-class IdentifyResult(Result, Linearisable):
+class IdentifyResult(Found, Linearisable):
     """A campaign's parameters and their uncertainty. `found`: the whole identification, with predictions and the search."""
 
     verb = "identify"
-
-    def __init__(self, found: Identification):
-        self.found = found
+    functions = Functions(identified_figures, Identification.summary, identification_page, write_identification)
+    found: Identification
 
     @property
     def parameters(self) -> ParameterSet:
@@ -164,26 +193,13 @@ class IdentifyResult(Result, Linearisable):
     def identity(self) -> str:
         return self.parameters.identity
 
-    def key_figures(self) -> KeyFigures:
-        return identified_figures(self.found)
 
-    def to_dict(self) -> dict[str, Any]:
-        return self.found.summary()
-
-    def page(self) -> Page:
-        return identification_page(self.found)
-
-    def _write(self, folder: OutputFolder) -> None:
-        write_identification(folder, self.found)
-
-
-class DiagnoseResult(Result, Linearisable):
+class DiagnoseResult(Found, Linearisable):
     """The effects that the model lacks, and the model with them. `found`: the whole diagnosis."""
 
     verb = "diagnose"
-
-    def __init__(self, found: Diagnosis):
-        self.found = found
+    functions = Functions(diagnosed_figures, diagnosis_summary, diagnosis_page, write_diagnosis)
+    found: Diagnosis
 
     @property
     def verdict(self) -> str:
@@ -209,28 +225,22 @@ class DiagnoseResult(Result, Linearisable):
     def identity(self) -> str:
         return self.parameters.identity
 
-    def key_figures(self) -> KeyFigures:
-        return diagnosed_figures(self.found)
-
-    def to_dict(self) -> dict[str, Any]:
-        return diagnosis_summary(self.found)
-
-    def page(self) -> Page:
-        return diagnosis_page(self.found)
-
     def _write(self, folder: OutputFolder) -> None:
-        write_diagnosis(folder, self.found)
+        super()._write(folder)
         folder.write("report.html", self.page().html())
 
 
-class PlanResult(Result):
+class PlanResult(Found):
     """The next experiment. `found`: the whole plan; `inflation`: factor by which autocorrelated residuals widen the
     present intervals."""
 
     verb = "plan"
+    functions = Functions(planned_figures, Plan.summary, plan_page, write_plan)
+    found: Plan
 
     def __init__(self, found: Plan, parameters: ParameterSet, inflation: float = 1.0):
-        self.found, self._parameters, self._inflation = found, parameters, inflation
+        super().__init__(found)
+        self._parameters, self._inflation = parameters, inflation
 
     @property
     def commands(self) -> Record:
@@ -240,12 +250,6 @@ class PlanResult(Result):
     @property
     def identity(self) -> str:
         return self._parameters.identity
-
-    def key_figures(self) -> KeyFigures:
-        return planned_figures(self.found)
-
-    def to_dict(self) -> dict[str, Any]:
-        return self.found.summary()
 
     def page(self) -> Page:
         return plan_page(self.found, self._basis(), remarks_on(self.found, self._inflation), self._parameters.label)
@@ -257,13 +261,12 @@ class PlanResult(Result):
         write_plan(folder, self.found, self._basis(), remarks_on(self.found, self._inflation))
 
 
-class TuneResult(Result):
+class TuneResult(Found):
     """Gains for both actuators and for speed alone. `found`: the whole tuning."""
 
     verb = "tune"
-
-    def __init__(self, found: Tuning):
-        self.found = found
+    functions = Functions(tuned_figures, tuning_summary, tuning_page, write_tuning)
+    found: Tuning
 
     @property
     def gains(self) -> dict[str, ParameterSet]:
@@ -274,26 +277,13 @@ class TuneResult(Result):
     def identity(self) -> str:
         return self.found.task.parameters.identity
 
-    def key_figures(self) -> KeyFigures:
-        return tuned_figures(self.found)
 
-    def to_dict(self) -> dict[str, Any]:
-        return tuning_summary(self.found)
-
-    def page(self) -> Page:
-        return tuning_page(self.found)
-
-    def _write(self, folder: OutputFolder) -> None:
-        write_tuning(folder, self.found)
-
-
-class AllocateResult(Result):
+class AllocateResult(Found):
     """The pair of speed and pitch of least power for each thrust. `found`: the whole allocation."""
 
     verb = "allocate"
-
-    def __init__(self, found: Allocation):
-        self.found = found
+    functions = Functions(allocation_figures, allocation_summary, allocation_page, write_allocation)
+    found: Allocation
 
     @property
     def pairs(self) -> dict[str, np.ndarray]:
@@ -309,26 +299,17 @@ class AllocateResult(Result):
     def identity(self) -> str:
         return self.found.model.parameters.identity
 
-    def key_figures(self) -> KeyFigures:
-        return allocation_figures(self.found)
 
-    def to_dict(self) -> dict[str, Any]:
-        return allocation_summary(self.found)
-
-    def page(self) -> Page:
-        return allocation_page(self.found, self.found.model.parameters.label)
-
-    def _write(self, folder: OutputFolder) -> None:
-        write_allocation(folder, self.found)
-
-
-class LearnResult(Result):
+class LearnResult(Found):
     """A learned control law beside the tuned PID. `found`: the search, and the comparison on held-out plants."""
 
     verb = "learn"
+    functions = Functions(learned_figures, learning_summary, learning_page, write_learning)
+    found: Learned
 
     def __init__(self, found: Learned, parameters: ParameterSet):
-        self.found, self._parameters = found, parameters
+        super().__init__(found, parameters.label)
+        self._parameters = parameters
 
     @property
     def policy(self) -> Policy:
@@ -338,18 +319,6 @@ class LearnResult(Result):
     @property
     def identity(self) -> str:
         return self._parameters.identity
-
-    def key_figures(self) -> KeyFigures:
-        return learned_figures(self.found)
-
-    def to_dict(self) -> dict[str, Any]:
-        return learning_summary(self.found)
-
-    def page(self) -> Page:
-        return learning_page(self.found, self._parameters.label)
-
-    def _write(self, folder: OutputFolder) -> None:
-        write_learning(folder, self.found, self._parameters.label)
 
 
 class SimulateResult(Result):

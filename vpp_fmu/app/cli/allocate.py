@@ -50,7 +50,7 @@ def write_allocation(folder: OutputFolder, found: Allocation, **came: tuple[str 
     folder.write("allocation.h", as_c(found))
     folder.write("gains.json", to_json(dated(allocated_controller(found, parameters), **came)))
     folder.write("allocation.json", as_json(summary(found)))
-    folder.write("report.html", allocation_page(found, parameters.label).html())
+    folder.write("report.html", allocation_page(found).html())
 
 
 def summary(found: Allocation) -> dict:
