@@ -1,7 +1,6 @@
 """Fit the map from a motor's signal to a speed command, for logs that contain the signal only."""
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -29,14 +28,6 @@ EXPLAINED = 0.9
 """Minimum share of the speed's variance explained by a map with a lag. The residual of a real motor has a few per cent."""
 
 
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """A speed map, and its origin in words (`origin`)."""
-
-    map: SpeedMap
-    origin: str
-
-
 FILE = "speed_map.json"
 """File of the map that all logs of a folder share."""
 
@@ -59,12 +50,12 @@ def taken_over(
     signal: np.ndarray,
     speed: np.ndarray | None,
     voltage: np.ndarray | None,
-) -> Fitted:
+) -> tuple[SpeedMap, str]:
     """The map of another log for this one (n,), extended to the smallest signal at which the rotor turns here, and its fit here
     in words. `time`: None if each row is a steady point; `speed`: None if not measured."""
     text = f"taken over from {known.source} (there rms {known.rms:.3g} rpm)"
     if speed is None or not (turning := np.nan_to_num(speed) > 0.0).any():
-        return Fitted(known, text)
+        return known, text
     volts = np.full(len(signal), known.nominal_voltage) if voltage is None else voltage
     if time is None:
         points = SteadyPoints(signal[turning], volts[turning], speed[turning], float(signal[turning].min()))
@@ -76,7 +67,7 @@ def taken_over(
         text += f"; here rms {here['rms']:.3g} rpm, at most {here['largest']:.3g} rpm at signal {here['largest_at']:.6g}"
     if found is not known:
         text += f"; here the rotor turns from signal {found.turns_from:.6g} on, there from {known.turns_from:.6g}"
-    return Fitted(found, text)
+    return found, text
 
 
 def fitted_map(
@@ -86,29 +77,24 @@ def fitted_map(
     speed: np.ndarray,
     voltage: np.ndarray | None,
     span: SignalRange,
-) -> Fitted:
-    """Fit the map to a log's steady parts; if there are too few, to all rows (n,) with one lag.
+) -> tuple[SpeedMap, str]:
+    """The map fitted to a log's steady parts, or if there are too few to all rows (n,) with one lag, and its origin in words.
 
     Without `voltage` the map depends on the signal only, at a nominal 1 V. BadInput if neither fit gives an increasing map.
     """
     volts = np.ones(len(time)) if voltage is None else voltage
-    turning = np.isfinite(speed) & (speed > 0.0)
-    if not turning.any():
-        raise BadInput(
-            source, "omega", "a motor that never turns", "a speed that follows the signal", "--speed-map M.json of another log"
-        )
-    nominal = float(np.median(volts[turning]))
+    nominal = float(np.median(volts[_turning(source, speed)]))
     alone = "" if voltage is not None else "; without a voltage it is of the signal alone"
     points = steady_points(time, signal, speed, volts, np.isfinite(speed), span.low)
     if len(np.unique(points.signal)) >= FEWEST:
         found = fit_speed_map(points, span, nominal, Path(source).name)
         worst = fit_quality(points, found)
         quality = f"rms {found.rms:.3g} rpm, at most {worst['largest']:.3g} rpm at signal {worst['largest_at']:.6g}"
-        return Fitted(found, f"fitted to {len(points)} steady parts, {quality}{alone}")
+        return found, f"fitted to {len(points)} steady parts, {quality}{alone}"
     return _lagged(source, time, signal, speed, volts, span, nominal, alone)
 
 
-def _lagged(source, time, signal, speed, volts, span: SignalRange, nominal: float, alone: str) -> Fitted:
+def _lagged(source, time, signal, speed, volts, span: SignalRange, nominal: float, alone: str):
     """Fit omega = a first-order lag of a polynomial in x = throttle * voltage / nominal: linear least squares for each lag."""
     x = span.throttle(signal) * volts / nominal
     turns_from = turning_from(time, signal, speed, span.low)
@@ -123,14 +109,13 @@ def _lagged(source, time, signal, speed, volts, span: SignalRange, nominal: floa
     powers = np.where(on[:, None], np.vander(x, degree + 1, increasing=True), 0.0)
     step = float(np.median(np.diff(time)))
 
-    def behind(lag: float) -> tuple[float, float, np.ndarray]:
-        kept = float(np.exp(-step / lag))
-        a = powers[0] + lfilter([0.0, 1.0 - kept], [1.0, -kept], powers - powers[0], axis=0)
+    def fitted(lag: float) -> tuple[float, float, np.ndarray]:
+        a = behind(lag, step, powers)
         found = np.linalg.lstsq(a[rows], speed[rows], rcond=None)[0]
         return float(np.mean((speed[rows] - a[rows] @ found) ** 2)), lag, found
 
-    _, rough, _ = min(map(behind, LAGS))
-    mean_square, lag, found = min(map(behind, rough * np.geomspace(LAGS[0] / LAGS[1], LAGS[1] / LAGS[0], 21)))
+    _, rough, _ = min(map(fitted, LAGS))
+    mean_square, lag, found = min(map(fitted, rough * np.geomspace(LAGS[0] / LAGS[1], LAGS[1] / LAGS[0], 21)))
     share = 1.0 - mean_square / max(float(np.var(speed[rows])), 1e-12)
     coefficients = np.append(found, np.zeros(3 - degree))
     along = np.polyval(coefficients[::-1], np.linspace(x[on].min(), x[on].max(), 101))
@@ -150,17 +135,29 @@ def _lagged(source, time, signal, speed, volts, span: SignalRange, nominal: floa
         Path(source).name,
     )
     text = f"fitted to all rows with a lag of {lag:.2g} s (fewer than {FEWEST} signals are held for {PLATEAU:g} s), "
-    return Fitted(span_map, f"{text}which explains {share:.1%} of the variance of the speed{alone}")
+    return span_map, f"{text}which explains {share:.1%} of the variance of the speed{alone}"
 
 
-def averaged_map(source: str, signal: np.ndarray, speed: np.ndarray, voltage: np.ndarray | None, span: SignalRange) -> Fitted:
-    """Fit the map to steady points, one per row (n,)."""
-    volts = np.ones(len(signal)) if voltage is None else voltage
-    turning = speed > 0.0
-    if not turning.any():
-        raise BadInput(
-            source, "omega", "a motor that never turns", "a speed that follows the signal", "--speed-map M.json of another log"
-        )
+def averaged_map(
+    source: str, signal: np.ndarray, speed: np.ndarray, voltage: np.ndarray | None, span: SignalRange
+) -> tuple[SpeedMap, str]:
+    """The map fitted to steady points, one per row (n,), and its origin in words."""
+    volts, turning = np.ones(len(signal)) if voltage is None else voltage, _turning(source, speed)
     points = SteadyPoints(signal[turning], volts[turning], speed[turning], float(signal[turning].min()))
     found = fit_speed_map(points, span, float(np.median(volts[turning])), Path(source).name)
-    return Fitted(found, f"fitted to {len(points)} points, rms {found.rms:.3g} rpm")
+    return found, f"fitted to {len(points)} points, rms {found.rms:.3g} rpm"
+
+
+def _turning(source: str, speed: np.ndarray) -> np.ndarray:
+    """Mask (n,) of the rows in which the motor turns. BadInput if it never does."""
+    turning = np.isfinite(speed) & (speed > 0.0)
+    if not turning.any():
+        hint = "--speed-map M.json of another log"
+        raise BadInput(source, "omega", "a motor that never turns", "a speed that follows the signal", hint)
+    return turning
+
+
+def behind(lag: float, step: float, values: np.ndarray) -> np.ndarray:
+    """A first-order lag [s] of values (n, ...) in rows `step` s apart, at rest in the first row."""
+    kept = float(np.exp(-step / lag))
+    return values[0] + lfilter([0.0, 1.0 - kept], [1.0, -kept], values - values[0], axis=0)

@@ -97,7 +97,7 @@ def drawing(fig: go.Figure, arrays: Arrays) -> str:
     ]
     spec = {
         "height": _plot_height(fig),
-        "panels": _panels(fig, axes),
+        "panels": _panels(fig),
         "axes": axes,
         "marks": marks,
         "shapes": shapes,
@@ -300,7 +300,7 @@ def _plot_height(fig: go.Figure) -> float:
     return max(height, _LOWEST)
 
 
-def _panels(fig: go.Figure, axes: dict) -> list[dict[str, Any]]:
+def _panels(fig: go.Figure) -> list[dict[str, Any]]:
     """Each pair of axes that a trace uses, with its position from the top left, in shares of the plot."""
     pairs = list(dict.fromkeys((trace.xaxis or "x", trace.yaxis or "y") for trace in fig.data))
     found = []
