@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import lfilter
@@ -28,6 +29,13 @@ EXPLAINED = 0.9
 """Minimum share of the speed's variance explained by a map with a lag. The residual of a real motor has a few per cent."""
 
 
+class Fitted(NamedTuple):
+    """A speed map, and its origin in words."""
+
+    map: SpeedMap
+    origin: str
+
+
 FILE = "speed_map.json"
 """File of the map that all logs of a folder share."""
 
@@ -50,12 +58,12 @@ def taken_over(
     signal: np.ndarray,
     speed: np.ndarray | None,
     voltage: np.ndarray | None,
-) -> tuple[SpeedMap, str]:
+) -> Fitted:
     """The map of another log for this one (n,), extended to the smallest signal at which the rotor turns here, and its fit here
     in words. `time`: None if each row is a steady point; `speed`: None if not measured."""
     text = f"taken over from {known.source} (there rms {known.rms:.3g} rpm)"
     if speed is None or not (turning := np.nan_to_num(speed) > 0.0).any():
-        return known, text
+        return Fitted(known, text)
     volts = np.full(len(signal), known.nominal_voltage) if voltage is None else voltage
     if time is None:
         points = SteadyPoints(signal[turning], volts[turning], speed[turning], float(signal[turning].min()))
@@ -67,7 +75,7 @@ def taken_over(
         text += f"; here rms {here['rms']:.3g} rpm, at most {here['largest']:.3g} rpm at signal {here['largest_at']:.6g}"
     if found is not known:
         text += f"; here the rotor turns from signal {found.turns_from:.6g} on, there from {known.turns_from:.6g}"
-    return found, text
+    return Fitted(found, text)
 
 
 def fitted_map(
@@ -77,8 +85,8 @@ def fitted_map(
     speed: np.ndarray,
     voltage: np.ndarray | None,
     span: SignalRange,
-) -> tuple[SpeedMap, str]:
-    """The map fitted to a log's steady parts, or if there are too few to all rows (n,) with one lag, and its origin in words.
+) -> Fitted:
+    """Fit the map to a log's steady parts; if there are too few, to all rows (n,) with one lag.
 
     Without `voltage` the map depends on the signal only, at a nominal 1 V. BadInput if neither fit gives an increasing map.
     """
@@ -90,11 +98,11 @@ def fitted_map(
         found = fit_speed_map(points, span, nominal, Path(source).name)
         worst = fit_quality(points, found)
         quality = f"rms {found.rms:.3g} rpm, at most {worst['largest']:.3g} rpm at signal {worst['largest_at']:.6g}"
-        return found, f"fitted to {len(points)} steady parts, {quality}{alone}"
+        return Fitted(found, f"fitted to {len(points)} steady parts, {quality}{alone}")
     return _lagged(source, time, signal, speed, volts, span, nominal, alone)
 
 
-def _lagged(source, time, signal, speed, volts, span: SignalRange, nominal: float, alone: str):
+def _lagged(source, time, signal, speed, volts, span: SignalRange, nominal: float, alone: str) -> Fitted:
     """Fit omega = a first-order lag of a polynomial in x = throttle * voltage / nominal: linear least squares for each lag."""
     x = span.throttle(signal) * volts / nominal
     turns_from = turning_from(time, signal, speed, span.low)
@@ -135,17 +143,15 @@ def _lagged(source, time, signal, speed, volts, span: SignalRange, nominal: floa
         Path(source).name,
     )
     text = f"fitted to all rows with a lag of {lag:.2g} s (fewer than {FEWEST} signals are held for {PLATEAU:g} s), "
-    return span_map, f"{text}which explains {share:.1%} of the variance of the speed{alone}"
+    return Fitted(span_map, f"{text}which explains {share:.1%} of the variance of the speed{alone}")
 
 
-def averaged_map(
-    source: str, signal: np.ndarray, speed: np.ndarray, voltage: np.ndarray | None, span: SignalRange
-) -> tuple[SpeedMap, str]:
-    """The map fitted to steady points, one per row (n,), and its origin in words."""
+def averaged_map(source: str, signal: np.ndarray, speed: np.ndarray, voltage: np.ndarray | None, span: SignalRange) -> Fitted:
+    """Fit the map to steady points, one per row (n,)."""
     volts, turning = np.ones(len(signal)) if voltage is None else voltage, _turning(source, speed)
     points = SteadyPoints(signal[turning], volts[turning], speed[turning], float(signal[turning].min()))
     found = fit_speed_map(points, span, float(np.median(volts[turning])), Path(source).name)
-    return found, f"fitted to {len(points)} points, rms {found.rms:.3g} rpm"
+    return Fitted(found, f"fitted to {len(points)} points, rms {found.rms:.3g} rpm")
 
 
 def _turning(source: str, speed: np.ndarray) -> np.ndarray:

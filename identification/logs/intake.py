@@ -314,16 +314,16 @@ def _commanded(table: RawTable, plan: Plan, columns: dict, clock: Clock | None, 
         points = clock is None or clock.step > FASTER
         if speed_map is not None:
             time = None if points else columns["time"]
-            speed_map, origin = taken_over(speed_map, time, signal, columns.get("omega"), volts)
+            found = taken_over(speed_map, time, signal, columns.get("omega"), volts)
         elif "omega" not in columns:
             allowed = "a measured speed, to which the signal's map is fitted"
             hint = "--map omega=COLUMN:rpm, or --speed-map M.json of another log of the stand"
             raise BadInput(table.source, "omega_ref", "a signal and no measured speed", allowed, hint)
         else:
             args = (signal, columns["omega"], volts, span)
-            made = averaged_map(table.source, *args) if points else fitted_map(table.source, columns["time"], *args)
-            speed_map, origin = made
-        said.append(f"speed map: {origin}")
+            found = averaged_map(table.source, *args) if points else fitted_map(table.source, columns["time"], *args)
+        speed_map = found.map
+        said.append(f"speed map: {found.origin}")
         columns["omega_ref"] = speed_map.omega_ref(signal)
     elif "signal" in columns:
         del columns["signal"]

@@ -149,20 +149,16 @@ def findings(log: Log, speed_map: SpeedMap | None, keep_stalls: bool) -> dict:
 def said_of_rows(figures: dict) -> str:
     """Rows and columns in words."""
     left_out = ", ".join(f"{reason} {number}" for reason, number in figures["left_out"].items()) or "none"
-    signal = figures["signal"]
+    signal, back, clock = figures["signal"], figures["clock_back"], ""
+    if back["rows"]:
+        most = f"{1e3 * back['seconds']:.3g} ms"
+        clock = f"clock: goes back in {back['rows']} rows, by {most} at most, less than a row: mended\n"
     return (
         f"rows: {figures['rows']} over {figures['seconds']:.2f} s, from {figures['start']:.6g} s of the log on; "
-        f"left out: {left_out}\n{said_of_clock(figures['clock_back'])}"
+        f"left out: {left_out}\n{clock}"
         f"ESC signal: {signal['kind']}, {signal['minimum']:g} to {signal['maximum']:g}; "
         f"speed: {figures['columns'].get('speed', 'none')}"
     )
-
-
-def said_of_clock(back: dict) -> str:
-    """A line about corrections of the clock; "" without any."""
-    if not back["rows"]:
-        return ""
-    return f"clock: goes back in {back['rows']} rows, by {1e3 * back['seconds']:.3g} ms at most, less than a row: mended\n"
 
 
 def said_of_thrust(figures: dict) -> list[str]:

@@ -138,9 +138,8 @@ def said(done: Round) -> list[str]:
         became = f"diagnosed from the mission's record: {found}" if found else "the adapted model explains it"
         lines = [f"round {done.number}: alarm after {at:.0f} s, {what}; {became}"]
     if len(done.models) > 1:
-        lines.append(
-            f"  error of the thrust on a mission that nobody fitted: {_models(done)}; the model {done.chosen.name} goes on"
-        )
+        errors = ", ".join(f"{m.name} {m.unseen:.4f} N" for m in done.models)
+        lines.append(f"  error of the thrust on a mission that nobody fitted: {errors}; the model {done.chosen.name} goes on")
     else:
         lines.append(f"  error of the thrust: {done.chosen.fitted:.4f} N; the model goes on as it was")
     costs = ", ".join(f"{name} {mean(c):.4f}" for name, c in done.costs.items())
@@ -150,10 +149,6 @@ def said(done: Round) -> list[str]:
     if done.refused:
         lines.append(f"  the model refused {done.refused} of the gains that were to be tried")
     return lines
-
-
-def _models(done: Round) -> str:
-    return ", ".join(f"{m.name} {m.unseen:.4f} N" for m in done.models)
 
 
 def _write(folder: OutputFolder, own: OutputFolder, day: Day, done: Round) -> dict:

@@ -84,7 +84,7 @@ def drawing(fig: go.Figure, arrays: Arrays) -> str:
         for side in "xy":
             name = trace[f"{side}axis"] or side
             axes.setdefault(name, _axis(name, fig, {}))
-    legend = fig.layout.showlegend is not False
+    legend, margin = fig.layout.showlegend is not False, fig.layout.margin
     marks, entries = [], []
     for k, trace in enumerate(fig.data):
         mark = _mark(trace, fig, axes, arrays, f"mark {k}")
@@ -96,7 +96,7 @@ def drawing(fig: go.Figure, arrays: Arrays) -> str:
         (1000, _shape_entry(shape, drawn)) for shape, drawn in zip(fig.layout.shapes, shapes, strict=True) if shape.showlegend
     ]
     spec = {
-        "height": _plot_height(fig),
+        "height": max(fig.layout.height - margin.t - margin.b, _LOWEST),
         "panels": _panels(fig),
         "axes": axes,
         "marks": marks,
@@ -292,12 +292,6 @@ def _entry(mark: dict) -> dict[str, Any]:
 def _shape_entry(shape, drawn: dict) -> dict[str, Any]:
     entry = {name: drawn[name] for name in ("key", "colour", "dash", "opacity")}
     return entry | {"name": _words(shape.name), "wide": drawn["wide"] if drawn["line"] else 0, "box": not drawn["line"]}
-
-
-def _plot_height(fig: go.Figure) -> float:
-    margin = fig.layout.margin
-    height = (fig.layout.height or 450) - margin.t - margin.b
-    return max(height, _LOWEST)
 
 
 def _panels(fig: go.Figure) -> list[dict[str, Any]]:
