@@ -14,37 +14,25 @@ from identification.diagnose.diagnose import Diagnosis
 from identification.identify import Identification
 from identification.plan.plan import Plan
 from identification.power.allocation import COLUMNS, Allocation, allocated_controller, table
+from identification.tune import summary as tuned
 from identification.tune.learn import Learned
-from identification.tune.summary import key_figures as tuned_figures
-from identification.tune.summary import summary as tuning_summary
 from identification.tune.tune import Tuning
 from vpp_fmu.app.api.linear import Linearisable
 from vpp_fmu.app.api.objects import PathLike
-from vpp_fmu.app.cli.allocate import summary as allocation_summary
-from vpp_fmu.app.cli.allocate import write_allocation
+from vpp_fmu.app.cli import allocate, learn
 from vpp_fmu.app.cli.check import Checked, write_check
 from vpp_fmu.app.cli.diagnose import write_diagnosis
 from vpp_fmu.app.cli.identify import write_identification
-from vpp_fmu.app.cli.learn import summary as learning_summary
-from vpp_fmu.app.cli.learn import write_learning
 from vpp_fmu.app.cli.plan import remarks_on, write_plan
 from vpp_fmu.app.cli.tune import gains_of, write_tuning
+from vpp_fmu.app.report import summary as diagnosed
 from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures.time import measured_against_predicted
 from vpp_fmu.app.report.page import Page
-from vpp_fmu.app.report.pages.allocation import allocation_page
-from vpp_fmu.app.report.pages.allocation import key_figures as allocation_figures
-from vpp_fmu.app.report.pages.diagnosis import diagnosis_page
-from vpp_fmu.app.report.pages.diagnosis import key_figures as diagnosed_figures
-from vpp_fmu.app.report.pages.identification import identification_page
-from vpp_fmu.app.report.pages.identification import key_figures as identified_figures
-from vpp_fmu.app.report.pages.learning import key_figures as learned_figures
-from vpp_fmu.app.report.pages.learning import learning_page
+from vpp_fmu.app.report.pages import allocation, diagnosis, learning, plan
+from vpp_fmu.app.report.pages import identification as identified
 from vpp_fmu.app.report.pages.loop import loop_page
-from vpp_fmu.app.report.pages.plan import key_figures as planned_figures
-from vpp_fmu.app.report.pages.plan import plan_page
 from vpp_fmu.app.report.pages.tuning import tuning_page
-from vpp_fmu.app.report.summary import summary as diagnosis_summary
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
@@ -118,24 +106,28 @@ class Functions(NamedTuple):
 
 
 class Found(Result):
-    """A result that is `found`, described by the functions of its verb; page and files may name the `source` of parameters."""
+    """A result that is `found`, described by the functions of its verb. Page and files may name the `source` of parameters."""
 
-    functions: ClassVar[Functions]
+    _functions: ClassVar[Functions]
 
-    def __init__(self, found: Any, *source: str):
-        self.found, self._source = found, source
+    def __init__(self, found: Any, parameters: ParameterSet, *source: str):
+        self.found, self._parameters, self._source = found, parameters, source
+
+    @property
+    def identity(self) -> str:
+        return self._parameters.identity
 
     def key_figures(self) -> KeyFigures:
-        return self.functions.key_figures(self.found)
+        return self._functions.key_figures(self.found)
 
     def to_dict(self) -> dict[str, Any]:
-        return self.functions.summary(self.found)
+        return self._functions.summary(self.found)
 
     def page(self) -> Page:
-        return self.functions.page(self.found, *self._source)
+        return self._functions.page(self.found, *self._source)
 
     def _write(self, folder: OutputFolder) -> None:
-        self.functions.write(folder, self.found, *self._source)
+        self._functions.write(folder, self.found, *self._source)
 
 
 class CheckResult(Result):
@@ -181,24 +173,20 @@ class IdentifyResult(Found, Linearisable):
     """A campaign's parameters and their uncertainty. `found`: the whole identification, with predictions and the search."""
 
     verb = "identify"
-    functions = Functions(identified_figures, Identification.summary, identification_page, write_identification)
+    _functions = Functions(identified.key_figures, Identification.summary, identified.identification_page, write_identification)
     found: Identification
 
     @property
     def parameters(self) -> ParameterSet:
         """Values with their standard deviations."""
-        return self.found.parameters
-
-    @property
-    def identity(self) -> str:
-        return self.parameters.identity
+        return self._parameters
 
 
 class DiagnoseResult(Found, Linearisable):
     """The effects that the model lacks, and the model with them. `found`: the whole diagnosis."""
 
     verb = "diagnose"
-    functions = Functions(diagnosed_figures, diagnosis_summary, diagnosis_page, write_diagnosis)
+    _functions = Functions(diagnosis.key_figures, diagnosed.summary, diagnosis.diagnosis_page, write_diagnosis)
     found: Diagnosis
 
     @property
@@ -214,16 +202,12 @@ class DiagnoseResult(Found, Linearisable):
     @property
     def parameters(self) -> ParameterSet:
         """Parameters of the final model."""
-        return self.found.parameters(self.found.final)
+        return self._parameters
 
     @property
     def base(self) -> ParameterSet:
         """Parameters of the model without the found effects."""
         return self.found.parameters(self.found.base)
-
-    @property
-    def identity(self) -> str:
-        return self.parameters.identity
 
     def _write(self, folder: OutputFolder) -> None:
         super()._write(folder)
@@ -235,24 +219,20 @@ class PlanResult(Found):
     present intervals."""
 
     verb = "plan"
-    functions = Functions(planned_figures, Plan.summary, plan_page, write_plan)
+    _functions = Functions(plan.key_figures, Plan.summary, plan.plan_page, write_plan)
     found: Plan
 
     def __init__(self, found: Plan, parameters: ParameterSet, inflation: float = 1.0):
-        super().__init__(found)
-        self._parameters, self._inflation = parameters, inflation
+        super().__init__(found, parameters)
+        self._inflation = inflation
 
     @property
     def commands(self) -> Record:
         """`time` [s], `omega_ref` [rpm], `beta_ref` [deg], within the rig's range and slew."""
         return self.found.commands
 
-    @property
-    def identity(self) -> str:
-        return self._parameters.identity
-
     def page(self) -> Page:
-        return plan_page(self.found, self._basis(), remarks_on(self.found, self._inflation), self._parameters.label)
+        return plan.plan_page(self.found, self._basis(), remarks_on(self.found, self._inflation), self._parameters.label)
 
     def _basis(self) -> list[str]:
         return [f"commands within {', '.join(self.found.rig.command_lines())}"]
@@ -265,7 +245,7 @@ class TuneResult(Found):
     """Gains for both actuators and for speed alone. `found`: the whole tuning."""
 
     verb = "tune"
-    functions = Functions(tuned_figures, tuning_summary, tuning_page, write_tuning)
+    _functions = Functions(tuned.key_figures, tuned.summary, tuning_page, write_tuning)
     found: Tuning
 
     @property
@@ -273,16 +253,12 @@ class TuneResult(Found):
         """The controllers' values by name, "dual" and "speed_only", for export_fmu and run_loop."""
         return {name: gains_of(self.found, name) for name in self.found.tuned}
 
-    @property
-    def identity(self) -> str:
-        return self.found.task.parameters.identity
-
 
 class AllocateResult(Found):
     """The pair of speed and pitch of least power for each thrust. `found`: the whole allocation."""
 
     verb = "allocate"
-    functions = Functions(allocation_figures, allocation_summary, allocation_page, write_allocation)
+    _functions = Functions(allocation.key_figures, allocate.summary, allocation.allocation_page, allocate.write_allocation)
     found: Allocation
 
     @property
@@ -293,32 +269,23 @@ class AllocateResult(Found):
     @property
     def gains(self) -> ParameterSet:
         """The controller that rests on these pairs (mode 2), for export_fmu and run_loop."""
-        return allocated_controller(self.found, self.found.model.parameters)
-
-    @property
-    def identity(self) -> str:
-        return self.found.model.parameters.identity
+        return allocated_controller(self.found, self._parameters)
 
 
 class LearnResult(Found):
     """A learned control law beside the tuned PID. `found`: the search, and the comparison on held-out plants."""
 
     verb = "learn"
-    functions = Functions(learned_figures, learning_summary, learning_page, write_learning)
+    _functions = Functions(learning.key_figures, learn.summary, learning.learning_page, learn.write_learning)
     found: Learned
 
     def __init__(self, found: Learned, parameters: ParameterSet):
-        super().__init__(found, parameters.label)
-        self._parameters = parameters
+        super().__init__(found, parameters, parameters.label)
 
     @property
     def policy(self) -> Policy:
         """The law, for export_fmu."""
         return self.found.policy
-
-    @property
-    def identity(self) -> str:
-        return self._parameters.identity
 
 
 class SimulateResult(Result):

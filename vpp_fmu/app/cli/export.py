@@ -17,7 +17,7 @@ from identification.tune.controllers import rig_controller, said_of
 from identification.tune.profile import reach
 from vpp_fmu import __version__
 from vpp_fmu.app.cli.answer import Answer
-from vpp_fmu.app.cli.inputs import add_plant, read_gains, read_plant
+from vpp_fmu.app.cli.inputs import ADAPT, GAINS, add_plant, read_gains, read_plant
 from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.export import Experiment, native_fmu, python_fmu
@@ -42,16 +42,12 @@ FLAT = ".flat"
 
 def configure(parser):
     add_plant(parser, " (default: the paper's fine-tuned set)")
-    text = (
-        "the controller's parameters (default: the published gains, within the limits and at the pace of the parameters' rig)"
-    )
-    parser.add_argument("--gains", metavar="G", help=text)
+    parser.add_argument("--gains", metavar="G", help=GAINS)
     text = "a learned law in the controller's place: a .json or .npz of arrays (vpp_fmu/policy.py); --gains are its fallback's"
     parser.add_argument("--policy", metavar="FILE", help=text)
     text = "also the adaptive twin of the parameters' rig; I: identification.json of --parameters (default: the one beside F)"
     parser.add_argument("--twin", nargs="?", const="", metavar="I", help=text)
-    text = "the plant's parameters that the twin adapts (default: thrust gain, pitch and reading offset, the slower lags)"
-    parser.add_argument("--adapt", nargs="+", metavar="NAME", help=text)
+    parser.add_argument("--adapt", nargs="+", metavar="NAME", help=ADAPT)
     parser.add_argument("--flavour", choices=("python", "native", "both"), default="python", help="default: python")
     text = "what native FMUs run on: this machine (default), or Linux, Windows and macOS (needs the extra 'cross')"
     parser.add_argument("--platforms", choices=("host", "all"), default="host", help=text)

@@ -12,6 +12,11 @@ from vpp_fmu.own_effects import library_with
 from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, read_parameters
 from vpp_fmu.record import RecordWarning
 
+GAINS = "the controller's parameters (default: the published gains, within the limits and at the pace of the parameters' rig)"
+
+ADAPT = "the plant's parameters that the twin adapts (default: thrust gain, pitch and reading offset, the slower lags)"
+"""Help of --gains and of --adapt."""
+
 
 def add_plant(parser, more: str = "", required: bool = False) -> None:
     """The options --parameters and --effects-from; `more`: end of the help."""

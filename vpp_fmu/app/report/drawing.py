@@ -179,7 +179,6 @@ def _coordinates(values, kind: str, arrays: Arrays):
 
 
 def _mark(trace, fig: go.Figure, axes: dict, arrays: Arrays, key: str) -> dict[str, Any]:
-    """A trace as a mark."""
     names = {side: trace[f"{side}axis"] or side for side in "xy"}
     common = {
         "axes": names,
@@ -280,7 +279,6 @@ def _shape(shape, key: str) -> dict[str, Any]:
 
 
 def _entry(mark: dict) -> dict[str, Any]:
-    """A mark's entry in the legend."""
     entry = {name: mark.get(name) for name in ("key", "name", "colour", "wide", "dash", "symbol", "size", "opacity")}
     if mark["kind"] == "bar":
         return entry | {"box": True}
