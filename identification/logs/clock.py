@@ -97,7 +97,7 @@ def read_clock(table: RawTable, name: str, unit: str, runs: bool = False, run: i
     for first, end in spans:
         if np.ptp(time[first:end]) == 0.0:
             raise table.wrong(name, rows[first], f"a run of {end - first} rows at one time", "runs with increasing time")
-        increasing, unique, corrections = straightened(time[first:end], usual)
+        increasing, unique, corrections = straightened(time[first:end])
         restarts.append(sum(map(len, kept)))
         parts.append(increasing - increasing[0])
         kept.append(rows[first:end][unique])
@@ -122,8 +122,8 @@ def with_whole_stamps(table: RawTable) -> RawTable:
     return table
 
 
-def straightened(time: np.ndarray, usual: float) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """(increasing times, rows kept, corrections in words) of a clock (n,) that decreases by at most `usual` s."""
+def straightened(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """(increasing times, rows kept, corrections in words) of a clock (n,) that decreases by less than a row."""
     notes, unique = [], np.arange(len(time))
     same = np.round(np.diff(time), 9) == 0.0
     if same.mean() > COARSE:

@@ -1,8 +1,8 @@
 """Fit the map from a motor's signal to a speed command, for logs that contain the signal only."""
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import lfilter
@@ -29,9 +29,8 @@ EXPLAINED = 0.9
 """Minimum share of the speed's variance explained by a map with a lag. The residual of a real motor has a few per cent."""
 
 
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """A speed map, and its origin in words (`origin`)."""
+class Fitted(NamedTuple):
+    """A speed map, and its origin in words."""
 
     map: SpeedMap
     origin: str
@@ -92,12 +91,7 @@ def fitted_map(
     Without `voltage` the map depends on the signal only, at a nominal 1 V. BadInput if neither fit gives an increasing map.
     """
     volts = np.ones(len(time)) if voltage is None else voltage
-    turning = np.isfinite(speed) & (speed > 0.0)
-    if not turning.any():
-        raise BadInput(
-            source, "omega", "a motor that never turns", "a speed that follows the signal", "--speed-map M.json of another log"
-        )
-    nominal = float(np.median(volts[turning]))
+    nominal = float(np.median(volts[_turning(source, speed)]))
     alone = "" if voltage is not None else "; without a voltage it is of the signal alone"
     points = steady_points(time, signal, speed, volts, np.isfinite(speed), span.low)
     if len(np.unique(points.signal)) >= FEWEST:
@@ -123,14 +117,13 @@ def _lagged(source, time, signal, speed, volts, span: SignalRange, nominal: floa
     powers = np.where(on[:, None], np.vander(x, degree + 1, increasing=True), 0.0)
     step = float(np.median(np.diff(time)))
 
-    def behind(lag: float) -> tuple[float, float, np.ndarray]:
-        kept = float(np.exp(-step / lag))
-        a = powers[0] + lfilter([0.0, 1.0 - kept], [1.0, -kept], powers - powers[0], axis=0)
+    def fitted(lag: float) -> tuple[float, float, np.ndarray]:
+        a = behind(lag, step, powers)
         found = np.linalg.lstsq(a[rows], speed[rows], rcond=None)[0]
         return float(np.mean((speed[rows] - a[rows] @ found) ** 2)), lag, found
 
-    _, rough, _ = min(map(behind, LAGS))
-    mean_square, lag, found = min(map(behind, rough * np.geomspace(LAGS[0] / LAGS[1], LAGS[1] / LAGS[0], 21)))
+    _, rough, _ = min(map(fitted, LAGS))
+    mean_square, lag, found = min(map(fitted, rough * np.geomspace(LAGS[0] / LAGS[1], LAGS[1] / LAGS[0], 21)))
     share = 1.0 - mean_square / max(float(np.var(speed[rows])), 1e-12)
     coefficients = np.append(found, np.zeros(3 - degree))
     along = np.polyval(coefficients[::-1], np.linspace(x[on].min(), x[on].max(), 101))
@@ -155,12 +148,22 @@ def _lagged(source, time, signal, speed, volts, span: SignalRange, nominal: floa
 
 def averaged_map(source: str, signal: np.ndarray, speed: np.ndarray, voltage: np.ndarray | None, span: SignalRange) -> Fitted:
     """Fit the map to steady points, one per row (n,)."""
-    volts = np.ones(len(signal)) if voltage is None else voltage
-    turning = speed > 0.0
-    if not turning.any():
-        raise BadInput(
-            source, "omega", "a motor that never turns", "a speed that follows the signal", "--speed-map M.json of another log"
-        )
+    volts, turning = np.ones(len(signal)) if voltage is None else voltage, _turning(source, speed)
     points = SteadyPoints(signal[turning], volts[turning], speed[turning], float(signal[turning].min()))
     found = fit_speed_map(points, span, float(np.median(volts[turning])), Path(source).name)
     return Fitted(found, f"fitted to {len(points)} points, rms {found.rms:.3g} rpm")
+
+
+def _turning(source: str, speed: np.ndarray) -> np.ndarray:
+    """Mask (n,) of the rows in which the motor turns. BadInput if it never does."""
+    turning = np.isfinite(speed) & (speed > 0.0)
+    if not turning.any():
+        hint = "--speed-map M.json of another log"
+        raise BadInput(source, "omega", "a motor that never turns", "a speed that follows the signal", hint)
+    return turning
+
+
+def behind(lag: float, step: float, values: np.ndarray) -> np.ndarray:
+    """A first-order lag [s] of values (n, ...) in rows `step` s apart, at rest in the first row."""
+    kept = float(np.exp(-step / lag))
+    return values[0] + lfilter([0.0, 1.0 - kept], [1.0, -kept], values - values[0], axis=0)

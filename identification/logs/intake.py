@@ -8,12 +8,12 @@ import numpy as np
 
 from identification.gate.files import SPEEDS, electrical_cause, pole_pairs, speed_ratio
 from identification.logs.clock import GAP, Clock, read_clock
-from identification.logs.coefficients import Propeller, thrust_of
 from identification.logs.commands import averaged_map, fitted_map, taken_over
 from identification.logs.mapping import ROWS, Column, Plan, clock_like, in_other_unit, moving_angle, text_instead
 from identification.logs.raw_table import RawTable
 from identification.logs.speed_map import RANGES, SignalRange, SpeedMap
 from identification.logs.units import QUANTITIES, SIGNALS, factor_of, is_rate, scale_of, signal_unit
+from identification.static.static_map import DENSITY
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import QUANTITIES as RANGE
@@ -63,7 +63,15 @@ class Taken:
         return Record({n: c for n, c in self.columns.items() if n in ("time", *RANGE)}, self.source)
 
 
-def signal_range(table: RawTable, plan: Plan) -> SignalRange | None:
+@dataclass(frozen=True)
+class Propeller:
+    """`diameter` [m], None if unknown, and air `density` [kg/m^3]."""
+
+    diameter: float | None = None
+    density: float = DENSITY
+
+
+def signal_range(plan: Plan) -> SignalRange | None:
     """Range of the plan's signal, from its unit; None without a signal."""
     return RANGES[SIGNALS[signal_unit(plan.columns["signal"].unit)]] if "signal" in plan.columns else None
 
@@ -117,6 +125,30 @@ def take_in(
     taken = Taken(columns, clock, (*said, *notes), table.source, speed_map)
     _check_ranges(table, plan, taken)
     return taken
+
+
+def thrust_of(columns: Mapping[str, np.ndarray], propeller: Propeller, source: str) -> tuple[dict[str, np.ndarray], list[str]]:
+    """(columns (n,) with `thrust` [N] for the thrust coefficients `ct`, without rows of advance ratio above 0; messages).
+    BadInput without a diameter or a static row.
+
+        T = CT rho n^2 D^4   (N; n in rev/s, D the diameter in m)
+
+    This is the propeller's definition, as wind tunnels publish it, not the helicopter's by tip speed and disc area.
+    """
+    if propeller.diameter is None:
+        allowed, hint = "the rotor's diameter: T = CT rho n^2 D^4", "--diameter D in m"
+        raise BadInput(source, "ct", "thrust coefficients and no diameter", allowed, hint)
+    advance = columns.get("advance_ratio", np.zeros(len(columns["ct"])))
+    static = ~(advance > 0.0)
+    if not static.any():
+        raise BadInput(source, "advance_ratio", f"above 0 in all {len(advance)} rows", "rows at no airspeed: static points")
+    kept = {name: column[static] for name, column in columns.items() if name != "advance_ratio"}
+    turns = kept.get("omega", kept.get("omega_ref")) / 60.0
+    kept["thrust"] = kept.pop("ct") * propeller.density * turns**2 * propeller.diameter**4
+    notes = [f"thrust: CT rho n^2 D^4 with D = {propeller.diameter:g} m and rho = {propeller.density:g} kg/m^3"]
+    if not static.all():
+        notes.append(f"advance ratio: {int((~static).sum())} rows above 0 are not static, left out")
+    return kept, notes
 
 
 def values_of(table: RawTable, quantity: str, column: Column) -> np.ndarray:
@@ -307,7 +339,7 @@ def _commanded(table: RawTable, plan: Plan, columns: dict, clock: Clock | None, 
     """(columns with both commands, messages, the speed map)."""
     rows, said = len(columns["thrust"]), []
     if "signal" in columns and "omega_ref" not in columns:
-        span = signal_range(table, plan)
+        span = signal_range(plan)
         signal = columns.pop("signal")
         _check_signal(table, plan, signal, span)
         volts = _filled(columns["voltage"]) if "voltage" in columns else None

@@ -74,8 +74,7 @@ def _cut(record: Record) -> list[Record]:
 
 def _from_zero(record: Record) -> Record:
     kept = record.part(np.isfinite(record["thrust"]))
-    time = straightened(kept.time - kept.time[0], kept.period)[0]
-    return kept.with_columns(time=time)
+    return kept.with_columns(time=straightened(kept.time - kept.time[0])[0])
 
 
 def static_of(taken: Taken) -> tuple[StaticMap, list[str]]:

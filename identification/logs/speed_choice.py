@@ -5,9 +5,8 @@ the motor and its errors.
 """
 
 import numpy as np
-from scipy.signal import lfilter
 
-from identification.logs.commands import LAGS
+from identification.logs.commands import LAGS, behind
 from identification.logs.kinds import typical_hold
 from identification.logs.speed_map import UNSTEADY
 from identification.static.static_map import design
@@ -52,14 +51,9 @@ def said_of_speed(record: Record) -> list[str]:
 
 def _followed(record: Record) -> np.ndarray:
     """(n,) rpm: the command after the lag that fits the measured speed best: a motor that still accelerates is not off it."""
-    command, first = record["omega_ref"], record["omega_ref"][0]
-    seen = np.isfinite(record["omega"])
-
-    def behind(lag: float) -> np.ndarray:
-        kept = float(np.exp(-record.period / lag))
-        return first + lfilter([0.0, 1.0 - kept], [1.0, -kept], command - first)
-
-    return min((command, *map(behind, LAGS)), key=lambda speed: float(np.mean((record["omega"] - speed)[seen] ** 2)))
+    command, seen = record["omega_ref"], np.isfinite(record["omega"])
+    tried = (command, *(behind(lag, record.period, command) for lag in LAGS))
+    return min(tried, key=lambda speed: float(np.mean((record["omega"] - speed)[seen] ** 2)))
 
 
 def likelihood_gain(command: np.ndarray, omega: np.ndarray, beta: np.ndarray, thrust: np.ndarray) -> float:

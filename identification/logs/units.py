@@ -191,7 +191,6 @@ def _known(quantity: Quantity, text: str) -> pint.Quantity | None:
 
 @lru_cache(maxsize=512)
 def _parsed(text: str) -> pint.Quantity | None:
-    """A unit parsed by pint; None if it fails."""
     number, unit = re.fullmatch(r"(?s)\s*([-+]?[\d.]*(?:[eE][-+]?\d+)?)\s*(.*?)\s*", text).groups()
     text = f"{number} {_SPELLED[unit.casefold()]}".strip() if unit.casefold() in _SPELLED else text
     if len(text) > 40 or not re.search(r"[^\W\d_]|[°%]", text) or re.search(r"[\d)]\s*(\*\*|\^)", text):

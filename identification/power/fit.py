@@ -4,7 +4,7 @@ Steady points are used if they have torque or power, else the rows of the record
 plant's simulation. Acceleration takes power, too: in a record the rotor's inertia is fitted beside the map and not reported.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -209,7 +209,8 @@ def _polynomial(readings: Readings, effect: str, terms, measured: np.ndarray) ->
         rest = total - moment[at] @ np.linalg.solve(gram[np.ix_(at, at)], moment[at])
         return n * float(np.log(max(rest, 1e-15 * total))) + len(at) * float(np.log(n))
 
-    best = list(min(_subsets(len(terms)), key=bic))
+    subsets = (chosen for k in range(1, len(terms) + 1) for chosen in combinations(range(len(terms)), k))
+    best = list(min(subsets, key=bic))
     a = every[:, [*best, *always]]
     c, *_ = np.linalg.lstsq(a, measured, rcond=None)
     residual = measured - a @ c
@@ -217,10 +218,6 @@ def _polynomial(readings: Readings, effect: str, terms, measured: np.ndarray) ->
     k = len(best)
     letter = "q" if effect == TORQUE_MAP.name else "p"
     return _Map(effect, [f"{letter}{terms[i][0]}{terms[i][1]}" for i in best], c[:k], covariance[:k, :k], residual)
-
-
-def _subsets(count: int) -> Iterator[tuple[int, ...]]:
-    return (chosen for k in range(1, count + 1) for chosen in combinations(range(count), k))
 
 
 def _variance(residual: np.ndarray, count: int, in_time: bool) -> float:

@@ -204,15 +204,14 @@ class Objective:
     @cached_property
     def _paths(self) -> list[dict[str, np.ndarray]]:
         """For each of the points the response (m,) from a free channel's command to the thrust reading."""
-        model, dt, omega = self.loop.models[0], self.course.dt, self._omega
+        chain = chain_response(self.chain, self._omega, self.course.dt)
+        return [{u: chain * self.plant_path(point, u, self._omega) for u in point.channels} for point in self.points]
+
+    def plant_path(self, point: Point, channel: str, omega: np.ndarray) -> np.ndarray:
+        """The response (m,) at `omega` (m,) [rad/s] from a channel's command to the nominal plant's thrust at a point."""
+        model, dt = self.loop.models[0], self.course.dt
         values = dict(zip((p.name for p in model.parameters), self.plants[0].tolist(), strict=True))
-        chain = chain_response(self.chain, omega, dt)
-
-        def path(point: Point, channel: str) -> np.ndarray:
-            pulse = pulse_response(model, values, point.commands, channel, dt, self.time_scale)
-            return chain * plant_response(pulse, omega, dt)
-
-        return [{channel: path(point, channel) for channel in point.channels} for point in self.points]
+        return plant_response(pulse_response(model, values, point.commands, channel, dt, self.time_scale), omega, dt)
 
     def _unit_shares(self, channel: str, units: np.ndarray, of: str) -> np.ndarray:
         """Contribution to the open loop (n, points, m) by one channel, of each gain that belongs to the channel `of`; `units`:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.tune.linear import CHANNELS, chain_response, controller_response, plant_response, pulse_response
+from identification.tune.linear import CHANNELS, chain_response, controller_response
 from identification.tune.margins import Margins, frequencies, margins
 from identification.tune.objective import Objective, Point
 
@@ -49,14 +49,9 @@ def _free(objective: Objective, commands: tuple[float, float]) -> tuple[str, ...
 
 def open_loop(objective: Objective, gains: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
     """(frequencies [rad/s], open-loop response of chain, controller and nominal plant), each (n,), at an operating point."""
-    dt, model = objective.course.dt, objective.loop.models[0]
-    omega, settings = frequencies(dt, objective.time_scale), objective.with_gains(gains)
-    values = dict(zip((p.name for p in model.parameters), objective.plants[0].tolist(), strict=True))
-    paths = (
-        controller_response(settings, channel, omega)
-        * plant_response(pulse_response(model, values, point.commands, channel, dt, objective.time_scale), omega, dt)
-        for channel in point.channels
-    )
+    dt, settings = objective.course.dt, objective.with_gains(gains)
+    omega = frequencies(dt, objective.time_scale)
+    paths = (controller_response(settings, u, omega) * objective.plant_path(point, u, omega) for u in point.channels)
     return omega, chain_response(objective.chain, omega, dt) * sum(paths)
 
 

@@ -199,7 +199,6 @@ def _lowered(objective: Objective) -> Objective:
 
 
 def _nominal(objectives: Mapping[str, Objective], workers, scheduler) -> Found:
-    """Search on the nominal plant."""
     limited = {n: replace(o, points=operating_points(o, o.gains), reference=o.steps(o.gains)) for n, o in objectives.items()}
     starts = {name: [(factor * o.gains, ("PI", "D", "all")) for factor in STARTS] for name, o in objectives.items()}
     return rounds(limited, starts, None, SHAKES[0], workers, scheduler, "tuning")

@@ -13,6 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -62,18 +63,11 @@ def linearised(values: Mapping[str, float], omega: float, beta: float) -> Linear
     of_p = w * (v["c11"] + v["c21"] * w + 2.0 * v["c12"] * p)
     scale = v["thrust_scale"]
     c = np.array([[0.0, scale / v["omega_scale"] * of_w, 0.0, scale / v["beta_scale"] * of_p]])
-    thrust = scale * normalised_thrust(_Coefficients(**{name: v[name] for name in COEFFICIENTS}), w, p)
+    thrust = scale * normalised_thrust(SimpleNamespace(**{name: v[name] for name in COEFFICIENTS}), w, p)
     return Linear(a, b, c, np.zeros((1, 2)), float(thrust))
 
 
 COEFFICIENTS = tuple(p.name for p in THRUST_MAP.parameters)
-
-
-class _Coefficients:
-    """The map's coefficients as attributes."""
-
-    def __init__(self, **values: float):
-        self.__dict__.update(values)
 
 
 class Linearisable(ABC):

@@ -1,9 +1,9 @@
 """Results of the verbs: key figures to print, all numbers as a dictionary, files in a folder, and figures."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from plotly import graph_objects as go
@@ -14,37 +14,25 @@ from identification.diagnose.diagnose import Diagnosis
 from identification.identify import Identification
 from identification.plan.plan import Plan
 from identification.power.allocation import COLUMNS, Allocation, allocated_controller, table
+from identification.tune import summary as tuned
 from identification.tune.learn import Learned
-from identification.tune.summary import key_figures as tuned_figures
-from identification.tune.summary import summary as tuning_summary
 from identification.tune.tune import Tuning
 from vpp_fmu.app.api.linear import Linearisable
 from vpp_fmu.app.api.objects import PathLike
-from vpp_fmu.app.cli.allocate import summary as allocation_summary
-from vpp_fmu.app.cli.allocate import write_allocation
+from vpp_fmu.app.cli import allocate, learn
 from vpp_fmu.app.cli.check import Checked, write_check
 from vpp_fmu.app.cli.diagnose import write_diagnosis
 from vpp_fmu.app.cli.identify import write_identification
-from vpp_fmu.app.cli.learn import summary as learning_summary
-from vpp_fmu.app.cli.learn import write_learning
 from vpp_fmu.app.cli.plan import remarks_on, write_plan
 from vpp_fmu.app.cli.tune import gains_of, write_tuning
+from vpp_fmu.app.report import summary as diagnosed
 from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures.time import measured_against_predicted
 from vpp_fmu.app.report.page import Page
-from vpp_fmu.app.report.pages.allocation import allocation_page
-from vpp_fmu.app.report.pages.allocation import key_figures as allocation_figures
-from vpp_fmu.app.report.pages.diagnosis import diagnosis_page
-from vpp_fmu.app.report.pages.diagnosis import key_figures as diagnosed_figures
-from vpp_fmu.app.report.pages.identification import identification_page
-from vpp_fmu.app.report.pages.identification import key_figures as identified_figures
-from vpp_fmu.app.report.pages.learning import key_figures as learned_figures
-from vpp_fmu.app.report.pages.learning import learning_page
+from vpp_fmu.app.report.pages import allocation, diagnosis, learning, plan
+from vpp_fmu.app.report.pages import identification as identified
 from vpp_fmu.app.report.pages.loop import loop_page
-from vpp_fmu.app.report.pages.plan import key_figures as planned_figures
-from vpp_fmu.app.report.pages.plan import plan_page
 from vpp_fmu.app.report.pages.tuning import tuning_page
-from vpp_fmu.app.report.summary import summary as diagnosis_summary
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
@@ -108,6 +96,40 @@ class Result(ABC):
         return table_html(type(self).__name__, ("what", "value", "note"), self.key_figures())
 
 
+class Functions(NamedTuple):
+    """What a verb makes of its result: key figures, the content of its JSON file, the report, and the files in a folder."""
+
+    key_figures: Callable[[Any], KeyFigures]
+    summary: Callable[[Any], dict[str, Any]]
+    page: Callable[..., Page]
+    write: Callable[..., None]
+
+
+class Found(Result):
+    """A result that is `found`, described by the functions of its verb. Page and files may name the `source` of parameters."""
+
+    _functions: ClassVar[Functions]
+
+    def __init__(self, found: Any, parameters: ParameterSet, *source: str):
+        self.found, self._parameters, self._source = found, parameters, source
+
+    @property
+    def identity(self) -> str:
+        return self._parameters.identity
+
+    def key_figures(self) -> KeyFigures:
+        return self._functions.key_figures(self.found)
+
+    def to_dict(self) -> dict[str, Any]:
+        return self._functions.summary(self.found)
+
+    def page(self) -> Page:
+        return self._functions.page(self.found, *self._source)
+
+    def _write(self, folder: OutputFolder) -> None:
+        self._functions.write(folder, self.found, *self._source)
+
+
 class CheckResult(Result):
     """A campaign's files, missing data and quality problems. `found`: the whole check."""
 
@@ -147,43 +169,25 @@ class CheckResult(Result):
         write_check(folder, self.found)
 
 
-class IdentifyResult(Result, Linearisable):
+class IdentifyResult(Found, Linearisable):
     """A campaign's parameters and their uncertainty. `found`: the whole identification, with predictions and the search."""
 
     verb = "identify"
-
-    def __init__(self, found: Identification):
-        self.found = found
+    _functions = Functions(identified.key_figures, Identification.summary, identified.identification_page, write_identification)
+    found: Identification
 
     @property
     def parameters(self) -> ParameterSet:
         """Values with their standard deviations."""
-        return self.found.parameters
-
-    @property
-    def identity(self) -> str:
-        return self.parameters.identity
-
-    def key_figures(self) -> KeyFigures:
-        return identified_figures(self.found)
-
-    def to_dict(self) -> dict[str, Any]:
-        return self.found.summary()
-
-    def page(self) -> Page:
-        return identification_page(self.found)
-
-    def _write(self, folder: OutputFolder) -> None:
-        write_identification(folder, self.found)
+        return self._parameters
 
 
-class DiagnoseResult(Result, Linearisable):
+class DiagnoseResult(Found, Linearisable):
     """The effects that the model lacks, and the model with them. `found`: the whole diagnosis."""
 
     verb = "diagnose"
-
-    def __init__(self, found: Diagnosis):
-        self.found = found
+    _functions = Functions(diagnosis.key_figures, diagnosed.summary, diagnosis.diagnosis_page, write_diagnosis)
+    found: Diagnosis
 
     @property
     def verdict(self) -> str:
@@ -198,57 +202,37 @@ class DiagnoseResult(Result, Linearisable):
     @property
     def parameters(self) -> ParameterSet:
         """Parameters of the final model."""
-        return self.found.parameters(self.found.final)
+        return self._parameters
 
     @property
     def base(self) -> ParameterSet:
         """Parameters of the model without the found effects."""
         return self.found.parameters(self.found.base)
 
-    @property
-    def identity(self) -> str:
-        return self.parameters.identity
-
-    def key_figures(self) -> KeyFigures:
-        return diagnosed_figures(self.found)
-
-    def to_dict(self) -> dict[str, Any]:
-        return diagnosis_summary(self.found)
-
-    def page(self) -> Page:
-        return diagnosis_page(self.found)
-
     def _write(self, folder: OutputFolder) -> None:
-        write_diagnosis(folder, self.found)
+        super()._write(folder)
         folder.write("report.html", self.page().html())
 
 
-class PlanResult(Result):
+class PlanResult(Found):
     """The next experiment. `found`: the whole plan; `inflation`: factor by which autocorrelated residuals widen the
     present intervals."""
 
     verb = "plan"
+    _functions = Functions(plan.key_figures, Plan.summary, plan.plan_page, write_plan)
+    found: Plan
 
     def __init__(self, found: Plan, parameters: ParameterSet, inflation: float = 1.0):
-        self.found, self._parameters, self._inflation = found, parameters, inflation
+        super().__init__(found, parameters)
+        self._inflation = inflation
 
     @property
     def commands(self) -> Record:
         """`time` [s], `omega_ref` [rpm], `beta_ref` [deg], within the rig's range and slew."""
         return self.found.commands
 
-    @property
-    def identity(self) -> str:
-        return self._parameters.identity
-
-    def key_figures(self) -> KeyFigures:
-        return planned_figures(self.found)
-
-    def to_dict(self) -> dict[str, Any]:
-        return self.found.summary()
-
     def page(self) -> Page:
-        return plan_page(self.found, self._basis(), remarks_on(self.found, self._inflation), self._parameters.label)
+        return plan.plan_page(self.found, self._basis(), remarks_on(self.found, self._inflation), self._parameters.label)
 
     def _basis(self) -> list[str]:
         return [f"commands within {', '.join(self.found.rig.command_lines())}"]
@@ -257,43 +241,25 @@ class PlanResult(Result):
         write_plan(folder, self.found, self._basis(), remarks_on(self.found, self._inflation))
 
 
-class TuneResult(Result):
+class TuneResult(Found):
     """Gains for both actuators and for speed alone. `found`: the whole tuning."""
 
     verb = "tune"
-
-    def __init__(self, found: Tuning):
-        self.found = found
+    _functions = Functions(tuned.key_figures, tuned.summary, tuning_page, write_tuning)
+    found: Tuning
 
     @property
     def gains(self) -> dict[str, ParameterSet]:
         """The controllers' values by name, "dual" and "speed_only", for export_fmu and run_loop."""
         return {name: gains_of(self.found, name) for name in self.found.tuned}
 
-    @property
-    def identity(self) -> str:
-        return self.found.task.parameters.identity
 
-    def key_figures(self) -> KeyFigures:
-        return tuned_figures(self.found)
-
-    def to_dict(self) -> dict[str, Any]:
-        return tuning_summary(self.found)
-
-    def page(self) -> Page:
-        return tuning_page(self.found)
-
-    def _write(self, folder: OutputFolder) -> None:
-        write_tuning(folder, self.found)
-
-
-class AllocateResult(Result):
+class AllocateResult(Found):
     """The pair of speed and pitch of least power for each thrust. `found`: the whole allocation."""
 
     verb = "allocate"
-
-    def __init__(self, found: Allocation):
-        self.found = found
+    _functions = Functions(allocation.key_figures, allocate.summary, allocation.allocation_page, allocate.write_allocation)
+    found: Allocation
 
     @property
     def pairs(self) -> dict[str, np.ndarray]:
@@ -303,53 +269,23 @@ class AllocateResult(Result):
     @property
     def gains(self) -> ParameterSet:
         """The controller that rests on these pairs (mode 2), for export_fmu and run_loop."""
-        return allocated_controller(self.found, self.found.model.parameters)
-
-    @property
-    def identity(self) -> str:
-        return self.found.model.parameters.identity
-
-    def key_figures(self) -> KeyFigures:
-        return allocation_figures(self.found)
-
-    def to_dict(self) -> dict[str, Any]:
-        return allocation_summary(self.found)
-
-    def page(self) -> Page:
-        return allocation_page(self.found, self.found.model.parameters.label)
-
-    def _write(self, folder: OutputFolder) -> None:
-        write_allocation(folder, self.found)
+        return allocated_controller(self.found, self._parameters)
 
 
-class LearnResult(Result):
+class LearnResult(Found):
     """A learned control law beside the tuned PID. `found`: the search, and the comparison on held-out plants."""
 
     verb = "learn"
+    _functions = Functions(learning.key_figures, learn.summary, learning.learning_page, learn.write_learning)
+    found: Learned
 
     def __init__(self, found: Learned, parameters: ParameterSet):
-        self.found, self._parameters = found, parameters
+        super().__init__(found, parameters, parameters.label)
 
     @property
     def policy(self) -> Policy:
         """The law, for export_fmu."""
         return self.found.policy
-
-    @property
-    def identity(self) -> str:
-        return self._parameters.identity
-
-    def key_figures(self) -> KeyFigures:
-        return learned_figures(self.found)
-
-    def to_dict(self) -> dict[str, Any]:
-        return learning_summary(self.found)
-
-    def page(self) -> Page:
-        return learning_page(self.found, self._parameters.label)
-
-    def _write(self, folder: OutputFolder) -> None:
-        write_learning(folder, self.found, self._parameters.label)
 
 
 class SimulateResult(Result):

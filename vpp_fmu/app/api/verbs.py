@@ -89,10 +89,9 @@ def identify(
     """
     needed = ("time", "omega_ref", "beta_ref", "thrust")
     named = {name: as_record(record, needed) for name, record in (records or {}).items()}
-    found = identified(
-        *(as_campaign(campaign),), starts=starts, seed=seed, resamples=bootstrap, workers=workers, records=named, accept=accept
-    )
-    return IdentifyResult(found)
+    whole = as_campaign(campaign)
+    found = identified(whole, starts=starts, seed=seed, resamples=bootstrap, workers=workers, records=named, accept=accept)
+    return IdentifyResult(found, found.parameters)
 
 
 def diagnose(
@@ -136,7 +135,7 @@ def diagnose(
         accept=accept,
         budget=budget,
     )
-    return DiagnoseResult(found)
+    return DiagnoseResult(found, found.parameters(found.final))
 
 
 def plan(
@@ -227,7 +226,7 @@ def tune(
         lowered=own.scaled,
         effects_from=files,
     )
-    return TuneResult(tuned(task, own.settings, workers))
+    return TuneResult(tuned(task, own.settings, workers), task.parameters)
 
 
 def allocate(parameters: Any, weight: float = 0.0, points: int = 41, seed: int = 0) -> AllocateResult:
@@ -250,7 +249,7 @@ def allocate(parameters: Any, weight: float = 0.0, points: int = 41, seed: int =
     fit = getattr(getattr(parameters, "found", None), "power", None)
     file = beside(parameters_file(parameters)) if isinstance(parameters, str | os.PathLike) else None
     power = PowerModel(held, fit.names, fit.covariance) if fit else PowerModel.of(held, file)
-    return AllocateResult(allocated(held, power, weight, points, seed))
+    return AllocateResult(allocated(held, power, weight, points, seed), held)
 
 
 def learn(

@@ -7,14 +7,13 @@ import os
 from identification.power.allocation import COLUMNS, Allocation, allocate, allocated_controller, table
 from identification.power.model import PowerModel
 from vpp_fmu.app.cli.answer import Answer
+from vpp_fmu.app.cli.inputs import add_plant, read_plant
 from vpp_fmu.app.cli.options import SEED, Number, whole
-from vpp_fmu.app.cli.output import add_effects_from, add_output, dated, written
+from vpp_fmu.app.cli.output import add_output, dated, written
 from vpp_fmu.app.report.pages.allocation import allocation_page, headline, key_figures
 from vpp_fmu.files import OutputFolder
-from vpp_fmu.kernel.plant import plant
 from vpp_fmu.outputs import OutputSet
-from vpp_fmu.own_effects import library_with
-from vpp_fmu.parameters import ParameterSet, beside, parameters_file, read_parameters, to_json
+from vpp_fmu.parameters import ParameterSet, beside, to_json
 from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp allocate --parameters out/parameters.json -o pairs"
@@ -26,9 +25,7 @@ POINTS = whole(2, 1000)
 
 
 def configure(parser):
-    text = "the plant's parameters, a file or its folder, identified from a campaign with torque, power, or voltage and current"
-    parser.add_argument("--parameters", type=parameters_file, metavar="F", required=True, help=text)
-    add_effects_from(parser)
+    add_plant(parser, ", identified from a campaign with torque, power, or voltage and current", required=True)
     text = "0: least power; 1: largest reserve of thrust that pitch alone, the fast actuator, can add and remove; between: both"
     parser.add_argument("--weight", type=Number(0.0, 1.0, "1"), default=0.0, metavar="W", help=f"{text} (default: 0)")
     parser.add_argument("--points", type=POINTS, default=41, metavar="N", help="number of thrusts (default: %(default)s)")
@@ -37,8 +34,7 @@ def configure(parser):
 
 
 def run(options):
-    library = library_with(options.effects_from)
-    parameters = read_parameters(options.parameters, lambda names: plant(names, library))
+    parameters = read_plant(options)
     power = PowerModel.of(parameters, beside(options.parameters))
     found = allocate(parameters, power, options.weight, options.points, options.seed)
     folder = OutputSet(options.output, "allocate")
@@ -54,7 +50,7 @@ def write_allocation(folder: OutputFolder, found: Allocation, **came: tuple[str 
     folder.write("allocation.h", as_c(found))
     folder.write("gains.json", to_json(dated(allocated_controller(found, parameters), **came)))
     folder.write("allocation.json", as_json(summary(found)))
-    folder.write("report.html", allocation_page(found, parameters.label).html())
+    folder.write("report.html", allocation_page(found).html())
 
 
 def summary(found: Allocation) -> dict:

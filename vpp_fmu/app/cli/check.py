@@ -135,7 +135,6 @@ def _fitted(
 
 
 def _lines(found: Checked) -> list[str]:
-    """The table of files, then all findings."""
     table = [COLUMNS, *(h.row() for h in found.held)]
     widths = [max(len(row[k]) for row in table) for k in range(len(table[0]))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in table]

@@ -17,7 +17,8 @@ from identification.tune.controllers import rig_controller, said_of
 from identification.tune.profile import reach
 from vpp_fmu import __version__
 from vpp_fmu.app.cli.answer import Answer
-from vpp_fmu.app.cli.output import add_effects_from, add_output, written
+from vpp_fmu.app.cli.inputs import ADAPT, GAINS, add_plant, read_gains, read_plant
+from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.export import Experiment, native_fmu, python_fmu
 from vpp_fmu.export.archive import archive
@@ -26,12 +27,9 @@ from vpp_fmu.export.cross_check import cross_check_folder, reference_files
 from vpp_fmu.export.description import AUTHOR
 from vpp_fmu.export.toolchain import host, needs_glibc
 from vpp_fmu.export.trial import expected, step_dependence, try_fmu
-from vpp_fmu.kernel.controller import CONTROLLER
-from vpp_fmu.kernel.plant import LIBRARY, plant
-from vpp_fmu.kernel.types import Effect, Model
+from vpp_fmu.kernel.types import Model
 from vpp_fmu.outputs import OutputSet
-from vpp_fmu.own_effects import library_with
-from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, read_parameters, to_ssv
+from vpp_fmu.parameters import ParameterSet, beside, check_same_model, read_parameters, to_ssv
 from vpp_fmu.policy import read_policy
 from vpp_fmu.ssp import NAME, loop_ssp
 
@@ -43,19 +41,13 @@ FLAT = ".flat"
 
 
 def configure(parser):
-    text = "the plant's parameters, a file or its folder (default: the paper's fine-tuned set)"
-    parser.add_argument("--parameters", type=parameters_file, metavar="F", help=text)
-    add_effects_from(parser)
-    text = (
-        "the controller's parameters (default: the published gains, within the limits and at the pace of the parameters' rig)"
-    )
-    parser.add_argument("--gains", metavar="G", help=text)
+    add_plant(parser, " (default: the paper's fine-tuned set)")
+    parser.add_argument("--gains", metavar="G", help=GAINS)
     text = "a learned law in the controller's place: a .json or .npz of arrays (vpp_fmu/policy.py); --gains are its fallback's"
     parser.add_argument("--policy", metavar="FILE", help=text)
     text = "also the adaptive twin of the parameters' rig; I: identification.json of --parameters (default: the one beside F)"
     parser.add_argument("--twin", nargs="?", const="", metavar="I", help=text)
-    text = "the plant's parameters that the twin adapts (default: thrust gain, pitch and reading offset, the slower lags)"
-    parser.add_argument("--adapt", nargs="+", metavar="NAME", help=text)
+    parser.add_argument("--adapt", nargs="+", metavar="NAME", help=ADAPT)
     parser.add_argument("--flavour", choices=("python", "native", "both"), default="python", help="default: python")
     text = "what native FMUs run on: this machine (default), or Linux, Windows and macOS (needs the extra 'cross')"
     parser.add_argument("--platforms", choices=("host", "all"), default="host", help=text)
@@ -142,27 +134,16 @@ def _check(options) -> None:
 
 
 def _plant_and_controller(options) -> list[ParameterSet]:
-    library = library_with(options.effects_from)
-    model = (
-        read_parameters(options.parameters, lambda names: plant(names, library))
-        if options.parameters
-        else ParameterSet(plant())
-    )
-    given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
-    controller = rig_controller(model, given, options.gains)
+    parameters = read_plant(options)
+    controller = rig_controller(parameters, read_gains(options), options.gains)
     if options.policy:
         controller = read_policy(options.policy).in_place_of(controller)
-    return [
-        model,
-        controller,
-        *([twin_of(options, library)] if options.twin is not None else []),
-    ]
+    return [parameters, controller] + ([_twin(options, parameters)] if options.twin is not None else [])
 
 
-def twin_of(options, library: Iterable[Effect] = LIBRARY) -> ParameterSet:
-    """The adaptive twin of --parameters, with the band from the identification.json of --twin (default: the one beside the
+def _twin(options, parameters: ParameterSet) -> ParameterSet:
+    """The adaptive twin of the plant, with the band from the identification.json of --twin (default: the one beside the
     parameters). BadInput."""
-    parameters = read_parameters(options.parameters, lambda names: plant(names, library))
     known_in = options.twin or beside(options.parameters)
     band = read_band(known_in)
     check_same_model(known_in, parameters, options.parameters)

@@ -50,6 +50,7 @@ from hil.twin.band import Band, read_band
 from hil.twin.twin import Twin
 from identification.tune.controllers import rig_controller, said_of
 from vpp_fmu.app.cli.answer import Answer, Lines, say
+from vpp_fmu.app.cli.inputs import ADAPT, GAINS, read_gains
 from vpp_fmu.app.cli.options import SEED, Number, real, whole
 from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.app.cli.prompts import Prompts
@@ -58,7 +59,6 @@ from vpp_fmu.app.report.pages.rig import calibration_page, fmu_page, replay_page
 from vpp_fmu.date import now
 from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.files import OutputFolder, read_text
-from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, plant
 from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, read_parameters
 from vpp_fmu.parquet import check_parquet
@@ -124,18 +124,14 @@ def _add_measurements(parser) -> None:
 def _add_run(parser) -> None:
     add = parser.add_argument
     add("--profile", metavar="P", required=True, help="CSV with time [s], thrust_set [N]")
-    text = (
-        "the controller's parameters (default: the published gains, within the limits and at the pace of the parameters' rig)"
-    )
-    add("--gains", metavar="G", help=text)
+    add("--gains", metavar="G", help=GAINS)
     add("--controller", metavar="FMU", help="a controller FMU instead; it runs its author's code")
     add_rig(parser, fmu=True)
     text = "the plant's parameters, for --twin and for what the rig may do (default: the paper's)"
     add("--parameters", type=parameters_file, metavar="F", help=text)
     text = "run the plant's model beside the rig and tell when the rig leaves its band; I: identification.json of --parameters"
     add("--twin", nargs="?", const="", metavar="I", help=f"{text} (default: the one beside F)")
-    text = "the plant's parameters that the twin adapts (default: thrust gain, pitch and reading offset, the slower lags)"
-    add("--adapt", nargs="+", metavar="NAME", help=text)
+    add("--adapt", nargs="+", metavar="NAME", help=ADAPT)
     text = "what the twin's alarm does: tell (note), ramp down, idle at once (default: note); the exit code is 3 either way"
     add("--on-alarm", choices=tuple(ON_ALARM), default="note", metavar="WHAT", help=text)
     _add_measurements(parser)
@@ -457,7 +453,7 @@ def gains_of(options) -> ParameterSet:
     """The kernel's controller for the rig of the options; it samples once per tick, unless its file has another sample time.
     BadInput if its limits exceed the rig's."""
     parameters, file = plant_of(options), which(options, fmu=True).file
-    given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
+    given = read_gains(options)
     rig = declared_rig(file, parameters.rig) if file else None
     return rig_controller(parameters, given, options.gains, rig, tick_of(given))
 
@@ -517,7 +513,6 @@ def _begun(options, setup: Setup) -> dict:
 
 
 def _user() -> str:
-    """The user's name or number."""
     with contextlib.suppress(KeyError, OSError):  # the user's number may have no name
         return getpass.getuser()
     return str(os.getuid())

@@ -21,12 +21,11 @@ from pathlib import Path
 import numpy as np
 
 from identification.logs.clock import with_whole_stamps
-from identification.logs.coefficients import Propeller
 from identification.logs.commands import FILE as SPEED_MAP
 from identification.logs.commands import map_beside
 from identification.logs.containers import read_container
 from identification.logs.delimited import DELIMITERS, read_delimited
-from identification.logs.intake import Taken, contradictions, signal_range, take_in
+from identification.logs.intake import Propeller, Taken, contradictions, signal_range, take_in
 from identification.logs.mapping import (
     FILE,
     FORMAT,
@@ -107,7 +106,7 @@ def run(options):
         raise BadInput(
             options.log, "ct", "--diameter and no column of thrust coefficients", "a column of them", "--map ct=COLUMN"
         )
-    span = signal_range(table, plan)
+    span = signal_range(plan)
     given = read_speed_map(options.speed_map) if options.speed_map else None
     if given and span and given.signal != span:
         raise BadInput(

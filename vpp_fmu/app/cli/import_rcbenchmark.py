@@ -5,7 +5,6 @@ Quantities that the log did not measure, or measured before the row's time, are 
 """
 
 import warnings
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -44,8 +43,8 @@ def run(options):
     log = read_log(options.log)
     pitch = _pitch(options, log)
     measured = options.speed_from == "measured"
-    known = None if measured else _speed_map(options, log)
-    speed_map = known and known.map.reaching(log.steady_points().turns_from)
+    known, taken_over = (None, False) if measured else _speed_map(options, log)
+    speed_map = known and known.reaching(log.steady_points().turns_from)
     figures = findings(log, speed_map, options.keep_stalls)
     kind = options.kind or ("static" if log.averaged else "record")
     tare = log.tare()
@@ -58,10 +57,10 @@ def run(options):
     taken = Taken(columns, Clock(np.arange(len(record)), log.time, ""), (), log.source, speed_map)
     folder, said = placed(Path(options.output), kind, taken, options.replace, options.mend)
     if known:
-        folder.write(SPEED_MAP, known.map.to_json())
+        folder.write(SPEED_MAP, known.to_json())
     folder.write("import.json", as_json(figures))
     lines = [said_of_rows(figures), *said_of_averages(log, kind), *said_of_thrust(figures)]
-    lines += said_of_map(figures["speed_map"], known) if known else ["omega_ref: the measured speed"]
+    lines += said_of_map(figures["speed_map"], known, taken_over) if known else ["omega_ref: the measured speed"]
     lines += said
     return Answer(headline(folder, kind, record, options.log), figures, lines, written=written(folder))
 
@@ -79,22 +78,15 @@ def _pitch(options, log: Log) -> float:
     return 0.0
 
 
-@dataclass(frozen=True)
-class Known:
-    """A speed map, and whether it is from another log."""
-
-    map: SpeedMap
-    taken_over: bool
-
-
-def _speed_map(options, log: Log) -> Known:
-    """The given map, else the folder's, else one fitted to the log. BadInput for a map of another kind of signal."""
+def _speed_map(options, log: Log) -> tuple[SpeedMap, bool]:
+    """The given map, else the folder's, else one fitted to the log, and whether it is from another log. BadInput for a map of
+    another kind of signal."""
     beside = None if options.speed_map else map_beside(options.output, log.span, options.log)
     found = read_speed_map(options.speed_map) if options.speed_map else beside or fitted(log)
     if found.signal != log.span:
         allowed = f"a map for {log.span.kind} {log.span.low:g} to {log.span.high:g}, which is in {options.log}"
         raise BadInput(options.speed_map, "signal, kind", found.signal.kind, allowed)
-    return Known(found, bool(options.speed_map or beside))
+    return found, bool(options.speed_map or beside)
 
 
 def said_of_averages(log: Log, kind: str) -> list[str]:
@@ -157,20 +149,16 @@ def findings(log: Log, speed_map: SpeedMap | None, keep_stalls: bool) -> dict:
 def said_of_rows(figures: dict) -> str:
     """Rows and columns in words."""
     left_out = ", ".join(f"{reason} {number}" for reason, number in figures["left_out"].items()) or "none"
-    signal = figures["signal"]
+    signal, back, clock = figures["signal"], figures["clock_back"], ""
+    if back["rows"]:
+        most = f"{1e3 * back['seconds']:.3g} ms"
+        clock = f"clock: goes back in {back['rows']} rows, by {most} at most, less than a row: mended\n"
     return (
         f"rows: {figures['rows']} over {figures['seconds']:.2f} s, from {figures['start']:.6g} s of the log on; "
-        f"left out: {left_out}\n{said_of_clock(figures['clock_back'])}"
+        f"left out: {left_out}\n{clock}"
         f"ESC signal: {signal['kind']}, {signal['minimum']:g} to {signal['maximum']:g}; "
         f"speed: {figures['columns'].get('speed', 'none')}"
     )
-
-
-def said_of_clock(back: dict) -> str:
-    """A line about corrections of the clock; "" without any."""
-    if not back["rows"]:
-        return ""
-    return f"clock: goes back in {back['rows']} rows, by {1e3 * back['seconds']:.3g} ms at most, less than a row: mended\n"
 
 
 def said_of_thrust(figures: dict) -> list[str]:
@@ -198,19 +186,19 @@ def said_of_thrust(figures: dict) -> list[str]:
     return lines
 
 
-def said_of_map(figures: dict, known: Known) -> list[str]:
+def said_of_map(figures: dict, known: SpeedMap, taken_over: bool) -> list[str]:
     """Source and fit of the map, in words."""
     here = figures["here"]
     own = f"rms {figures['rms']:.0f} rpm, nominal {figures['nominal_voltage']:.2f} V"
     worst = f"at most {here['largest']:.0f} rpm at signal {here['largest_at']:g}" if here["points"] else ""
-    if not known.taken_over:
+    if not taken_over:
         return [f"speed map: fitted to {here['points']} steady parts, {own}, {worst}"]
     lines = [f"speed map: taken over from {figures['source']} (there {own})"]
     if here["points"]:
         beyond = f", {here['points_beyond']} beyond its signals left out" if here["points_beyond"] else ""
         lines.append(f"speed map here: rms {here['rms']:.0f} rpm, {worst}, on {here['points']} steady parts{beyond}")
-    if (low := figures["turns_from"]) < known.map.turns_from:
-        lines.append(f"speed map: here the rotor turns from signal {low:g} on, there from {known.map.turns_from:g}")
+    if (low := figures["turns_from"]) < known.turns_from:
+        lines.append(f"speed map: here the rotor turns from signal {low:g} on, there from {known.turns_from:g}")
     if figures["rows_beyond"]:
         lines.append(f"note: {figures['rows_beyond']} rows have a higher signal than the map was fitted to")
     return lines

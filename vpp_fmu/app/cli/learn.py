@@ -10,22 +10,18 @@ from dataclasses import replace
 import numpy as np
 from tqdm import tqdm
 
-from identification.assessment.information import read_noise
 from identification.tune.controllers import controllers
 from identification.tune.learn import Learned, learn, random_steps
 from identification.tune.profile import rig_profile
 from identification.tune.tune import Task, chain_of, tune
 from vpp_fmu.app.cli.answer import Answer
-from vpp_fmu.app.cli.knowledge import knowledge_of
+from vpp_fmu.app.cli.inputs import knowledge_of, noise_in, read_gains, read_plant
 from vpp_fmu.app.cli.options import SEED, Number, whole
 from vpp_fmu.app.cli.output import add_effects_from, add_output, written
 from vpp_fmu.app.report.pages.learning import headline, key_figures, learning_page
 from vpp_fmu.files import OutputFolder
-from vpp_fmu.kernel.controller import CONTROLLER
-from vpp_fmu.kernel.plant import plant
 from vpp_fmu.outputs import OutputSet
-from vpp_fmu.own_effects import library_with
-from vpp_fmu.parameters import ParameterSet, parameters_file, read_parameters
+from vpp_fmu.parameters import ParameterSet, parameters_file
 from vpp_fmu.policy import FILE
 from vpp_fmu.structured import as_json
 
@@ -57,16 +53,13 @@ def configure(parser):
 
 
 def run(options):
-    library = library_with(options.effects_from)
-    parameters = read_parameters(options.parameters, lambda names: plant(names, library))
-    given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
+    parameters, given = read_plant(options), read_gains(options)
     known_in, knowledge = knowledge_of(options, parameters)
-    noise = read_noise(known_in) if known_in else None
     task, settings = task_of(
         parameters,
         (given, options.gains),
         knowledge=knowledge and knowledge[0],
-        noise_std=noise[0] if noise else 0.0,
+        noise_std=noise_in(known_in),
         overshoot=options.overshoot / 100.0,
         spread=options.spread,
         seed=options.seed,

@@ -4,7 +4,7 @@ They stay within the range of the parameters' campaign, or of its rig.json."""
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,19 +13,18 @@ from identification.assessment.prediction import predict
 from identification.assessment.reading_noise import reading_noise
 from identification.plan.plan import NOISE, Plan, plan, step_of
 from vpp_fmu.app.cli.answer import Answer
-from vpp_fmu.app.cli.knowledge import knowledge_of
+from vpp_fmu.app.cli.inputs import add_plant, knowledge_of, read_plant
 from vpp_fmu.app.cli.options import SEED, Number
-from vpp_fmu.app.cli.output import add_effects_from, add_output, written
+from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.app.cli.prompts import Prompts
 from vpp_fmu.app.report.pages.plan import headline, key_figures, plan_page
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
-from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, plant
+from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.outputs import OutputSet
-from vpp_fmu.own_effects import library_with
-from vpp_fmu.parameters import ParameterSet, parameters_file, read_parameters
+from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import write_record
 from vpp_fmu.rig import DECLARED, RANGES, SLEWS, Rig, declared_rig
 from vpp_fmu.structured import as_json
@@ -55,9 +54,7 @@ def configure(parser):
     def number(name, default, text, metavar="X"):
         parser.add_argument(name, type=OPTIONS[name], metavar=metavar, help=f"{text} (default: {default})")
 
-    text = "the plant's parameters, a file or its folder"
-    parser.add_argument("--parameters", type=parameters_file, metavar="F", required=True, help=text)
-    add_effects_from(parser)
+    add_plant(parser, required=True)
     text = "identification.json of the data there are (default: the one beside --parameters; without it nothing is known)"
     parser.add_argument("--knowledge", metavar="F", help=text)
     text = "take range, sampling and noise from this campaign (default: what --parameters tells of its own)"
@@ -85,43 +82,31 @@ def configure(parser):
     add_output(parser)
 
 
-@dataclass(frozen=True)
-class Basis:
-    """Assumptions of a plan: the `rig`, the `noise` of a thrust reading [N] and its source, the `step` [s] or None."""
-
-    rig: Rig
-    noise: float
-    noise_from: str
-    step: float | None
-
-    def lines(self) -> list[str]:
-        """In words."""
-        commands = f"commands within {', '.join(self.rig.command_lines())}"
-        return [commands, f"noise of a thrust reading {self.noise:.3g} N ({self.noise_from})"]
-
-
 def run(options):
-    library = library_with(options.effects_from)
-    parameters = read_parameters(options.parameters, lambda names: plant(names, library)).without_power
+    parameters = read_plant(options).without_power
     known_in, known = knowledge_of(options, parameters)
     knowledge, inflation = known or (None, 1.0)
-    basis = _basis(options, parameters, known_in)
-    check_signal(options, parameters, basis)
+    campaign = read_campaign(options.campaign) if options.campaign else None
+    rig = _rig(options, campaign, parameters)
+    noise, noise_from = _noise(options, campaign, parameters, known_in)
+    step = _step(options, campaign, parameters, rig)
+    check_signal(options, parameters, rig, noise)
     folder = OutputSet(options.output, "plan")
     found = plan(
         parameters.model,
         parameters.values,
-        basis.rig,
+        rig,
         options.seconds,
-        basis.noise,
+        noise,
         knowledge,
         options.seed,
         omega_std=options.omega_noise,
-        step=basis.step,
+        step=step,
     )
     remarks = remarks_on(found, inflation)
-    write_plan(folder, found, basis.lines(), remarks, parameters.label)
-    lines = [*basis.lines(), *(f"note: {remark}" for remark in remarks)]
+    basis = [f"commands within {', '.join(rig.command_lines())}", f"noise of a thrust reading {noise:.3g} N ({noise_from})"]
+    write_plan(folder, found, basis, remarks, parameters.label)
+    lines = [*basis, *(f"note: {remark}" for remark in remarks)]
     return Answer(headline(found), found.summary(), lines, key_figures(found), written=written(folder, parameters))
 
 
@@ -139,28 +124,28 @@ def write_plan(
     folder.write("report.html", plan_page(found, basis, remarks, source).html())
 
 
-def check_signal(options, parameters: ParameterSet, basis: Basis) -> None:
+def check_signal(options, parameters: ParameterSet, rig: Rig, noise: float) -> None:
     """Ask for confirmation if the static thrust changes by less than one reading's noise over a range that the user named:
     such an experiment has almost no information. BadInput without a terminal."""
     if options.yes or (options.omega is None and options.pitch is None):
         return
     model, thrust = parameters.model, []
-    for omega in basis.rig.speed:
-        for beta in basis.rig.pitch:
+    for omega in rig.speed:
+        for beta in rig.pitch:
             inputs = {**model.measured_inputs, "omega_ref": omega, "beta_ref": beta}
             thrust.append(Simulation(model, parameters.values).start(inputs)["thrust"])
     change = max(thrust) - min(thrust)
-    if change >= basis.noise:
+    if change >= noise:
         return
-    found = f"a range over which the thrust changes by {change:.2g} N, less than the {basis.noise:.2g} N of noise of a reading"
+    found = f"a range over which the thrust changes by {change:.2g} N, less than the {noise:.2g} N of noise of a reading"
     option = "--omega" if options.omega is not None else "--pitch"
     if sys.stdin.isatty() and Prompts(None).choice(f"{option}: {found}; go on", ("yes", "no")) == "yes":
         return
     raise BadInput("command line", option, found, "a wider range", "--yes to go on")
 
 
-def _basis(options, parameters: ParameterSet, known_in: str | None) -> Basis:
-    campaign = read_campaign(options.campaign) if options.campaign else None
+def _rig(options, campaign: Campaign | None, parameters: ParameterSet) -> Rig:
+    """The rig of the parameters, the campaign or a rig.json, narrowed by the command line. BadInput if its range is unknown."""
     rig = parameters.rig
     if campaign is not None:
         rig = replace(campaign.rig, scales=rig.scales)  # of the map: they belong to the parameters
@@ -172,7 +157,7 @@ def _basis(options, parameters: ParameterSet, known_in: str | None) -> Basis:
         raise BadInput(
             options.parameters, f"range of {' and '.join(rig.unknown)}", "none", "a measured or declared range", hint
         )
-    return Basis(rig, *_noise(options, campaign, parameters, known_in), _step(options, campaign, parameters, rig))
+    return rig
 
 
 def _step(options, campaign: Campaign | None, parameters: ParameterSet, rig: Rig) -> float | None:

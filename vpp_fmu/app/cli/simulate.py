@@ -2,12 +2,10 @@
 
 from identification.assessment.prediction import predict
 from vpp_fmu.app.cli.answer import Answer
-from vpp_fmu.app.cli.output import add_effects_from, add_output, written
+from vpp_fmu.app.cli.inputs import add_plant, read_plant
+from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.app.report.sentences import size
-from vpp_fmu.kernel.plant import plant
 from vpp_fmu.outputs import OutputSet
-from vpp_fmu.own_effects import library_with
-from vpp_fmu.parameters import parameters_file, read_parameters
 from vpp_fmu.record import Record, read_record, write_record
 
 EXAMPLE = "vpp simulate campaigns/monday/validation.csv --parameters out/parameters.json -o out"
@@ -15,15 +13,12 @@ EXAMPLE = "vpp simulate campaigns/monday/validation.csv --parameters out/paramet
 
 def configure(parser):
     parser.add_argument("record", metavar="RECORD", help="CSV with time, omega_ref, beta_ref")
-    text = "the plant's parameters, a file or its folder"
-    parser.add_argument("--parameters", type=parameters_file, metavar="F", required=True, help=text)
-    add_effects_from(parser)
+    add_plant(parser, required=True)
     add_output(parser)
 
 
 def run(options):
-    record, library = read_record(options.record), library_with(options.effects_from)
-    parameters = read_parameters(options.parameters, lambda names: plant(names, library))
+    record, parameters = read_record(options.record), read_plant(options)
     folder = OutputSet(options.output, "simulate")
     shown = predict(parameters.model, parameters.values, record)
     columns = {name: record[name] for name in ("time", "omega_ref", "beta_ref")}

@@ -9,7 +9,6 @@ import argparse
 import os
 from collections.abc import Iterator, Mapping
 
-from identification.assessment.information import read_noise
 from identification.power.allocation import allocate, allocated_controller
 from identification.power.model import PowerModel
 from identification.tune.controllers import POWERS, controllers
@@ -19,20 +18,17 @@ from identification.tune.summary import NAMES, change_rows, headline, key_figure
 from identification.tune.tune import Task, Tuning, chain_of, tune
 from identification.tune.verdict import UNITS
 from vpp_fmu.app.cli.answer import Answer
-from vpp_fmu.app.cli.knowledge import knowledge_of
+from vpp_fmu.app.cli.inputs import add_plant, knowledge_of, noise_in, read_gains, read_plant
 from vpp_fmu.app.cli.options import SEED, WORKERS, Number, whole
-from vpp_fmu.app.cli.output import add_effects_from, add_output, dated, written
+from vpp_fmu.app.cli.output import add_output, dated, written
 from vpp_fmu.app.report.pages.tuning import tuning_page
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
-from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.effects.dual_pid import ALLOCATED, ALLOCATION
 from vpp_fmu.kernel.effects.thrust_reading import LONGEST
 from vpp_fmu.kernel.measurement import CONVERSIONS
-from vpp_fmu.kernel.plant import plant
 from vpp_fmu.outputs import OutputSet
-from vpp_fmu.own_effects import library_with
-from vpp_fmu.parameters import ParameterSet, beside, parameters_file, read_parameters, to_json
+from vpp_fmu.parameters import ParameterSet, beside, to_json
 from vpp_fmu.record import read_profile, write_record
 from vpp_fmu.rig import ASSUMED
 from vpp_fmu.structured import as_json
@@ -83,9 +79,7 @@ def configure(parser):
         shown = "" if default is None else " (default: %(default).4g)"
         parser.add_argument(f"--{name}", type=RANGES[name], default=default, metavar=metavar, help=text + shown)
 
-    text = "the plant's parameters, a file or its folder (default: the paper's fine-tuned set)"
-    parser.add_argument("--parameters", type=parameters_file, metavar="F", help=text)
-    add_effects_from(parser)
+    add_plant(parser, f" (default: {PAPERS})")
     text = "a parameter that the design assumes instead, as the paper does with tau_beta_2=0.05; may be repeated"
     parser.add_argument("--assume", action="append", default=[], metavar="NAME=VALUE", help=text)
     text = "limits, filter, sample time and first gains of the controller (default: the rig's limits, the paper's gains)"
@@ -118,9 +112,7 @@ def configure(parser):
 
 
 def run(options):
-    library = library_with(options.effects_from)
-    read = options.parameters and read_parameters(options.parameters, lambda names: plant(names, library))
-    parameters = read or ParameterSet(plant())
+    parameters = read_plant(options)
     task, starts = _task(options, parameters)
     came = {"parameters": (options.parameters or PAPERS, parameters)}
     folder = OutputSet(options.output, "tune")
@@ -168,7 +160,7 @@ def _setting(task: Task, starts) -> list[str]:
 
 
 def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping[str, float]]]:
-    given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
+    given = read_gains(options)
     assumed = dict(_assumed(text, parameters) for text in options.assume)
     known_in, knowledge = knowledge_of(options, parameters)
     parameters = parameters.replaced(assumed)
@@ -194,7 +186,7 @@ def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping
         profile=profile,
         assumed=tuple(assumed),
         chain=chain,
-        noise_std=_noise(options, known_in),
+        noise_std=noise_in(known_in) if options.noise is None else options.noise,
         alpha=options.alpha,
         overshoot=options.overshoot / 100.0,
         sensitivity=options.sensitivity,
@@ -219,14 +211,6 @@ def _starts(options, parameters: ParameterSet, settings, given: ParameterSet | N
     own = allocated_controller(allocate(parameters, power, options.objective), parameters).values
     kept = {} if given is None else {name: e.value for name, e in given.estimates.items() if name[:3] in POWERS}
     return {"allocated": {**settings["dual"], **{n: own[n] for n in (*ALLOCATION, "ki_beta")}, **kept}}
-
-
-def _noise(options, known_in: str | None) -> float:
-    """Noise [N]: from the command line, else from the identification in the file `known_in`; 0 without either."""
-    if options.noise is not None or not known_in:
-        return options.noise or 0.0
-    found = read_noise(known_in)
-    return found[0] if found else 0.0
 
 
 def _assumed(text: str, parameters: ParameterSet) -> tuple[str, float]:

@@ -18,6 +18,7 @@ from identification.tune.controllers import controllers
 from vpp_fmu.app.cli import hil
 from vpp_fmu.app.cli.answer import Answer, Lines
 from vpp_fmu.app.cli.hil import allowed_words
+from vpp_fmu.app.cli.inputs import read_gains
 from vpp_fmu.app.cli.options import WORKERS, whole
 from vpp_fmu.app.cli.output import dated, stages
 from vpp_fmu.app.day.day import BOTH, POLICIES, Day, Rig, Round, diagnosed, new_day, next_round
@@ -26,7 +27,7 @@ from vpp_fmu.app.report.sentences import change
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
-from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, read_parameters, to_json
+from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, to_json
 from vpp_fmu.policy import FILE
 from vpp_fmu.structured import as_json
 
@@ -53,7 +54,7 @@ def configure(parser):
 def run(options):
     _check_new(options.day)
     setup, parameters = hil.setup_of(options), hil.plant_of(options)
-    given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
+    given = read_gains(options)
     settings = controllers(parameters, given, hil.tick_of(given), options.gains or "gains").settings
     if "dual" not in settings:
         raise BadInput(options.parameters, "rig", "one moving channel", "speed and pitch: a day tunes both")
@@ -137,9 +138,8 @@ def said(done: Round) -> list[str]:
         became = f"diagnosed from the mission's record: {found}" if found else "the adapted model explains it"
         lines = [f"round {done.number}: alarm after {at:.0f} s, {what}; {became}"]
     if len(done.models) > 1:
-        lines.append(
-            f"  error of the thrust on a mission that nobody fitted: {_models(done)}; the model {done.chosen.name} goes on"
-        )
+        errors = ", ".join(f"{m.name} {m.unseen:.4f} N" for m in done.models)
+        lines.append(f"  error of the thrust on a mission that nobody fitted: {errors}; the model {done.chosen.name} goes on")
     else:
         lines.append(f"  error of the thrust: {done.chosen.fitted:.4f} N; the model goes on as it was")
     costs = ", ".join(f"{name} {mean(c):.4f}" for name, c in done.costs.items())
@@ -149,10 +149,6 @@ def said(done: Round) -> list[str]:
     if done.refused:
         lines.append(f"  the model refused {done.refused} of the gains that were to be tried")
     return lines
-
-
-def _models(done: Round) -> str:
-    return ", ".join(f"{m.name} {m.unseen:.4f} N" for m in done.models)
 
 
 def _write(folder: OutputFolder, own: OutputFolder, day: Day, done: Round) -> dict:

@@ -84,7 +84,7 @@ def drawing(fig: go.Figure, arrays: Arrays) -> str:
         for side in "xy":
             name = trace[f"{side}axis"] or side
             axes.setdefault(name, _axis(name, fig, {}))
-    legend = fig.layout.showlegend is not False
+    legend, margin = fig.layout.showlegend is not False, fig.layout.margin
     marks, entries = [], []
     for k, trace in enumerate(fig.data):
         mark = _mark(trace, fig, axes, arrays, f"mark {k}")
@@ -96,8 +96,8 @@ def drawing(fig: go.Figure, arrays: Arrays) -> str:
         (1000, _shape_entry(shape, drawn)) for shape, drawn in zip(fig.layout.shapes, shapes, strict=True) if shape.showlegend
     ]
     spec = {
-        "height": _plot_height(fig),
-        "panels": _panels(fig, axes),
+        "height": max(fig.layout.height - margin.t - margin.b, _LOWEST),
+        "panels": _panels(fig),
         "axes": axes,
         "marks": marks,
         "shapes": shapes,
@@ -179,7 +179,6 @@ def _coordinates(values, kind: str, arrays: Arrays):
 
 
 def _mark(trace, fig: go.Figure, axes: dict, arrays: Arrays, key: str) -> dict[str, Any]:
-    """A trace as a mark."""
     names = {side: trace[f"{side}axis"] or side for side in "xy"}
     common = {
         "axes": names,
@@ -280,7 +279,6 @@ def _shape(shape, key: str) -> dict[str, Any]:
 
 
 def _entry(mark: dict) -> dict[str, Any]:
-    """A mark's entry in the legend."""
     entry = {name: mark.get(name) for name in ("key", "name", "colour", "wide", "dash", "symbol", "size", "opacity")}
     if mark["kind"] == "bar":
         return entry | {"box": True}
@@ -294,13 +292,7 @@ def _shape_entry(shape, drawn: dict) -> dict[str, Any]:
     return entry | {"name": _words(shape.name), "wide": drawn["wide"] if drawn["line"] else 0, "box": not drawn["line"]}
 
 
-def _plot_height(fig: go.Figure) -> float:
-    margin = fig.layout.margin
-    height = (fig.layout.height or 450) - margin.t - margin.b
-    return max(height, _LOWEST)
-
-
-def _panels(fig: go.Figure, axes: dict) -> list[dict[str, Any]]:
+def _panels(fig: go.Figure) -> list[dict[str, Any]]:
     """Each pair of axes that a trace uses, with its position from the top left, in shares of the plot."""
     pairs = list(dict.fromkeys((trace.xaxis or "x", trace.yaxis or "y") for trace in fig.data))
     found = []

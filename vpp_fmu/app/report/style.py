@@ -80,12 +80,10 @@ LABELS = {
 """Axis labels of the columns of a record."""
 
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
-_INK = "#1f2933"
-_GRID = "#e8ecef"
 _AXIS = {
     "showline": True,
     "linecolor": "#9aa5b1",
-    "gridcolor": _GRID,
+    "gridcolor": "#e8ecef",
     "zeroline": False,
     "ticks": "outside",
     "ticklen": 4,
@@ -100,11 +98,9 @@ _AXIS = {
 SHOWN = ".4~r"
 """d3 format of a measured quantity under the pointer: four significant digits."""
 
-_COLOUR_BAR = {"thickness": 14, "exponentformat": "none", "title": {"font": {"size": 13}}}
-
 TEMPLATE = go.layout.Template(
     layout={
-        "font": {"family": FONT, "size": 13, "color": _INK},
+        "font": {"family": FONT, "size": 13, "color": "#1f2933"},
         "separators": ".",  # a decimal point, no thousands separator, as in the text
         "paper_bgcolor": "white",
         "plot_bgcolor": "white",
@@ -114,7 +110,7 @@ TEMPLATE = go.layout.Template(
         "hoverlabel": {"bgcolor": "rgba(255,255,255,0.94)", "bordercolor": "#9aa5b1", "font": {"size": 12}, "namelength": -1},
         "modebar": {"bgcolor": "rgba(255,255,255,0.9)", "color": "#9aa5b1", "activecolor": AFTER},
     },
-    data={kind: [{"colorbar": _COLOUR_BAR}] for kind in ("heatmap",)},
+    data={"heatmap": [{"colorbar": {"thickness": 14, "exponentformat": "none", "title": {"font": {"size": 13}}}}]},
 )
 
 

@@ -55,10 +55,10 @@ def correlation_heatmap(names: Sequence[str], matrix: np.ndarray, title: str) ->
     return _pairs(title, height, names, names, blank, (-1, 1), style.DIVERGING, "correlation [-]", **more)
 
 
-def overlap_heatmap(names: Sequence[str], matrix: np.ndarray, title: str, least: float = 0.5) -> go.Figure:
-    """Squared cosines (n, n) between the sensitivities of n effects, 0 to 1; each pair once, numbers from `least` on."""
+def overlap_heatmap(names: Sequence[str], matrix: np.ndarray, title: str) -> go.Figure:
+    """Squared cosines (n, n) between the sensitivities of n effects, 0 to 1; each pair once, numbers from 0.5 on."""
     shown = np.where(np.tril(np.ones_like(matrix), -1) > 0, matrix, np.nan)[1:, :-1]
-    texts = np.where(shown >= least, np.char.mod("%.2f", np.nan_to_num(shown)), "")
+    texts = np.where(shown >= 0.5, np.char.mod("%.2f", np.nan_to_num(shown)), "")
     height, colours = 190 + max(30 * len(names), 120), ((0.0, style.ZERO), (1.0, style.BEFORE))
     more = {"text": texts, "texttemplate": "%{text}", "hovertemplate": "%{y}, %{x}: %{z:.2f}<extra></extra>"}
     return _pairs(title, height, names[:-1], names[1:], shown, (0, 1), colours, "squared cosine [-]", **more)

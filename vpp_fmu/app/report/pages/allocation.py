@@ -36,12 +36,12 @@ def headline(found: Allocation) -> str:
     )
 
 
-def allocation_page(found: Allocation, source: str = "") -> Page:
-    """The report of an allocation; `source`: of the parameters."""
+def allocation_page(found: Allocation) -> Page:
+    """The report of an allocation."""
     goal = "the least power" if found.weight == 0.0 else f"power and reserve of thrust at a weight of {found.weight:g}"
     text = f"For each thrust the pair of speed and pitch of {goal}, within the rig's limits. Between pairs of the same thrust, "
     text += f"{found.model.kind} power differs."
-    page = Page("Speed and pitch for each thrust", text, source)
+    page = Page("Speed and pitch for each thrust", text, found.model.parameters.label)
     page.tiles(key_figures(found))
     share = f"{100.0 * abs(found.saving):.1f} %"
     verb = f"save {share} of the power" if found.saving >= 0.0 else f"take {share} more power"

@@ -54,7 +54,8 @@ def day_page(day: Day) -> Page:
     first, last = day.rounds[0], day.rounds[-1]
     began = float(np.mean(first.costs["what flew"]))
     added = [n for r in day.rounds if r.chosen.name == DIAGNOSED for n in r.named]
-    page = Page("A day of the rig", _summary(day), day.begun.label)
+    alarms = sum(r.alarm is not None for r in day.rounds)
+    page = Page("A day of the rig", f"{len(day.rounds)} rounds, {alarms} with an alarm of the twin.", day.begun.label)
     page.tiles(
         [
             ("cost on the rig, as it began", began, "eq. 21, of measured thrust"),
@@ -115,11 +116,6 @@ def day_page(day: Day) -> Page:
 
 def _error(r: Round) -> float:
     return r.chosen.fitted if np.isnan(r.chosen.unseen) else r.chosen.unseen
-
-
-def _summary(day: Day) -> str:
-    alarms = sum(r.alarm is not None for r in day.rounds)
-    return f"{len(day.rounds)} rounds, {alarms} with an alarm of the twin."
 
 
 def errors_by_round(errors: Sequence[Mapping[str, float]], chosen: Sequence[str], noise: float) -> go.Figure:

@@ -198,7 +198,6 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
 
 
 def _lack(found: Diagnosis) -> tuple[str, str, str]:
-    """Result of the tests of lack of fit."""
     lack = found.after
     note = f"p {chance(lack.p, '= ')}; the minimum size of interest is {number(lack.least, 2)} N below 10 Hz"
     return "lack of fit", f"{number(lack.size, 2)} N" if lack.certain else "not significant", note
@@ -270,7 +269,6 @@ def _add_next(page: Page, found: Diagnosis) -> None:
 
 
 def _add_effect(page: Page, found: Diagnosis) -> None:
-    """Add the effects of the final model, if there are any."""
     if found.final.effects:
         page.section("The effect" if len(found.final.effects) == 1 else "The effects")
         if found.learned:
@@ -340,7 +338,6 @@ def _add_sections(page: Page, found: Diagnosis) -> None:
 
 
 def _add_lack(page: Page, found: Diagnosis) -> None:
-    """The tests of lack of fit, before and after."""
     before, after = found.before, found.after
     old, new = before.score, after.score
     tests = [("score test on the commands and time", "-", old.gain, old.p, new.gain, new.p)]
@@ -362,7 +359,6 @@ def _add_lack(page: Page, found: Diagnosis) -> None:
 
 
 def _chance(p: float | None) -> str:
-    """p-value of a test; empty if there is none."""
     return "" if p is None else chance(p)
 
 

@@ -1,5 +1,7 @@
 """Sections on the effects of a diagnosis: their curves, their influence at rest and over time, and learned terms."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis
@@ -45,7 +47,7 @@ def add_effects(page: Page, found: Diagnosis) -> None:
     """For each effect of the final set: its curve at rest, if there is one, and its largest influence over time."""
     for effect in found.final.effects:
         on, off = _with_and_without(found.final, effect, found.shown)
-        change = on - off
+        change = {n: on[n] - off[n] for n in on}
         channel = next((n for n, (*_, least) in QUANTITIES.items() if np.max(np.abs(change[n])) > least), "thrust")
         if channel == "thrust":
             _add_thrust(page, effect, found.shown, off, change)
@@ -60,19 +62,13 @@ def around(time: np.ndarray, center: float, half: float) -> np.ndarray:
     return (time >= first) & (time <= first + 2.0 * half)
 
 
-class Outputs(dict):
+def _simulated(fit: Fit, columns, steps, late=0.0, changes=()) -> dict[str, np.ndarray]:
     """Outputs (rows,) by name."""
-
-    def __sub__(self, other):
-        return Outputs({n: self[n] - other[n] for n in self})
-
-
-def _simulated(fit: Fit, columns, steps, late=0.0, changes=()) -> Outputs:
     outputs = fit.problem.simulator.simulate({**fit.values, **dict(changes)}, columns, steps, late)
-    return Outputs(zip(OUTPUTS, outputs.T, strict=True))
+    return dict(zip(OUTPUTS, outputs.T, strict=True))
 
 
-def _with_and_without(fit: Fit, name: str, record: Record) -> tuple[Outputs, Outputs]:
+def _with_and_without(fit: Fit, name: str, record: Record) -> tuple[dict, dict]:
     effect = next(e for e in fit.problem.model.effects if e.name == name)
     off = {effect.full(n): v for n, v in effect.off.items()}
     return _simulated(fit, *record.run), _simulated(fit, *record.run, off)
@@ -103,7 +99,7 @@ def _stairs(command: np.ndarray) -> np.ndarray:
     return np.concatenate([up, up[-2::-1]])
 
 
-def at_rest(fit: Fit, record: Record, command: str, stairs: np.ndarray, held) -> Outputs:
+def at_rest(fit: Fit, record: Record, command: str, stairs: np.ndarray, held) -> dict[str, np.ndarray]:
     """Outputs (stairs,) at the end of each stair of a command, all other inputs constant."""
     rows = round(HOLD / STEP)
     n = len(stairs) * rows
@@ -111,10 +107,10 @@ def at_rest(fit: Fit, record: Record, command: str, stairs: np.ndarray, held) ->
     columns = {name: np.full(n, held.get(name, float(np.mean(record[name])))) for name in inputs if name != command}
     columns[command] = np.repeat(stairs, rows)
     outputs = _simulated(fit, columns, np.full(n - 1, STEP))
-    return Outputs({name: values[rows - 1 :: rows] for name, values in outputs.items()})
+    return {name: values[rows - 1 :: rows] for name, values in outputs.items()}
 
 
-def _add_thrust(page: Page, effect: str, record: Record, off: Outputs, change: Outputs) -> None:
+def _add_thrust(page: Page, effect: str, record: Record, off: Mapping, change: Mapping) -> None:
     rows = slice(None, None, max(1, len(record) // 2000))
     largest = float(np.max(np.abs(change["thrust"])))
     title = f"{titled(effect)}: the thrust changes by up to {number(largest, 3)} N"
@@ -124,7 +120,7 @@ def _add_thrust(page: Page, effect: str, record: Record, off: Outputs, change: O
     )
 
 
-def _add_in_time(page: Page, found: Diagnosis, effect: str, channel: str, change: Outputs) -> None:
+def _add_in_time(page: Page, found: Diagnosis, effect: str, channel: str, change: Mapping) -> None:
     record = found.shown
     at = blocks(record, 0.2)
     center = float(at.time[np.argmax(np.abs(at.mean(change[channel])))])

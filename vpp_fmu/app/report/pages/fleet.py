@@ -196,21 +196,14 @@ def fleet_page(entries: Sequence[Entry]) -> Page:
     for name, own in several.items():
         _add_size(page, name, own)
     page.section("All campaigns")
-    rows = [
-        (_linked(e), e.date, e.verdict or "refused", " + ".join(e.effects) or e.refused, *_shown(e), e.warnings)
-        for e in entries
-    ]
+    rows = []
+    for e in entries:
+        linked = e.name if e.refused else Link(e.name, quote(f"{e.name}/report.html"))
+        errors = ("" if value is None else number(value, TABLE) for value in (e.error_before, e.error_after, e.noise))
+        rows.append((linked, e.date, e.verdict or "refused", " + ".join(e.effects) or e.refused, *errors, e.warnings))
     heads = ("campaign", "date", "verdict", "effects", "before [N]", "after [N]", "noise [N]", "warnings")
     page.table(heads, rows, "One line per campaign, with the thrust error before and after; fleet.csv has the parameters, too.")
     return page
-
-
-def _linked(e: Entry) -> str:
-    return e.name if e.refused else Link(e.name, quote(f"{e.name}/report.html"))
-
-
-def _shown(e: Entry) -> tuple[str, ...]:
-    return tuple("" if value is None else number(value, TABLE) for value in (e.error_before, e.error_after, e.noise))
 
 
 def _farthest(name: str, own: Sequence[Entry]) -> str:

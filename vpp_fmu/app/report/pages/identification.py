@@ -230,7 +230,6 @@ def not_identifiable(found: Identification) -> list[str]:
 
 
 def _add_change(page: Page, found: Identification) -> None:
-    """Change of the parameters from the start to the end of the fit."""
     uncertainty = found.uncertainty
     start, (low, high) = np.array([found.start[n] for n in uncertainty.names]), uncertainty.intervals.T
     moved = _most_moved(uncertainty.names, start, uncertainty)
@@ -240,7 +239,6 @@ def _add_change(page: Page, found: Identification) -> None:
 
 
 def _add_values(page: Page, found: Identification) -> None:
-    """Each value with its uncertainty."""
     uncertainty, rows = found.uncertainty, []
     units = {p.name: p.unit for p in found.parameters.model.parameters}
     for k, name in enumerate(uncertainty.names):

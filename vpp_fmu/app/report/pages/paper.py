@@ -327,13 +327,11 @@ def _add_control(page: Page, study: Study) -> dict[str, int]:
 
 
 def _cells(merit: Merit) -> tuple:
-    """A step's figures as cells."""
     error = merit.squared_error if merit.error_std is None else f"{merit.squared_error:.4f} ± {merit.error_std:.4f}"
     return merit.settling, merit.overshoot, error
 
 
 def _published(dash: str, width: float = 2) -> dict:
-    """Style of a line with published values."""
     return {"colour": style.PUBLISHED, "width": width, "dash": dash}
 
 

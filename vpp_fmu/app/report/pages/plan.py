@@ -86,9 +86,9 @@ def _add_tables(page: Page, found: Plan) -> None:
     page.table(("parameter", "before", "paper's plan", "after"), rows, "Weakest directions, in parts of the parameters' sizes.")
 
 
-def combination(names, direction: np.ndarray, most: int = 3) -> str:
-    """A direction in words: its largest components, by decreasing size."""
-    largest = [k for k in np.argsort(-np.abs(direction))[:most] if abs(direction[k]) > 0.2]
+def combination(names, direction: np.ndarray) -> str:
+    """A direction in words: its three largest components, by decreasing size."""
+    largest = [k for k in np.argsort(-np.abs(direction))[:3] if abs(direction[k]) > 0.2]
     return " ".join(f"{direction[k]:+.2f} {words(names[k])}" for k in largest).removeprefix("+")
 
 

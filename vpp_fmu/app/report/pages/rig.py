@@ -91,7 +91,6 @@ def _add_loops(page: Page, loops: Mapping[str, Record], notes: str, limits: Mapp
 
 
 def _add_difference(page: Page, first: tuple[str, Record], second: tuple[str, Record]) -> None:
-    """Thrust of two loops and their difference."""
     (name_a, a), (name_b, b) = first, second
     between = difference(a, b)
     rms, mean = np.sqrt(np.mean(between["thrust"] ** 2)), float(between["thrust"].mean())

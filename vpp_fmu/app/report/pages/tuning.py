@@ -90,7 +90,6 @@ def _add_controller(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
 
 
 def _judged_by(found: Tuning, tuned: Tuned, which: str) -> str:
-    """The caption of a table of changes."""
     return (
         f"Each step without noise, {found.task.reference} → {which}. Worse: settles later by more than a sample, "
         f"{1e3 * tuned.objective.course.dt:.3g} ms; overshoot or ringing up to the limit of {100.0 * found.task.overshoot:g} % "
@@ -187,7 +186,6 @@ def _add_robust(page: Page, found: Tuning) -> None:
 
 
 def _add_clouds(page: Page, found: Tuning, name: str, gains: Mapping[str, str]) -> None:
-    """Responses to the first steps under each gain set."""
     tuned = found.tuned[name]
     course, found_steps = tuned.objective.course, tuned.objective.steps(tuned.gains["tuned"])[:STEPS]
     seen = [share * tuned.objective.time_scale for share in SEEN]

@@ -1,0 +1,63 @@
+"""Inputs that several verbs read: the plant's parameters, a controller's gains, and the uncertainty of the parameters."""
+
+import warnings
+
+from identification.assessment.information import read_knowledge, read_noise
+from identification.fit.problem import Prior
+from vpp_fmu.app.cli.output import add_effects_from
+from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.own_effects import library_with
+from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, read_parameters
+from vpp_fmu.record import RecordWarning
+
+GAINS = "the controller's parameters (default: the published gains, within the limits and at the pace of the parameters' rig)"
+
+ADAPT = "the plant's parameters that the twin adapts (default: thrust gain, pitch and reading offset, the slower lags)"
+"""Help of --gains and of --adapt."""
+
+
+def add_plant(parser, more: str = "", required: bool = False) -> None:
+    """The options --parameters and --effects-from; `more`: end of the help."""
+    text = f"the plant's parameters, a file or its folder{more}"
+    parser.add_argument("--parameters", type=parameters_file, metavar="F", required=required, help=text)
+    add_effects_from(parser)
+
+
+def read_plant(options) -> ParameterSet:
+    """The plant of --parameters, with the effects of --effects-from; without parameters the paper's. BadInput."""
+    library = library_with(options.effects_from)
+    if not options.parameters:
+        return ParameterSet(plant())
+    return read_parameters(options.parameters, lambda names: plant(names, library))
+
+
+def read_gains(options) -> ParameterSet | None:
+    """The controller's values of --gains, None without them. BadInput."""
+    return read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
+
+
+def knowledge_of(options, parameters: ParameterSet) -> tuple[str | None, tuple[Prior, float] | None]:
+    """(the file, from --knowledge or beside --parameters; its content by `read_knowledge`); None twice if neither exists.
+
+    BadInput for a named file that can't be read, or is of another model. Such a file that is not named is ignored with a note.
+    """
+    of = options.parameters or "the paper's fine-tuned set"
+    if options.knowledge:
+        check_same_model(options.knowledge, parameters, of)
+        return options.knowledge, read_knowledge(options.knowledge)
+    if not options.parameters or not (found := beside(options.parameters)).is_file():
+        return None, None
+    try:
+        check_same_model(found, parameters, of)
+        return str(found), read_knowledge(found)
+    except BadInput as error:
+        warnings.warn(f"not used: {' '.join(str(error).split())}", RecordWarning, stacklevel=2)
+        return None, None
+
+
+def noise_in(known_in: str | None) -> float:
+    """Noise of a thrust reading [N] from an identification.json; 0 if there is none in it. BadInput."""
+    found = read_noise(known_in) if known_in else None
+    return found[0] if found else 0.0
