@@ -238,7 +238,7 @@ class PlanResult(Found):
         return [f"commands within {', '.join(self.found.rig.command_lines())}"]
 
     def _write(self, folder: OutputFolder) -> None:
-        write_plan(folder, self.found, self._basis(), remarks_on(self.found, self._inflation))
+        write_plan(folder, self.found, self._basis(), remarks_on(self.found, self._inflation), self._parameters.label)
 
 
 class TuneResult(Found):

@@ -50,7 +50,7 @@ from hil.twin.band import Band, read_band
 from hil.twin.twin import Twin
 from identification.tune.controllers import rig_controller, said_of
 from vpp_fmu.app.cli.answer import Answer, Lines, say
-from vpp_fmu.app.cli.inputs import ADAPT, GAINS, read_gains
+from vpp_fmu.app.cli.inputs import ADAPT, GAINS, read_gains, read_plant
 from vpp_fmu.app.cli.options import SEED, Number, real, whole
 from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.app.cli.prompts import Prompts
@@ -59,8 +59,8 @@ from vpp_fmu.app.report.pages.rig import calibration_page, fmu_page, replay_page
 from vpp_fmu.date import now
 from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.files import OutputFolder, read_text
-from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, plant
-from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, read_parameters
+from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
+from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file
 from vpp_fmu.parquet import check_parquet
 from vpp_fmu.plants import COMMANDS, Controller, FmuController, KernelController, KernelPlant
 from vpp_fmu.record import Record, RecordWarning, read_profile, read_record
@@ -217,7 +217,7 @@ def _run(options) -> Answer:
     check_profile(profile, setup.limits)
     start = start_of(options.start, setup.limits, setup.allowed)
     if options.parameters:
-        setup = replace(setup, plant=plant_of(options).values)
+        setup = replace(setup, plant=read_plant(options).values)
     twin = _twin(options, setup.allowed)
     other = (Path(options.beside).name, _fmu_loop(options.beside, options, profile)[0]) if options.beside else None
     task = Task(setup, controller, profile, start, twin, other, ON_ALARM[options.on_alarm], parquet)
@@ -379,7 +379,7 @@ def allowed_of(options, turning: bool = True) -> Rig:
     of unknown range that is to turn."""
     rig, rest = which(options, fmu=True), None
     if getattr(options, "parameters", None):
-        content = plant_of(options).rig
+        content = read_plant(options).rig
         rest = None if content.unknown else content
     if rest is None and (rig.kind != "real" or not turning):
         rest = PAPERS
@@ -443,16 +443,10 @@ def _parquet(options) -> bool:
     return options.records == "parquet"
 
 
-def plant_of(options) -> ParameterSet:
-    """The plant's model with its parameters."""
-    given = getattr(options, "parameters", None)
-    return read_parameters(given, plant) if given else ParameterSet(plant())
-
-
 def gains_of(options) -> ParameterSet:
     """The kernel's controller for the rig of the options; it samples once per tick, unless its file has another sample time.
     BadInput if its limits exceed the rig's."""
-    parameters, file = plant_of(options), which(options, fmu=True).file
+    parameters, file = read_plant(options), which(options, fmu=True).file
     given = read_gains(options)
     rig = declared_rig(file, parameters.rig) if file else None
     return rig_controller(parameters, given, options.gains, rig, tick_of(given))
@@ -489,7 +483,7 @@ def _twin(options, allowed: Rig) -> tuple[Twin, Band, Adaptive] | None:
     if not options.twin and not options.parameters:
         needed = "the plant's parameters, or an identification.json for the twin's band"
         raise BadInput("command line", "--twin", "no model of the rig", needed, "--parameters F")
-    parameters = plant_of(options)
+    parameters = read_plant(options)
     source = options.twin or beside(options.parameters)
     band = read_band(source)
     if options.parameters:

@@ -26,11 +26,10 @@ def add_plant(parser, more: str = "", required: bool = False) -> None:
 
 
 def read_plant(options) -> ParameterSet:
-    """The plant of --parameters, with the effects of --effects-from; without parameters the paper's. BadInput."""
-    library = library_with(options.effects_from)
-    if not options.parameters:
-        return ParameterSet(plant())
-    return read_parameters(options.parameters, lambda names: plant(names, library))
+    """The plant of --parameters, with effects of installed packages and of --effects-from; without parameters the paper's.
+    BadInput."""
+    given, library = getattr(options, "parameters", None), library_with(getattr(options, "effects_from", ()))
+    return read_parameters(given, lambda names: plant(names, library)) if given else ParameterSet(plant())
 
 
 def read_gains(options) -> ParameterSet | None:

@@ -18,7 +18,7 @@ from identification.tune.controllers import controllers
 from vpp_fmu.app.cli import hil
 from vpp_fmu.app.cli.answer import Answer, Lines
 from vpp_fmu.app.cli.hil import allowed_words
-from vpp_fmu.app.cli.inputs import read_gains
+from vpp_fmu.app.cli.inputs import read_gains, read_plant
 from vpp_fmu.app.cli.options import WORKERS, whole
 from vpp_fmu.app.cli.output import dated, stages
 from vpp_fmu.app.day.day import BOTH, POLICIES, Day, Rig, Round, diagnosed, new_day, next_round
@@ -53,7 +53,7 @@ def configure(parser):
 
 def run(options):
     _check_new(options.day)
-    setup, parameters = hil.setup_of(options), hil.plant_of(options)
+    setup, parameters = hil.setup_of(options), read_plant(options)
     given = read_gains(options)
     settings = controllers(parameters, given, hil.tick_of(given), options.gains or "gains").settings
     if "dual" not in settings:
@@ -89,18 +89,13 @@ def _round(options, day: Day, rig: Rig, band: Band, number: int, folder: OutputF
 def headline(day: Day) -> str:
     """The day in a sentence: error and cost of its first and last round."""
     first, last = day.rounds[0], day.rounds[-1]
-    errors, costs = ([_first(each) for each in (first, last)], [mean(each.costs[each.winner]) for each in (first, last)])
+    errors, costs = ([each.chosen.error for each in (first, last)], [mean(each.costs[each.winner]) for each in (first, last)])
     alarms = sum(one.alarm is not None for one in day.rounds)
     law = "as it flew" if last.winner == "what flew" else last.winner
     return (
         f"{len(day.rounds)} rounds, {alarms} with an alarm: thrust error {change(*errors, 'N')}, cost on the rig "
         f"{change(*costs, '1')}; next: the model {last.chosen.name}, the law {law}."
     )
-
-
-def _first(done: Round) -> float:
-    """The error of a round's chosen model, N."""
-    return done.chosen.unseen if len(done.models) > 1 else done.chosen.fitted
 
 
 def _check_new(path: str) -> None:
@@ -141,7 +136,7 @@ def said(done: Round) -> list[str]:
         errors = ", ".join(f"{m.name} {m.unseen:.4f} N" for m in done.models)
         lines.append(f"  error of the thrust on a mission that nobody fitted: {errors}; the model {done.chosen.name} goes on")
     else:
-        lines.append(f"  error of the thrust: {done.chosen.fitted:.4f} N; the model goes on as it was")
+        lines.append(f"  error of the thrust: {done.chosen.error:.4f} N; the model goes on as it was")
     costs = ", ".join(f"{name} {mean(c):.4f}" for name, c in done.costs.items())
     cheapest = min(done.costs, key=lambda name: sum(done.costs[name]))
     doubt = "" if cheapest == done.winner else f", {cheapest} may be no cheaper"

@@ -68,6 +68,11 @@ class Model:
     fitted: float
     unseen: float
 
+    @property
+    def error(self) -> float:
+        """The rms error on the hold-out mission [N]; on the mission of the fit if there was no other."""
+        return self.fitted if np.isnan(self.unseen) else self.unseen
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Modelled:

@@ -6,7 +6,7 @@ from html import escape
 import numpy as np
 from plotly import graph_objects as go
 
-from vpp_fmu.app.day.day import BETTER, DIAGNOSED, TIMES, Day, Round, diagnosed
+from vpp_fmu.app.day.day import BETTER, DIAGNOSED, TIMES, Day, diagnosed
 from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import add_line, add_points, figure, thinning
 from vpp_fmu.app.report.figures.loop import adapted_parameters
@@ -60,12 +60,12 @@ def day_page(day: Day) -> Page:
         [
             ("cost on the rig, as it began", began, "eq. 21, of measured thrust"),
             ("cost of what flies now", last.cost, f"{100.0 * (last.cost / began - 1.0):+.1f} %"),
-            ("error of the model's thrust [N]", _error(last), "in the last mission"),
+            ("error of the model's thrust [N]", last.chosen.error, "in the last mission"),
             ("effects added", str(len(added)), ", ".join(added)),
         ]
     )
     page.section("The model, round by round")
-    errors = [{m.name: m.fitted if np.isnan(m.unseen) else m.unseen for m in r.models} for r in day.rounds]
+    errors = [{m.name: m.error for m in r.models} for r in day.rounds]
     noise = float(np.std(np.diff(last.mission.record["thrust"])) / np.sqrt(2.0))
     page.figure(
         errors_by_round(errors, [r.chosen.name for r in day.rounds], noise),
@@ -105,17 +105,13 @@ def day_page(day: Day) -> Page:
     page.section("The paper's framework, and what stands for its parts here")
     statements = {
         **{name: f"{np.mean(c):.4f}" for name, c in last.costs.items()},
-        "twin": f"{_error(last):.3g} N off",
+        "twin": f"{last.chosen.error:.3g} N off",
         "flies": f"{last.winner}, {last.cost:.4f}",
     }
     title = "Twin and policies teach each other; the rig's measured cost decides"
     page.diagram(framework(statements), title, f"With what each had to say in round {last.number}.")
     page.table(("Reinforcement Twinning", "here"), FRAMEWORK, "Who gives what.")
     return page
-
-
-def _error(r: Round) -> float:
-    return r.chosen.fitted if np.isnan(r.chosen.unseen) else r.chosen.unseen
 
 
 def errors_by_round(errors: Sequence[Mapping[str, float]], chosen: Sequence[str], noise: float) -> go.Figure:
