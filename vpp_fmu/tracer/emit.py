@@ -1,7 +1,7 @@
 """A traced program as text: Python (for the Python FMU, and where there is no compiler) and C."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from itertools import takewhile
 from math import isinf
 
@@ -103,20 +103,29 @@ LANES = 8
 
 def c_lanes(program: Program) -> str:
     """`step` without tangents as static C on LANES sets of values at once, with the same arithmetic. "" if runs may take
-    different steps: for a model that is sampled, or delays its inputs."""
+    different steps: for a model that is sampled, or delays its inputs.
+
+    Compilers vectorise only loops that call no function, so HEAVY operations are in loops of their own."""
     if program.model.sample_time or program.model.delays:
         return ""
     writes = tuple((target, value) for target, value in program.step if target[0] != "d")
-    lines, stores = _c_statements(writes, lambda target: f"{target[0]}[{target[1]}][k]")
+    loops, arrays = _loops(writes)
+    statements, stores = _c_statements(writes, lambda target: f"{target[0]}[{target[1]}][k]", arrays)
     head = "static inline void step_lanes(double (*restrict v)[LANES], const double (*restrict c)[LANES])"
-    loop = ["  for (int k = 0; k < LANES; k++) {\n", *(f"    {line}\n" for line in lines + stores), "  }\n"]
-    return "".join([f"\n#define LANES {LANES}\n__attribute__((always_inline)) {head} {{\n", *loop, "}\n"])
+    code = [f"\n#define LANES {LANES}\n__attribute__((always_inline)) {head} {{\n"]
+    code += [f"  double t{number}[LANES];\n" for number in sorted(n.number for n in arrays)]
+    last = max(loops.values(), default=0)
+    for loop in range(last + last % 2 + 1):
+        body = [line for n, own in statements if loops[n] == loop for line in own] + stores * (loop >= last and not loop % 2)
+        code += ["  for (int k = 0; k < LANES; k++) {\n", *(f"    {line}\n" for line in body), "  }\n"]
+    return "".join([*code, "}\n"])
 
 
 def c_function(head: str, writes: tuple[Write, ...], name: Callable) -> str:
     """A static C function that does `writes`; `name(target or leaf)` is its C expression."""
-    lines, stores = _c_statements(writes, name)
-    return "".join([f"\nstatic {head} {{\n", *(f"  {line}\n" for line in lines + stores), "}\n"])
+    statements, stores = _c_statements(writes, name)
+    lines = [line for _, own in statements for line in own] + stores
+    return "".join([f"\nstatic {head} {{\n", *(f"  {line}\n" for line in lines), "}\n"])
 
 
 HEAVY = frozenset(CALLS) - {"sqrt"}
@@ -126,8 +135,36 @@ Path = tuple[tuple[int, int], ...]
 """Place of a statement: number of a choice and its side (1 or 2), from the outermost inwards."""
 
 
-def _c_statements(writes: tuple[Write, ...], name: Callable) -> tuple[list[str], list[str]]:
-    """(nodes to compute, values to store or return)."""
+def _loops(writes: tuple[Write, ...]) -> tuple[dict[Node, int], set[Node]]:
+    """(number of the loop of each statement at the outermost place, statements whose values later loops use). The even loops
+    have no HEAVY operations; each odd loop has those that need only the loops before it. The last loop is even, and stores."""
+    order = needed(value for _, value in writes)
+    homes = _homes(order, [value for _, value in writes if isinstance(value, Node)])
+    outer = {n: n.number if not homes[n] else homes[n][0][0] for n in order}
+    heavy = {outer[n] for n in order if n.op in HEAVY}
+    ready: dict[Node, int] = {}  # the even loop from which a value can be used
+    loops: dict[Node, int] = {}
+    for n in order:
+        ready[n] = max((ready[a] for a in n.nodes), default=0)
+        if not homes[n] and n.number in heavy:
+            loops[n], ready[n] = ready[n] + 1, ready[n] + 2
+        elif not homes[n]:
+            loops[n] = ready[n]
+    last = max(loops.values(), default=0)
+    last += last % 2
+    used: dict[Node, set[int]] = {value: {last} for _, value in writes if isinstance(value, Node)}
+    at = {n.number: loop for n, loop in loops.items()}
+    for n in reversed(order):
+        for a in n.nodes:  # a comparison is computed where it is used
+            used.setdefault(a, set()).update(used[n] if n.op in COMPARE else {at[outer[n]]})
+    return loops, {n for n in loops if n.op not in COMPARE and used[n] - {loops[n]}}
+
+
+def _c_statements(
+    writes: tuple[Write, ...], name: Callable, arrays: Container[Node] = ()
+) -> tuple[list[tuple[Node, list[str]]], list[str]]:
+    """(for each node at the outermost place the lines that compute it, lines that store or return the values). `arrays`: nodes
+    whose values are elements k of an array."""
     order, form = needed(value for _, value in writes), "const double {0} = {1};"
     homes, text = _homes(order, [value for _, value in writes if isinstance(value, Node)]), {}
     inside: dict[Path, list[Node]] = {}
@@ -137,26 +174,25 @@ def _c_statements(writes: tuple[Write, ...], name: Callable) -> tuple[list[str],
     def said(value: object) -> str:
         return text[value] if isinstance(value, Node) else _number(value, form)
 
-    def block(path: Path) -> list[str]:
-        lines = []
-        for n in inside.get(path, ()):
-            if n.op in COMPARE:
-                text[n] = f"({_c_operation(n.op, [said(a) for a in n.args])})"
-                continue
-            text[n] = f"t{n.number}"
-            sides = [(*path, (n.number, side)) for side in (1, 2)]
-            if n.op == "where" and any(side in inside for side in sides):
-                lines.append(f"double {text[n]};")
-                for head, side, value in zip((f"if ({said(n.args[0])}) {{", "} else {"), sides, n.args[1:], strict=True):
-                    lines += [head, *(f"  {line}" for line in block(side)), f"  {text[n]} = {said(value)};"]
-                lines.append("}")
-            else:
-                code = _c_operation(n.op, [said(a) for a in n.args]) if n.nodes else name((n.op, *n.args))
-                lines.append(form.format(text[n], code))
-        return lines
+    def statement(n: Node) -> list[str]:
+        if n.op in COMPARE:
+            text[n] = f"({_c_operation(n.op, [said(a) for a in n.args])})"
+            return []
+        text[n] = f"t{n.number}[k]" if n in arrays else f"t{n.number}"
+        sides = [(*homes[n], (n.number, side)) for side in (1, 2)]
+        if n.op == "where" and any(side in inside for side in sides):
+            lines = [f"double {text[n]};"] * (n not in arrays)
+            for head, side, value in zip((f"if ({said(n.args[0])}) {{", "} else {"), sides, n.args[1:], strict=True):
+                lines += [head, *(f"  {line}" for line in block(side)), f"  {text[n]} = {said(value)};"]
+            return [*lines, "}"]
+        code = _c_operation(n.op, [said(a) for a in n.args]) if n.nodes else name((n.op, *n.args))
+        return [f"{text[n]} = {code};" if n in arrays else form.format(text[n], code)]
 
-    lines = block(())
-    return lines, [f"{name(t)} = {said(v)};" if t != ("result",) else f"return {said(v)};" for t, v in writes]
+    def block(path: Path) -> list[str]:
+        return [line for n in inside.get(path, ()) for line in statement(n)]
+
+    statements = [(n, statement(n)) for n in inside.get((), ())]
+    return statements, [f"{name(t)} = {said(v)};" if t != ("result",) else f"return {said(v)};" for t, v in writes]
 
 
 def _homes(order: Sequence[Node], written: Iterable[Node]) -> dict[Node, Path]:
