@@ -1,5 +1,5 @@
 /* The gradient of a weighted sum of a record's outputs, in all parameters at once: record_tape() runs the record and stores
- * the data of every step, pull_back() is the reverse sweep. Comes after the generated model, its adjoints, and schedule.c.
+ * the data of every step, pull_back() is the reverse sweep. Comes after the generated model, its adjoints, schedule.c and rows.c.
  *
  * gradient = sum over rows and outputs of cotangent x d output / d parameter. In the reverse sweep `b` holds the cotangents of
  * the present values, `g` those of the constants of prepare(). Consecutive steps of one length share these constants, so their
@@ -44,10 +44,10 @@ static void before_step(Instance *m, double dt, const double *dt_tangent) {
   r->entries++;
 }
 
-/* inputs, steps, outputs as in simulate.c; tape: room for `room` entries; taken (n): entries before each row.
+/* inputs, steps, late, outputs as in simulate.c; tape: room for `room` entries; taken (n): entries before each row.
  * Returns how many entries there are, which may be more than there was room for; or NO_MEMORY, DELAY_FULL. */
-long record_tape(const double *parameters, const double *inputs, const double *steps, long n, double *outputs, double *tape,
-                 long room, long *taken) {
+long record_tape(const double *parameters, const double *inputs, const double *steps, double late, long n, double *outputs,
+                 double *tape, long room, long *taken) {
   Recorder r = {.tape = tape, .room = room};
   Instance *m = &r.m;
   double *rings = N_DELAYED ? malloc(2 * (size_t)SLOTS * N_DELAYED_OR_1 * sizeof *rings) : NULL;
@@ -66,11 +66,7 @@ long record_tape(const double *parameters, const double *inputs, const double *s
     memcpy(outputs + row * N_OUTPUTS, m->v + N_INPUTS, N_OUTPUTS * sizeof *outputs);
     taken[row] = r.entries;
     if (row == n - 1) break;
-    memcpy(m->v, inputs + row * N_INPUTS, N_INPUTS * sizeof *inputs);
-    if (SAMPLED)
-      run_sampled(m, steps[row]);
-    else
-      done = run_held(m, steps[row]);
+    done = run_row(m, inputs + row * N_INPUTS, steps[row], row ? late : 0.0);
   }
   free(rings);
   return done ? r.entries : DELAY_FULL;

@@ -11,7 +11,7 @@ from vpp_fmu.errors import CompilerMissing, SimulationFailed
 from vpp_fmu.kernel.schedule import FULL
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native.compiler import compiled
-from vpp_fmu.native.simulator import completed, split
+from vpp_fmu.native.simulator import completed, rows_source
 from vpp_fmu.tracer import c_source, trace
 from vpp_fmu.tracer.adjoints import c_adjoints
 
@@ -39,20 +39,17 @@ class Adjoint:
         columns = np.column_stack([inputs[name] for name in self._inputs]).astype(float, order="C", copy=False)
         if len(steps) != len(columns) - 1:
             raise SimulationFailed(f"{self.model.name}: steps: found {len(steps)}, expected {len(columns) - 1}")
-        commanded = np.array([name not in self.model.measured_inputs for name in self._inputs])
-        columns, steps, rows = split(columns, np.ascontiguousarray(steps, float), commanded, late)
-        n = len(columns)
+        steps, n = np.ascontiguousarray(steps, float), len(columns)
         outputs, taken = np.empty((n, len(self.model.outputs))), np.empty(n, ctypes.c_long)
         room, entries = 0, int(self._a_row * n)
         while room < entries:
             room = entries
             tape = np.empty((room, self._entry))
-            entries = self._record(values, columns, steps, n, outputs, tape, room, taken)
+            entries = self._record(values, columns, steps, late, n, outputs, tape, room, taken)
             if entries < 0:
                 raise SimulationFailed(f"{self.model.name}: {FAILURES[entries]}")
         self._a_row = max(self._a_row, entries / n)
-        rows = np.arange(n) if rows is None else rows
-        return Tape(outputs[rows], self, values, columns, tape, taken, rows)
+        return Tape(outputs, self, values, columns, tape, taken)
 
     def gradient(self, parameters, inputs, steps, cotangents: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(outputs (rows, outputs), derivatives (wrt,) of the sum of `cotangents` (rows, outputs) times outputs)."""
@@ -70,13 +67,11 @@ class Tape:
     _inputs: np.ndarray
     _entries: np.ndarray
     _taken: np.ndarray
-    _rows: np.ndarray
 
     def pull_back(self, cotangents: np.ndarray) -> np.ndarray:
         """Derivatives (wrt,) of the sum of `cotangents` (rows, outputs) times outputs; exact to rounding."""
-        adjoint = self._adjoint
-        weights = np.zeros((len(self._inputs), self.outputs.shape[1]))
-        weights[self._rows] = cotangents
+        adjoint, weights = self._adjoint, np.empty_like(self.outputs)
+        weights[:] = cotangents
         gradient = np.empty(len(adjoint.model.parameters))
         adjoint._pull_back(self._values, self._inputs, len(weights), self._entries, self._taken, weights, gradient)
         return gradient[adjoint._chosen]
@@ -91,13 +86,13 @@ def _position(names: list[str], name: str) -> int:
 def _compiled(model: Model):
     program = trace(model)
     texts = [c_source(program), c_adjoints(program), "#define OBSERVED\n"]
-    texts += [(files("vpp_fmu.kernel") / "schedule.c").read_text(), (files("vpp_fmu.native") / "adjoint.c").read_text()]
+    texts += [rows_source(model), (files("vpp_fmu.native") / "adjoint.c").read_text()]
     try:
         library = compiled("".join(texts))
     except CompilerMissing as missing:
         raise CompilerMissing(f"{missing}: the adjoint gradient needs one") from missing
     vector, whole = np.ctypeslib.ndpointer(float, flags="C"), np.ctypeslib.ndpointer(ctypes.c_long, flags="C")
     record, back, count = library.record_tape, library.pull_back, ctypes.c_long
-    record.restype, record.argtypes = count, [vector, vector, vector, count, vector, vector, count, whole]
+    record.restype, record.argtypes = count, [vector, vector, vector, ctypes.c_double, count, vector, vector, count, whole]
     back.restype, back.argtypes = None, [vector, vector, count, vector, whole, vector, vector]
     return record, back

@@ -1,4 +1,4 @@
-/* Run a whole record with a compiled model. Comes after the generated model and schedule.c. */
+/* Run a whole record with a compiled model. Comes after the generated model, schedule.c and rows.c. */
 
 #include <stdlib.h>
 #include <string.h>
@@ -30,21 +30,18 @@ void *begin(const double *parameters, const double *first, int plain) {
   return run;
 }
 
-/* The next n rows. inputs: n rows of N_INPUTS; steps: the n lengths [s] from row to row, under the inputs of the row, of which
- * the `last` piece has one less; outputs: n rows of N_OUTPUTS, sampled at each row before its inputs act; tangents: of each
- * output n rows of N_WRT, or NULL. */
-int proceed(void *of, const double *inputs, const double *steps, long n, int last, double *outputs, double *const *tangents) {
+/* The rows from `first` to before `end` of `count`. inputs: rows of N_INPUTS; steps: the lengths [s] from row to row, under the
+ * inputs of the row, one less than rows; late: as run_row(); outputs: from `first`, rows of N_OUTPUTS, sampled at each row before
+ * its inputs act; tangents: of each output rows of N_WRT, or NULL. */
+int proceed(void *of, const double *inputs, const double *steps, double late, long first, long end, long count, double *outputs,
+            double *const *tangents) {
   Instance *m = &((Run *)of)->instance;
-  for (long row = 0; row < n; row++) {
-    memcpy(outputs + row * N_OUTPUTS, m->v + N_INPUTS, N_OUTPUTS * sizeof *outputs);
+  for (long row = first; row < end; row++) {
+    memcpy(outputs + (row - first) * N_OUTPUTS, m->v + N_INPUTS, N_OUTPUTS * sizeof *outputs);
     for (int i = 0; i < N_OUTPUTS; i++)
-      if (tangents[i]) memcpy(tangents[i] + row * N_WRT, m->d + i * N_WRT, N_WRT * sizeof *m->d);
-    if (last && row == n - 1) break;
-    memcpy(m->v, inputs + row * N_INPUTS, N_INPUTS * sizeof *inputs);
-    if (SAMPLED)
-      run_sampled(m, steps[row]);
-    else if (!run_held(m, steps[row]))
-      return DELAY_FULL;
+      if (tangents[i]) memcpy(tangents[i] + (row - first) * N_WRT, m->d + i * N_WRT, N_WRT * sizeof *m->d);
+    if (row == count - 1) break;
+    if (!run_row(m, inputs + row * N_INPUTS, steps[row], row ? late : 0.0)) return DELAY_FULL;
   }
   return DONE;
 }
@@ -63,12 +60,38 @@ void end(void *run) { free(run); }
 #define WIDEST
 #endif
 
+/* Advance LANES sets of values by `span` seconds. c, dt: prepared constants, and the step lengths that they are for; `oldest`: the
+ * first to be replaced. */
+WIDEST static void advance_lanes(double (*v)[LANES], double (*c)[N_CONSTANTS][LANES], double *dt, int *oldest, double largest,
+                                 double span) {
+  static const double no_tangent[N_DELAYED_OR_1] = {0};
+  double count = 1.0, own[N_VALUES], constants[N_CONSTANTS];
+  if (largest < INFINITY) {
+    count = ceil(span / largest - NOW);
+    if (count < 1.0) count = 1.0;
+  }
+  const double piece = span / count;
+  int at = 0;
+  while (at < PREPARED && !(dt[at] == piece)) at++;
+  if (at == PREPARED) {
+    at = *oldest;
+    *oldest = (*oldest + 1) % PREPARED;
+    dt[at] = piece;
+    for (int k = 0; k < LANES; k++) {
+      for (int i = 0; i < N_VALUES; i++) own[i] = v[i][k];
+      prepare(own, piece, no_tangent, constants);
+      for (int i = 0; i < N_CONSTANTS; i++) c[at][i][k] = constants[i];
+    }
+  }
+  for (double i = 0.0; i < count; i += 1.0) step_lanes(v, c[at]);
+}
+
 /* A whole record for LANES sets of parameters (LANES x N_PARAMETERS) side by side, as proceed() runs each. inputs, steps: of n rows.
  * outputs: N_OUTPUTS x n rows of LANES, `stride` numbers from row to row. APART: their largest steps differ, so they would take
  * different steps. */
-WIDEST int alike(const double *parameters, const double *inputs, const double *steps, long n, long stride, double *outputs) {
-  static const double no_tangent[N_DELAYED_OR_1] = {0};
-  double v[N_VALUES][LANES], c[PREPARED][N_CONSTANTS][LANES], own[N_VALUES] = {0}, constants[N_CONSTANTS], tangents[N_TANGENTS];
+WIDEST int alike(const double *parameters, const double *inputs, const double *steps, double late, long n, long stride,
+                 double *outputs) {
+  double v[N_VALUES][LANES], c[PREPARED][N_CONSTANTS][LANES], own[N_VALUES] = {0}, tangents[N_TANGENTS];
   double dt[PREPARED] = {0}, largest = INFINITY;
   int oldest = 0;
   for (int k = 0; k < LANES; k++) {
@@ -82,27 +105,20 @@ WIDEST int alike(const double *parameters, const double *inputs, const double *s
   for (long row = 0; row < n; row++) {
     for (int i = 0; i < N_OUTPUTS; i++) memcpy(outputs + (i * n + row) * stride, v[N_INPUTS + i], sizeof v[0]);
     if (row == n - 1) break;
+    const double *held = inputs + row * N_INPUTS;
+    double span = steps[row];
+    int moved = 0;
+    if (late > 0.0 && row)
+      for (int i = 0; i < N_INPUTS; i++) moved |= COMMANDED[i] && held[i] != held[i - N_INPUTS];
+    if (moved) {
+      for (int i = 0; i < N_INPUTS; i++)
+        for (int k = 0; k < LANES; k++) v[i][k] = held[COMMANDED[i] ? i - N_INPUTS : i];
+      advance_lanes(v, c, dt, &oldest, largest, late * span);
+      span *= 1.0 - late;
+    }
     for (int i = 0; i < N_INPUTS; i++)
-      for (int k = 0; k < LANES; k++) v[i][k] = inputs[row * N_INPUTS + i];
-    double count = 1.0;
-    if (largest < INFINITY) {
-      count = ceil(steps[row] / largest - NOW);
-      if (count < 1.0) count = 1.0;
-    }
-    const double piece = steps[row] / count;
-    int at = 0;
-    while (at < PREPARED && !(dt[at] == piece)) at++;
-    if (at == PREPARED) {
-      at = oldest;
-      oldest = (oldest + 1) % PREPARED;
-      dt[at] = piece;
-      for (int k = 0; k < LANES; k++) {
-        for (int i = 0; i < N_VALUES; i++) own[i] = v[i][k];
-        prepare(own, piece, no_tangent, constants);
-        for (int i = 0; i < N_CONSTANTS; i++) c[at][i][k] = constants[i];
-      }
-    }
-    for (double i = 0.0; i < count; i += 1.0) step_lanes(v, c[at]);
+      for (int k = 0; k < LANES; k++) v[i][k] = held[i];
+    advance_lanes(v, c, dt, &oldest, largest, span);
   }
   return DONE;
 }

@@ -71,14 +71,13 @@ class Simulator:
     def _side_by_side(self, points, inputs, steps, late, found: np.ndarray) -> None:
         """Fill `found` (outputs, rows, points) with the outputs of LANES points at most."""
         if self._alike is not None and len(points) > 1:
-            first, columns, seconds, rows = self._prepared(points[0], inputs, steps, late)
+            first, columns, seconds = self._prepared(points[0], inputs, steps)
             values = [first, *(np.array(list(self.model.values(point).values())) for point in points[1:])]
             values += values[-1:] * (LANES - len(points))
-            direct = rows is None and len(points) == LANES
-            outputs = found if direct else np.empty((len(self.outputs), len(columns), LANES))
-            if self._alike(np.array(values), columns, seconds, outputs):
-                if not direct:
-                    found[...] = (outputs if rows is None else outputs.take(rows, axis=1))[:, :, : len(points)]
+            outputs = found if len(points) == LANES else np.empty((len(self.outputs), len(columns), LANES))
+            if self._alike(np.array(values), columns, seconds, late, outputs):
+                if outputs is not found:
+                    found[...] = outputs[:, :, : len(points)]
                 return
         for k, point in enumerate(points):
             found[:, :, k] = self.simulate(point, inputs, steps, late).T
@@ -103,38 +102,17 @@ class Simulator:
 
     def _run_pieces(self, parameters, inputs, steps, late, outputs, tangents) -> Iterator[slice]:
         """Fill `outputs` (size, outputs) and `tangents`, by output (size, wrt), repeatedly; yields the rows in them."""
-        values, columns, steps, rows = self._prepared(parameters, inputs, steps, late)
-        size = len(outputs)
-        if rows is None:
-            yield from self._run_whole(values, columns, steps, range(size, len(columns) + size, size), outputs, tangents)
-            return
-        ends = np.append(rows[size::size], len(columns))
-        most = int(np.diff(ends, prepend=0).max())
-        shown, moved = np.empty((most, *outputs.shape[1:])), {i: np.empty((most, len(self.wrt))) for i in tangents}
-        first = 0
-        for at in self._run_whole(values, columns, steps, ends.tolist(), shown, moved):
-            own = rows[first : first + size] - at.start
-            outputs[: len(own)] = shown[own]
-            for i, part in moved.items():
-                tangents[i][: len(own)] = part[own]
-            yield slice(first, first + len(own))
-            first += len(own)
-
-    def _run_whole(self, values, columns, steps, ends, outputs, tangents) -> Iterator[slice]:
-        """The same for all rows, in pieces with these `ends`."""
-        with closing(self._run(values, columns, steps, not tangents)) as run:
+        values, columns, steps = self._prepared(parameters, inputs, steps)
+        with closing(self._run(values, columns, steps, late, not tangents)) as run:
             next(run)
-            first = 0
-            for end in ends:
-                at = slice(first, min(end, len(columns)))
+            for first in range(0, len(columns), len(outputs)):
+                at = slice(first, min(first + len(outputs), len(columns)))
                 count = at.stop - first
                 run.send((at, outputs[:count], {i: part[:count] for i, part in tangents.items()}))
                 yield at
-                first = at.stop
 
-    def _prepared(self, parameters, inputs, steps, late):
-        """(parameters, inputs (rows, inputs), steps), contiguous, in the model's order, and if rows were split for `late`
-        commands the indices of the original ones; else None."""
+    def _prepared(self, parameters, inputs, steps):
+        """Parameters, inputs (rows, inputs) and steps, contiguous, in the model's order."""
         values = np.array(list(self.model.values(parameters).values()))
         inputs = completed(self.model, inputs, steps)
         rows = {name: len(inputs[name]) for name in self._inputs}
@@ -142,27 +120,7 @@ class Simulator:
             counts = ", ".join(f"{count} rows of {name}" for name, count in rows.items())
             raise SimulationFailed(f"{self.model.name}: inputs: found {counts}, expected {len(steps) + 1} rows each")
         columns = np.column_stack([inputs[name] for name in self._inputs]).astype(float, order="C", copy=False)
-        commanded = np.array([name not in self.model.measured_inputs for name in self._inputs])
-        return values, *split(columns, np.ascontiguousarray(steps, float), commanded, late)
-
-
-def split(
-    columns: np.ndarray, steps: np.ndarray, commanded: np.ndarray, late: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """(inputs (rows + splits, inputs), steps, indices (rows,) of the original rows, or None without splits). A row in which a
-    command changes becomes two; the first takes the share `late` of its time, with the previous commands. `commanded`: mask
-    (inputs,)."""
-    if not late:
-        return columns, steps, None
-    changes = np.flatnonzero((columns[1:-1, commanded] != columns[:-2, commanded]).any(axis=1)) + 1
-    before = columns[changes]
-    before[:, commanded] = columns[changes - 1][:, commanded]
-    rows = np.arange(len(columns)) + np.searchsorted(changes, np.arange(len(columns)), side="left")
-    found = np.insert(columns, changes, before, axis=0)
-    first, rest = late * steps[changes], (1.0 - late) * steps[changes]
-    lengths = np.insert(steps, changes, first)
-    lengths[rows[changes] + 1] = rest
-    return np.ascontiguousarray(found), lengths, rows
+        return values, columns, np.ascontiguousarray(steps, float)
 
 
 def completed(model: Model, inputs: Mapping[str, np.ndarray], steps: np.ndarray) -> dict[str, np.ndarray]:
@@ -208,12 +166,24 @@ def _library_text() -> str:
     return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
+def _commanded(model: Model) -> list[bool]:
+    """Whether each input of a model is a command."""
+    return [u.name not in model.measured_inputs for u in model.inputs]
+
+
+def rows_source(model: Model) -> str:
+    """C that advances a model by rows of a record; comes after its step."""
+    flags = ", ".join(str(int(is_command)) for is_command in _commanded(model))
+    schedule, rows = files("vpp_fmu.kernel") / "schedule.c", files("vpp_fmu.native") / "rows.c"
+    return "".join([schedule.read_text(), f"static const int COMMANDED[] = {{{flags}}};\n", rows.read_text()])
+
+
 @lru_cache(maxsize=1024)
 def _runner(chain: _Chain, wrt: tuple[str, ...]):
-    """(run, alike). `run(parameters, inputs, steps, plain)`: a generator that fills each (rows, outputs, tangents) sent to it;
-    tangents: arrays (rows, wrt) by output, {} in a plain run. `alike(parameters (LANES, n), inputs, steps, outputs (outputs,
-    rows, LANES))`: fills the outputs, whose rows may be strided, and returns whether these runs take the same steps; None if
-    no runs do."""
+    """(run, alike). `run(parameters, inputs, steps, late, plain)`: a generator that fills each (rows, outputs, tangents) sent
+    to it; tangents: arrays (rows, wrt) by output, {} in a plain run. `alike(parameters (LANES, n), inputs, steps, late, outputs
+    (outputs, rows, LANES))`: fills the outputs, whose rows may be strided, and returns whether these runs take the same steps;
+    None if no runs do."""
     try:
         return _compiled(chain, wrt)
     except CompilerMissing as missing:
@@ -223,19 +193,19 @@ def _runner(chain: _Chain, wrt: tuple[str, ...]):
 
 def _compiled(chain: _Chain, wrt: tuple[str, ...]):
     def source() -> str:
-        after = files("vpp_fmu.kernel") / "schedule.c", files("vpp_fmu.native") / "simulate.c"
-        program = trace(chain.model, wrt)
-        return "".join((c_source(program), c_lanes(program), *(path.read_text() for path in after)))
+        program, last = trace(chain.model, wrt), files("vpp_fmu.native") / "simulate.c"
+        return "".join((c_source(program), c_lanes(program), rows_source(chain.model), last.read_text()))
 
     known = chain.text
     library = compiled_as(f"{known} {wrt}", source) if known else compiled(source())
     vector = np.ctypeslib.ndpointer(float, flags="C")
     library.begin.argtypes, library.begin.restype = [vector, vector, ctypes.c_int], ctypes.c_void_p
-    library.proceed.argtypes = [ctypes.c_void_p, vector, vector, ctypes.c_long, ctypes.c_int, vector, ctypes.c_void_p]
+    real, whole, address = ctypes.c_double, ctypes.c_long, ctypes.c_void_p
+    library.proceed.argtypes = [address, vector, vector, real, whole, whole, whole, vector, address]
     library.end.argtypes, library.end.restype = [ctypes.c_void_p], None
     name = chain.model.name
 
-    def run(values, inputs, steps, plain):
+    def run(values, inputs, steps, late, plain):
         begun = library.begin(values, inputs[0], plain)
         if not begun:
             raise MemoryError
@@ -244,10 +214,9 @@ def _compiled(chain: _Chain, wrt: tuple[str, ...]):
             asked = yield
             while True:
                 at, outputs, tangents = asked
-                last = at.stop == len(inputs)
                 for i, part in tangents.items():
                     places[i] = part.ctypes.data
-                if library.proceed(begun, inputs[at], steps[at], at.stop - at.start, last, outputs, places):
+                if library.proceed(begun, inputs, steps, late, at.start, at.stop, len(inputs), outputs, places):
                     raise SimulationFailed(f"{name}: {FULL}")
                 asked = yield
         finally:
@@ -255,11 +224,11 @@ def _compiled(chain: _Chain, wrt: tuple[str, ...]):
 
     if not hasattr(library, "alike"):
         return run, None
-    library.alike.argtypes = [vector, vector, vector, ctypes.c_long, ctypes.c_long, ctypes.c_void_p]
+    library.alike.argtypes = [vector, vector, vector, real, whole, whole, address]
 
-    def alike(values, inputs, steps, outputs) -> bool:
+    def alike(values, inputs, steps, late, outputs) -> bool:
         stride = outputs.strides[1] // outputs.itemsize
-        return library.alike(values, inputs, steps, len(inputs), stride, outputs.ctypes.data) == 0
+        return library.alike(values, inputs, steps, late, len(inputs), stride, outputs.ctypes.data) == 0
 
     return run, alike
 
@@ -269,8 +238,9 @@ def _interpreted(program: Program):
     n_in, n_out, width = len(layout.inputs), len(layout.outputs), len(program.wrt)
     code: dict = {}
     exec("from math import exp, expm1, sqrt, sin, cos, tanh\n" + python_source(program), code)
+    commanded = _commanded(model)
 
-    def run(values, inputs, steps, plain):
+    def run(values, inputs, steps, late, plain):
         v = [*inputs[0].tolist(), *[0.0] * n_out, *values.tolist(), *[0.0] * len(layout.states)]
         d = [0.0] * (width * len(layout.moving))
         delays = [None] * n_in
@@ -279,8 +249,7 @@ def _interpreted(program: Program):
         lines = [None if delay is None else DelayLine(u) for u, delay in zip(v, delays, strict=False)]
         largest = code["largest_step"](v)
         columns = [program.wrt.index(p) if p in program.wrt else None for _, p in model.delays]
-        still = (0.0,) * len(columns)
-        prepared = (None, None, None)
+        still, prepared = (0.0,) * len(columns), (None, None, None)
 
         def step(acting, dt, dt_tangent=still):
             nonlocal prepared
@@ -302,8 +271,18 @@ def _interpreted(program: Program):
             for i in range(columns[k], len(d), width):
                 d[i] += gained[i]
 
+        def advance(wait, held, span):
+            """The remaining time to the next sample after a time under inputs."""
+            if model.sample_time is None:
+                try:
+                    run_held(lines, delays, held, span, largest, step, nudge if width else None)
+                except DelayFull as full:
+                    raise SimulationFailed(f"{model.name}: {full}") from full
+                return wait
+            return run_sampled(wait, v[layout.index["parameter", model.sample_time]], span, lambda dt: step(held, dt))
+
         code["start"](v, d)
-        wait = 0.0
+        wait, last = 0.0, inputs[0].tolist()
         at, outputs, tangents = yield
         for row, held in enumerate(inputs.tolist()):
             if row == at.stop:
@@ -313,15 +292,10 @@ def _interpreted(program: Program):
                 part[row - at.start] = d[i * width : (i + 1) * width]
             if row == len(steps):
                 break
-            span = float(steps[row])
-            if model.sample_time is None:
-                try:
-                    run_held(lines, delays, held, span, largest, step, nudge if width else None)
-                except DelayFull as full:
-                    raise SimulationFailed(f"{model.name}: {full}") from full
-            else:
-                period = v[layout.index["parameter", model.sample_time]]
-                wait = run_sampled(wait, period, span, lambda dt, held=held: step(held, dt))
+            span, before = float(steps[row]), [b if u else now for b, now, u in zip(last, held, commanded, strict=True)]
+            if late and before != held:
+                wait, span = advance(wait, before, late * span), (1.0 - late) * span
+            wait, last = advance(wait, held, span), held
 
         yield
 
