@@ -173,7 +173,7 @@ def _commanded(model: Model) -> list[bool]:
 
 def rows_source(model: Model) -> str:
     """C that advances a model by rows of a record; comes after its step."""
-    flags = ", ".join(str(int(is_command)) for is_command in _commanded(model))
+    flags = ", ".join(str(int(is_command)) for is_command in _commanded(model)) or "0"
     schedule, rows = files("vpp_fmu.kernel") / "schedule.c", files("vpp_fmu.native") / "rows.c"
     return "".join([schedule.read_text(), f"static const int COMMANDED[] = {{{flags}}};\n", rows.read_text()])
 
