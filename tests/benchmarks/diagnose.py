@@ -61,7 +61,7 @@ def outcome(folder: Path) -> str:
 
 
 def table(campaigns: Sequence[Path], against: Path | None) -> None:
-    """A line per campaign, and the medians of each verdict."""
+    """A line per campaign, and the medians of each verdict by the number of effects."""
     print(f"{'campaign':10} {'cold s':>7} {'warm s':>7} {'CPU s':>7} {'MB':>5}{'  ratio' * bool(against)}  verdict")
     warm: dict[str, list[Cost]] = {}
     for campaign in campaigns:
@@ -77,7 +77,8 @@ def table(campaigns: Sequence[Path], against: Path | None) -> None:
                 ratio = f"{again.wall / before.wall:7.2f}"
             found = outcome(out)
             changed = f" (before: {outcome(other)})" if against and outcome(other) != found else ""
-        warm.setdefault(found.split()[0], []).append(again)
+        verdict, *effects = found.split()
+        warm.setdefault(" ".join([verdict, *([str(len(effects))] if effects else [])]), []).append(again)
         costs = f"{cold.wall:7.1f} {again.wall:7.1f} {again.cpu:7.1f} {again.memory:5.0f}"
         print(f"{campaign.name[:10]:10} {costs}{ratio}  {found}{changed}", flush=True)
     print("\nmedian, warm")
