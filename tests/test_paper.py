@@ -4,10 +4,12 @@ import re
 import numpy as np
 import pytest
 from builders import shorten_tuning
+from jsonschema import Draft202012Validator
 from studies.paper import numbers
 
 from tests.tables import stored, table, written
 from vpp_fmu.app.cli import main
+from vpp_fmu.app.cli.answer import SCHEMAS
 from vpp_fmu.app.paper.control import Merit, profile
 from vpp_fmu.app.paper.published import ASSUMED, COST_END, COST_START, FIGURES, KEY, NUMBERS, STATIC_MAP, shown
 from vpp_fmu.app.paper.rows import as_paper
@@ -221,6 +223,12 @@ def test_a_table_goes_between_its_comments_and_nowhere_else():
     assert stored("z", made) == ""
     with pytest.raises(KeyError, match="w"):
         written("w", "", page)
+
+
+def test_its_object_is_as_its_schema_describes(quick):
+    schema = Draft202012Validator(json.loads((SCHEMAS / "paper.json").read_text()))
+    schema.validate(quick.told)
+    assert not schema.is_valid(quick.told | {"another": 1})
 
 
 def test_the_verdict_is_what_the_step_tests_say(quick):
