@@ -15,6 +15,7 @@ from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator, compiler
 from vpp_fmu.native import simulator as simulators
+from vpp_fmu.native.adjoint import Adjoint
 from vpp_fmu.tracer import LANES
 
 PITCH, SPEED = "pitch_delay.delay", "test_speed_delay.delay"
@@ -54,6 +55,34 @@ def test_parallel_runs_equal_single_runs_to_the_bit(effect):
         assert found.shape == (301, len(made.outputs), len(points))
         for k, point in enumerate(points):
             np.testing.assert_array_equal(found[:, :, k], made.simulate(point, inputs, steps, late))
+
+
+@pytest.mark.parametrize("compiler", [True, False])
+def test_a_late_command_is_a_row_split_by_hand(compiler, request, recwarn):
+    """With a measured input, which acts from the beginning of its row, and a delay; in the simulation and the adjoint."""
+    model, late = plant(["supply_voltage", "pitch_delay", "pitch_backlash"]), 0.3
+    values = {PITCH: 0.0413, "pitch_backlash.half_gap": 0.3}
+    inputs = random_steps(301, 7, model=model) | {"voltage": np.random.default_rng(3).uniform(20.0, 25.0, 301)}
+    split, steps, first = {name: [] for name in inputs}, [], []
+    for row, step in enumerate([*UNEVEN[:300], None]):
+        first.append(len(steps))
+        moved = step is not None and row and any(inputs[n][row] != inputs[n][row - 1] for n in ("omega_ref", "beta_ref"))
+        for name, column in inputs.items():
+            before = column[row] if name == "voltage" else column[row - 1]
+            split[name] += [before, column[row]] if moved else [column[row]]
+        steps += [late * step, (1.0 - late) * step] if moved else [step]
+    assert len(steps) > 340
+    split = {name: np.array(column) for name, column in split.items()}
+    if not compiler:
+        request.getfixturevalue("no_compiler")
+    made = Simulator(model, ("tau_beta_1", PITCH))
+    outputs, tangents = made.sensitivities(values, split, np.array(steps[:-1]))
+    for one, other in zip(made.sensitivities(values, inputs, UNEVEN[:300], late), (outputs, tangents), strict=True):
+        np.testing.assert_array_equal(one, other[first])
+    if compiler:
+        tape, weights = Adjoint(model, made.wrt).record(values, inputs, UNEVEN[:300], late), np.ones(outputs[first].shape)
+        np.testing.assert_array_equal(tape.outputs, outputs[first])
+        np.testing.assert_allclose(tape.pull_back(weights), tangents[first].sum(axis=(0, 1)), rtol=1e-9)
 
 
 def test_every_vector_width_gives_the_same_bits(monkeypatch):

@@ -8,11 +8,11 @@ import pytest
 from builders import ALL_ON, PROBES, reference
 
 from vpp_fmu.kernel.controller import CONTROLLER
-from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.kernel.plant import BASE, plant
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.kernel.types import Effect, Model, Parameter, Signal, State
 from vpp_fmu.native import Simulator
-from vpp_fmu.tracer import c_source, python_source, trace
+from vpp_fmu.tracer import c_lanes, c_source, python_source, trace
 from vpp_fmu.tracer.graph import CALLS, COMPARE, Graph, Node
 
 FINITE = (-1e3, 1e3)
@@ -187,6 +187,17 @@ def test_step_of_the_plain_plant_has_no_exponential_left():
     for wrt in ((), ("tau_omega_1", "tau_beta_2", "c21")):
         assert "exp" not in c_body(BASE, "step", wrt)
         assert "exp" in c_body(BASE, "prepare", wrt)
+
+
+@pytest.mark.parametrize("effect", ["pitch_speed_limits", "speed_dependent_lag", "rotor_vibration"])
+def test_parallel_runs_call_functions_in_loops_of_their_own(effect):
+    """The others, every second one from the first, are vectorised; the last one stores."""
+    loops = c_lanes(trace(plant([effect]))).split("for (int k")[1:]
+    calling = [any(f" {name}(" in loop for name in CALLS if name != "sqrt") for loop in loops]
+    assert any(calling[1::2])
+    assert not any(calling[::2])
+    assert len(loops) % 2
+    assert ["v[2][k] =" in loop for loop in loops] == [False] * (len(loops) - 1) + [True]
 
 
 @pytest.mark.parametrize("model", [BASE, ALL_ON, CONTROLLER], ids=["plain", "all on", "controller"])

@@ -115,11 +115,6 @@ class SampleSize:
     relative_std: float
     settled: bool
 
-    def std_of(self, count: float) -> float:
-        """Standard deviation [N] of the mean of `count` readings: from the curve, extrapolated by the inverse square root."""
-        beyond = np.sqrt(max(1.0, count / self.m[-1]))
-        return float(np.exp(np.interp(np.log(count), np.log(self.m), np.log(self.std))) / beyond)
-
 
 def samples_needed(readings: np.ndarray, wanted_std: float) -> SampleSize:
     """Number of successive readings [N] whose mean has a standard deviation of `wanted_std` [N].

@@ -109,14 +109,13 @@ def c_lanes(program: Program) -> str:
     if program.model.sample_time or program.model.delays:
         return ""
     writes = tuple((target, value) for target, value in program.step if target[0] != "d")
-    loops, arrays = _loops(writes)
+    loops, arrays, last = _loops(writes)
     statements, stores = _c_statements(writes, lambda target: f"{target[0]}[{target[1]}][k]", arrays)
     head = "static inline void step_lanes(double (*restrict v)[LANES], const double (*restrict c)[LANES])"
     code = [f"\n#define LANES {LANES}\n__attribute__((always_inline)) {head} {{\n"]
     code += [f"  double t{number}[LANES];\n" for number in sorted(n.number for n in arrays)]
-    last = max(loops.values(), default=0)
-    for loop in range(last + last % 2 + 1):
-        body = [line for n, own in statements if loops[n] == loop for line in own] + stores * (loop >= last and not loop % 2)
+    for loop in range(last + 1):
+        body = [line for n, own in statements if loops[n] == loop for line in own] + stores * (loop == last)
         code += ["  for (int k = 0; k < LANES; k++) {\n", *(f"    {line}\n" for line in body), "  }\n"]
     return "".join([*code, "}\n"])
 
@@ -135,9 +134,9 @@ Path = tuple[tuple[int, int], ...]
 """Place of a statement: number of a choice and its side (1 or 2), from the outermost inwards."""
 
 
-def _loops(writes: tuple[Write, ...]) -> tuple[dict[Node, int], set[Node]]:
-    """(number of the loop of each statement at the outermost place, statements whose values later loops use). The even loops
-    have no HEAVY operations; each odd loop has those that need only the loops before it. The last loop is even, and stores."""
+def _loops(writes: tuple[Write, ...]) -> tuple[dict[Node, int], set[Node], int]:
+    """(number of the loop of each statement at the outermost place, statements whose values later loops use, the last loop, which
+    stores). Even loops, and so the last one, have no HEAVY operations; an odd one has those that need only the loops before it."""
     order = needed(value for _, value in writes)
     homes = _homes(order, [value for _, value in writes if isinstance(value, Node)])
     outer = {n: n.number if not homes[n] else homes[n][0][0] for n in order}
@@ -157,7 +156,7 @@ def _loops(writes: tuple[Write, ...]) -> tuple[dict[Node, int], set[Node]]:
     for n in reversed(order):
         for a in n.nodes:  # a comparison is computed where it is used
             used.setdefault(a, set()).update(used[n] if n.op in COMPARE else {at[outer[n]]})
-    return loops, {n for n in loops if n.op not in COMPARE and used[n] - {loops[n]}}
+    return loops, {n for n in loops if n.op not in COMPARE and used[n] - {loops[n]}}, last
 
 
 def _c_statements(
