@@ -1,7 +1,7 @@
 """A traced program as text: Python (for the Python FMU, and where there is no compiler) and C."""
 
 from collections import Counter
-from collections.abc import Callable, Container, Iterable, Sequence
+from collections.abc import Callable, Container, Sequence
 from itertools import takewhile
 from math import isinf
 
@@ -135,10 +135,12 @@ Path = tuple[tuple[int, int], ...]
 
 
 def _loops(writes: tuple[Write, ...]) -> tuple[dict[Node, int], set[Node], int]:
-    """(number of the loop of each statement at the outermost place, statements whose values later loops use, the last loop, which
-    stores). Even loops, and so the last one, have no HEAVY operations; an odd one has those that need only the loops before it."""
+    """(number of the loop of each statement at the outermost place, statements whose values later loops use, the last loop).
+
+    Even loops have no HEAVY operations; an odd one has those that need only the loops before it. The last is even, and stores.
+    """
     order = needed(value for _, value in writes)
-    homes = _homes(order, [value for _, value in writes if isinstance(value, Node)])
+    homes = _homes(order, writes)
     outer = {n: n.number if not homes[n] else homes[n][0][0] for n in order}
     heavy = {outer[n] for n in order if n.op in HEAVY}
     ready: dict[Node, int] = {}  # the even loop from which a value can be used
@@ -165,7 +167,7 @@ def _c_statements(
     """(for each node at the outermost place the lines that compute it, lines that store or return the values). `arrays`: nodes
     whose values are elements k of an array."""
     order, form = needed(value for _, value in writes), "const double {0} = {1};"
-    homes, text = _homes(order, [value for _, value in writes if isinstance(value, Node)]), {}
+    homes, text = _homes(order, writes), {}
     inside: dict[Path, list[Node]] = {}
     for n in order:
         inside.setdefault(homes[n], []).append(n)
@@ -194,9 +196,9 @@ def _c_statements(
     return statements, [f"{name(t)} = {said(v)};" if t != ("result",) else f"return {said(v)};" for t, v in writes]
 
 
-def _homes(order: Sequence[Node], written: Iterable[Node]) -> dict[Node, Path]:
+def _homes(order: Sequence[Node], writes: tuple[Write, ...]) -> dict[Node, Path]:
     """For each node the innermost place that is visible to all its users; choices without HEAVY operations have no place."""
-    homes: dict[Node, Path] = dict.fromkeys(written, ())
+    homes: dict[Node, Path] = {value: () for _, value in writes if isinstance(value, Node)}
     for n in reversed(order):  # all users of a node come later
         for k, a in enumerate(n.args):
             if isinstance(a, Node):
