@@ -358,6 +358,28 @@ def _texts() -> list[Format]:
             ),
             rest=1e-6,
         ),
+        Format(
+            "thousands with a point, in whole numbers",
+            text(
+                PLAIN | {"time": "time_ms"},
+                delimiter=";",
+                decimal=",",
+                cells={n: lambda v, k=k: f"{k * v:,.0f}".replace(",", ".") for n, k in (("time", 1e3), ("omega_ref", 1.0))},
+            ),
+            said=("decimal comma",),
+        ),
+        Format("Fortran's exponents", text(cells={n: lambda v: f"{v:.9E}".replace("E", "D") for n in UNITS})),
+        Format("a row too long", text(lines=_without(100, "1,2,3,4,5,6,7,8")), said=("damaged (line 102)",)),
+        Format("a row too short, CRLF", text(lines=_without(100, "0.99,2900"), end="\r\n"), said=("damaged (line 102)",)),
+        Format(
+            "a bad byte in a number",
+            text(lines=_without(100, "0.99,29\xb20,1,2900,3,22"), encoding="cp1252"),
+            said=("damaged (line 102)",),
+        ),
+        Format("two marks in a number", text(lines=_without(100, "0.99,29.0.1,1,2900,3,22")), said=("damaged (line 102)",)),
+        Format(
+            "power-up garbage before the names", text(mark=b"\xf8\xff\0\x9612.5,3.1\n3,4100.0\n"), said=("damaged (line 1)",)
+        ),
         Format('"1,234.56"', text(quote=True, cells={n: lambda v: f"{v:,.6f}" for n in ("omega", "omega_ref")}), rest=1e-6),
         Format("1'234.56", text(cells={"omega": lambda v: f"{v:,.6f}".replace(",", "'")}), rest=1e-6),
         Format(
@@ -507,7 +529,12 @@ def _refused() -> list[Format]:
         Format(
             "a word among numbers", text(cells={"thrust": lambda v: "overload" if v > 10.0 else f"{v:.5f}"}), refused="overload"
         ),
-        Format("a row too long", text(lines=_without(100, "1,2,3,4,5,6,7,8")), refused="8 cells"),
+        Format("many rows too long", text(lines=lambda rows: [*rows, *["1,2,3,4,5,6,7,8"] * 6]), refused="at most 1 % damaged"),
+        Format(
+            "the names again in another order",
+            text(PLAIN, lines=_without(100, ",".join(reversed(PLAIN)))),
+            refused="line 102: found the names again",
+        ),
         Format("bytes", raw(bytes(range(256)) * 20), refused="no text"),
         Format("empty", raw(b""), refused="comments"),
         Format("prose", raw(b"On the first day the rotor broke.\nOn the second day too.\n"), file="log.txt", refused="line"),

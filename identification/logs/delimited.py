@@ -5,6 +5,7 @@ are required.
 """
 
 import codecs
+import contextlib
 import csv
 import os
 import re
@@ -38,9 +39,14 @@ _LOOK = 400
 _HEAD = 40
 """Lines after the first row of numbers in which names may still come."""
 
+DAMAGED = 0.01
+"""Maximum share of damaged lines, which are left out."""
+
 _NUMBER = re.compile(r"[+-]?(\d[\d'\u2019\xa0\u202f.,]*|[.,]\d+)([eEdD][+-]?\d+)?")
 _TIME = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}([T ].*)?|(\d+ days? )?\d{1,2}:\d{2}(:\d{2})?([.,]\d+)?(\s*[AaPp][Mm])?")
 _BOTH = re.compile(r"[+-]?\d{1,3}(?:([.,])\d{3})+([.,])\d*")
+_MACHINE = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(E[+-]?\d+)?", re.IGNORECASE)
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}(\1\d{3})*")
 
 
 def read_delimited(path: str | os.PathLike, given: Mapping[str, str]) -> RawTable:
@@ -50,7 +56,8 @@ def read_delimited(path: str | os.PathLike, given: Mapping[str, str]) -> RawTabl
         (i, line) for i, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), 1) if line.strip()
     ]
     declared = numbered and re.fullmatch(r"sep=(.)", numbered[0][1].strip())
-    lines = numbered[1:] if declared else numbered
+    damaged = [i for i, line in numbered if "\0" in line]
+    lines = [(i, line) for i, line in numbered[1 if declared else 0 :] if "\0" not in line]
     notes = [(i, line) for i, line in lines if line.lstrip().startswith(COMMENTS)]
     body = [(i, line) for i, line in lines if not line.lstrip().startswith(COMMENTS)]
     if not body:
@@ -72,7 +79,8 @@ def read_delimited(path: str | os.PathLike, given: Mapping[str, str]) -> RawTabl
         for (_, row), stamp in zip(rows, stamps, strict=False):
             row.append(stamp[1] if stamp and any(map(_is_value, row)) else "monitor")
         width = _width(path, rows)
-        head, data, dropped = _parts(path, rows, width, delimiter)
+        head, data, dropped, others = _parts(path, rows, width, delimiter)
+        damaged += others
         if not head and (commented := _commented_head(notes, data[0][0], delimiter, width)):
             head = commented
             notes = notes[: -len(commented)]
@@ -85,16 +93,21 @@ def read_delimited(path: str | os.PathLike, given: Mapping[str, str]) -> RawTabl
     cells = [row for _, row in data]
     read["decimal"] = decimal = given.get("decimal") or _decimal(cells, delimiter)
     how = f"text in {encoding}, {separated}, decimal {'comma' if decimal == ',' else 'point'}{named}"
-    columns, found = {}, {}
-    for k, name in enumerate(names):
-        columns[name], unit = _column([row[k] for row in cells], decimal)
-        if units[k] or unit:
-            found[name] = units[k] or unit
+    columns = [_column(list(column), decimal) for column in zip(*cells, strict=True)]
+    broken = sorted({row for column, _ in columns for row in _broken(column, decimal)})
+    whole, lines_read = np.ones(len(data), bool), np.array([i for i, _ in data])
+    if broken:
+        whole[broken] = False
+        damaged += lines_read[broken].tolist()
+        cells = [row for row, good in zip(cells, whole, strict=True) if good]
+        columns = [_column(list(column), decimal) for column in zip(*cells, strict=True)]
+    if damaged:
+        left_out[_said_of_damaged(path, sorted(damaged), len(data))] = len(damaged)
     return RawTable(
         source=str(path),
-        columns=columns,
-        lines=np.array([i for i, _ in data]),
-        units=found,
+        columns={name: column for name, (column, _) in zip(names, columns, strict=True)},
+        lines=lines_read[whole],
+        units={name: own or unit for name, own, (_, unit) in zip(names, units, columns, strict=True) if own or unit},
         how_read=how,
         read=read,
         left_out={reason: number for reason, number in left_out.items() if number},
@@ -102,8 +115,32 @@ def read_delimited(path: str | os.PathLike, given: Mapping[str, str]) -> RawTabl
     )
 
 
+def _said_of_damaged(path, damaged: Sequence[int], rows: int) -> str:
+    """The damaged lines by number, for `left_out`. BadInput if more than DAMAGED of the lines are damaged."""
+    shown_lines = ", ".join(map(str, damaged[:10])) + (", ..." if len(damaged) > 10 else "")
+    lines = f"line{'s' * (len(damaged) > 1)} {shown_lines}"
+    if len(damaged) > DAMAGED * (rows + len(damaged)):
+        found = f"{len(damaged)} damaged of {rows + len(damaged)}: cells are missing, too many, or no numbers"
+        raise BadInput(path, lines, found, f"at most {100 * DAMAGED:g} % damaged lines", "the log without them")
+    return f"damaged ({lines})"
+
+
+def _broken(column: np.ndarray, decimal: str) -> list[int]:
+    """Rows whose cell is damaged: it has digits and is no number, as all but a share DAMAGED of the column's cells are.
+
+    A word such as "overload" is a message of the logger and no damage.
+    """
+    if column.dtype.kind != "O":
+        return []
+    filled = [(k, text) for k, cell in enumerate(column.tolist()) if (text := plain(cell, decimal))]
+    bad = [(k, text) for k, text in filled if not _is_value(text) or (_NUMBER.fullmatch(text) and not _MACHINE.fullmatch(text))]
+    damage = 0 < len(bad) <= DAMAGED * len(filled) and all(re.search(r"\d", text) for _, text in bad)
+    return [k for k, _ in bad] if damage else []
+
+
 def _decoded(path: str | os.PathLike, data: bytes, wanted: str | None) -> tuple[str, str]:
-    """(text, encoding). Without a byte order mark, text that is not valid UTF-8 is taken as Windows-1252."""
+    """(text, encoding). Without a byte order mark, text that is not valid UTF-8 is taken as Windows-1252, unless other letters
+    of it are UTF-8. A line with a NUL, as power-up garbage has, becomes that NUL alone."""
     if wanted:
         try:
             return data.decode(wanted).removeprefix("\ufeff"), wanted
@@ -112,21 +149,24 @@ def _decoded(path: str | os.PathLike, data: bytes, wanted: str | None) -> tuple[
     for mark, encoding in _MARKS:
         if data.startswith(mark):
             try:
-                return data.decode(encoding), encoding.removesuffix("-sig")
+                return data.decode(encoding, "replace" if mark == codecs.BOM_UTF8 else "strict"), encoding.removesuffix("-sig")
             except UnicodeError as error:
                 raise BadInput(
                     path, "encoding", f"a mark of {encoding} and bytes that are none", "a whole text file"
                 ) from error
     zeros = [data[k:4000:2].count(0) / max(1, len(data[k:4000:2])) for k in (0, 1)]
     order = ["utf-16-le", "utf-16-be"] if zeros[1] > zeros[0] else ["utf-16-be", "utf-16-le"]
-    tried = [order[0]] if max(zeros) > 0.4 > min(zeros) else ["utf-8", "cp1252", "latin-1"]
-    for encoding in tried:
-        try:
-            text = data.decode(encoding)
-        except UnicodeError:
-            continue
-        if "\0" not in text[:4000]:
-            return text, encoding
+    wide = max(zeros) > 0.4 > min(zeros)
+    lines = data.split(b"\n")
+    garbage = [k for k, line in enumerate(lines) if b"\0" in line]
+    if garbage and not wide and len(garbage) <= DAMAGED * len(lines):
+        data = b"\n".join(b"\0" if b"\0" in line else line for line in lines)
+    elif garbage and not wide:
+        raise BadInput(path, "file", "bytes that are no text", "text, Parquet, MAT or HDF5")
+    mostly_utf_8 = not data.decode("utf-8", "replace").replace("\ufffd", "").isascii()
+    for encoding in [order[0]] if wide else ["utf-8"] if mostly_utf_8 else ["utf-8", "cp1252", "latin-1"]:
+        with contextlib.suppress(UnicodeError):
+            return data.decode(encoding, "replace" if mostly_utf_8 else "strict"), encoding
     raise BadInput(path, "file", "bytes that are no text", "text, Parquet, MAT or HDF5")
 
 
@@ -204,7 +244,8 @@ def _is_data(cells: Sequence[str]) -> bool:
 
 
 def _parts(path, rows, width: int, delimiter: str):
-    """(lines of the head, rows of data, numbers of dropped rows by reason). Data begin with the first row of that width."""
+    """(lines of the head, rows of data, numbers of dropped rows by reason, numbers of lines of another width). Data begin with
+    the first row of that width."""
     first = _first_row(rows, width)
     head = [(i, _joined(cells) if delimiter == " " else cells) for i, cells in rows[:first]]
     named = [len(cells) for _, cells in head if not _is_data(cells)]
@@ -214,23 +255,25 @@ def _parts(path, rows, width: int, delimiter: str):
         raise BadInput(path, f"line {line}", f"{width} cells", allowed)
     head = [(i, cells) for i, cells in head if _of_width(cells, width) and not _is_data(cells)]
     preamble = first - len(head)
-    data, dropped = [], Counter({"lines before the table": preamble})
+    data, dropped, damaged = [], Counter({"lines before the table": preamble}), []
     names = [cells for _, cells in head]
     for k, (line, cells) in enumerate(rows[first:], first):
         if len(cells) != width and k == len(rows) - 1:
             dropped["cut off at the end"] += 1
         elif cells in names:
             dropped["names once more"] += 1
+        elif any(sorted(cells) == sorted(row) for row in names):
+            found, allowed = "the names again, in another order", "one order of the columns in all rows"
+            raise BadInput(path, f"line {line}", found, allowed, "two files: that line begins the second")
         elif len(cells) == width or (len(cells) == width + 1 and not cells[-1]):
             data.append((line, cells[:width]))
         elif not any(cells):
             dropped["empty rows"] += 1
         else:
-            found = f"{len(cells)} cell{'s' * (len(cells) != 1)}"
-            raise BadInput(path, f"line {line}", found, f"{width} cells, as in most rows")
+            damaged.append(line)
     if len(data) < 2:
         raise BadInput(path, "file", f"{len(data)} row of numbers", "two or more")
-    return head, data, dict(dropped)
+    return head, data, dict(dropped), damaged
 
 
 def _first_row(rows: Sequence[tuple[int, list[str]]], width: int) -> int:
@@ -308,10 +351,13 @@ def _units(row: Sequence[str]) -> bool:
 
 
 def _decimal(rows: Sequence[Sequence[str]], delimiter: str) -> str:
-    """The decimal mark of most cells."""
+    """The decimal mark: that of cells in which it can't separate thousands, if only one mark has such cells; else of most."""
     commas = points = 0
+    proven = set()
     for row in rows[: 10 * _LOOK]:
         for cell in row:
+            if _NUMBER.fullmatch(cell) and not _THOUSANDS.fullmatch(cell) and not _BOTH.fullmatch(cell):
+                proven |= {"."} if "." in cell else {","} if "," in cell else set()
             if "," not in cell:
                 points += "." in cell and bool(_NUMBER.match(cell))
             elif found := _BOTH.fullmatch(cell):
@@ -320,6 +366,8 @@ def _decimal(rows: Sequence[Sequence[str]], delimiter: str) -> str:
                 commas += 1
             elif _NUMBER.fullmatch(cell):
                 commas += 1
+    if delimiter != "," and len(proven) == 1:
+        return proven.pop()
     return "," if commas and (not points or (delimiter != "," and commas > points)) else "."
 
 

@@ -110,8 +110,8 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def plain(cell: str, decimal: str) -> str:
-    """A cell as Python reads numbers: decimal point, no thousands separators; "" for a missing value."""
-    text = cell.strip().replace("\u2212", "-")
+    """A cell as Python reads numbers: decimal point, E in exponents, no thousands separators; "" for a missing value."""
+    text = re.sub(r"(?<=[\d.])[dD](?=[+-]?\d+$)", "E", cell.strip().replace("\u2212", "-"))
     if text.lower() in EMPTY:
         return ""
     for mark in ("'", "\u2019", "\xa0", "\u202f"):

@@ -14,18 +14,18 @@ Properties of the logger, from two logs of 80 to 120 rows a second (notes/identi
 Nothing is resampled: rows keep their uneven times.
 """
 
-import csv
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from identification.logs.clock import mended
+from identification.logs.delimited import read_delimited
+from identification.logs.raw_table import RawTable
 from identification.logs.speed_map import RANGES, SignalRange, SteadyPoints, steady_points
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import Table, read_text
 from vpp_fmu.record import Record
 
 STALL = 4.0
@@ -165,17 +165,17 @@ class Log:
 
 def read_log(path: str | os.PathLike) -> Log:
     """Read a log. BadInput: a column is missing, a unit is unknown, a cell is not a number, or time decreases."""
-    table, notes = _table(path)
+    table = read_delimited(path, {})
     headers = {_split(name)[0]: name for name in table.columns}
     needed = {"time": "Time", "signal": "ESC signal", "thrust": "Thrust", "voltage": "Voltage"}
     names = {quantity: _find(table, headers, name) for quantity, name in needed.items()}
     rows, dropped = _rows(table, names)
-    table = Table(table.source, {name: column[rows] for name, column in table.columns.items()}, table.lines[rows])
+    table = replace(table, columns={name: column[rows] for name, column in table.columns.items()}, lines=table.lines[rows])
     names |= {"current": headers["current"]} if "current" in headers else {}
     values = {quantity: _converted(table, name, quantity) for quantity, name in names.items() if quantity != "signal"}
     speed = _speed(table, headers)
     names |= {"speed": speed} if speed else {}
-    signal = _held(table.numbers(names["signal"], gaps=("", "nan")))
+    signal = _held(table.numbers(names["signal"]))
     time, *mending = mended(values["time"] - values["time"][0])
     late, stalled = _stalls(time)
     for quantity in ("thrust", "voltage"):
@@ -195,28 +195,9 @@ def read_log(path: str | os.PathLike) -> Log:
         late=late,
         stalled=stalled,
         names=names,
-        dropped={"notes": notes, **dropped},
+        dropped={**table.left_out, **dropped},
         mended=tuple(mending),
     )
-
-
-def _table(path: str | os.PathLike) -> tuple[Table, int]:
-    """(cells as text by header, number of lines with a user's notes)."""
-    lines = [(i, line) for i, line in enumerate(read_text(path).split("\n"), 1) if line.strip()]
-    kept = [(i, line) for i, line in lines if not line.lstrip().startswith("#")]
-    if len(kept) < 3:
-        raise BadInput(path, "file", f"{max(len(kept) - 1, 0)} rows", "a log of RCbenchmark: a header and at least two rows")
-    cells = [[cell.strip() for cell in next(csv.reader([line]))] for _, line in kept]
-    for (i, _), row in zip(kept, cells, strict=True):
-        if len(row) != len(cells[0]):
-            raise BadInput(path, f"line {i}", f"{len(row)} cells", f"{len(cells[0])} cells, as in the header")
-    columns = {}
-    for name, *column in zip(*cells, strict=True):
-        if name in columns:
-            raise BadInput(path, f"column {name}", "more than one of that name", "each column once")
-        if name:  # a comma at the end of each line gives a column without a name
-            columns[name] = np.array(column, dtype=object)
-    return Table(str(path), columns, np.array([i for i, _ in kept[1:]])), len(lines) - len(kept)
 
 
 def _split(header: str) -> tuple[str, str]:
@@ -225,33 +206,34 @@ def _split(header: str) -> tuple[str, str]:
     return name.lower(), (unit or "").strip().lower()
 
 
-def _find(table: Table, headers: Mapping[str, str], name: str) -> str:
-    if name.lower() in headers:
-        return headers[name.lower()]
-    found = f"only {', '.join(table.columns)}"[:200]
+def _find(table: RawTable, headers: Mapping[str, str], name: str) -> str:
+    same = [header for header in table.columns if _split(re.sub(r"\.\d+$", "", header))[0] == name.lower()]
+    if len(same) == 1:
+        return same[0]
+    found = f"{len(same)} of it: {', '.join(same)}" if same else f"only {', '.join(table.columns)}"[:200]
     raise BadInput(table.source, f"column {name}", found, "a log of RCbenchmark with its own header")
 
 
-def _speed(table: Table, headers: Mapping[str, str]) -> str | None:
+def _speed(table: RawTable, headers: Mapping[str, str]) -> str | None:
     """The header of the preferred speed that is not always 0; else of the preferred speed with any reading."""
-    readings = {headers[name]: table.numbers(headers[name], gaps=("", "nan")) for name in _SPEEDS if name in headers}
+    readings = {headers[name]: table.numbers(headers[name]) for name in _SPEEDS if name in headers}
     there = [name for name, column in readings.items() if np.isfinite(column).any()]
     moving = [name for name in there if np.nanmax(np.abs(readings[name])) > 0.0]
     return next(iter(moving or there), None)
 
 
-def _converted(table: Table, header: str, quantity: str) -> np.ndarray:
+def _converted(table: RawTable, header: str, quantity: str) -> np.ndarray:
     """A column (n,) in the record's unit, NaN for an empty cell."""
     units = _UNITS[quantity]
     unit = _split(header)[1]
     if unit not in units:
         raise BadInput(table.source, f"column {header}, unit", repr(unit), f"one of {', '.join(units)}")
-    return table.numbers(header, gaps=("", "nan")) * units[unit]
+    return table.numbers(header) * units[unit]
 
 
-def _rows(table: Table, names: Mapping[str, str]) -> tuple[np.ndarray, dict[str, int]]:
+def _rows(table: RawTable, names: Mapping[str, str]) -> tuple[np.ndarray, dict[str, int]]:
     """(rows to keep, numbers of skipped rows by reason). BadInput if time decreases by a row or more."""
-    time, signal = table.numbers(names["time"], gaps=("", "nan")), table.numbers(names["signal"], gaps=("", "nan"))
+    time, signal = table.numbers(names["time"]), table.numbers(names["signal"])
     timed = np.isfinite(time)
     if not np.isfinite(signal).any():
         way = "vpp import csv takes the measured speed in its place (omega_ref=COLUMN:UNIT)"
@@ -302,7 +284,7 @@ def _repeated(thrust: np.ndarray) -> np.ndarray:
     return repeated
 
 
-def _span(table: Table, header: str, signal: np.ndarray) -> SignalRange:
+def _span(table: RawTable, header: str, signal: np.ndarray) -> SignalRange:
     """DShot or PWM, from the header's unit, else from the values: PWM is at least 900 us."""
     unit = _split(header)[1]
     if unit not in ("", *_US):
