@@ -272,9 +272,9 @@ def test_error_words_of_loggers_are_empty_cells_and_other_text_is_refused(tmp_pa
     columns = named("time", "omega_ref", "beta_ref", **{"Fz [N]": thrust})
     found = imported(log(columns), holes=("thrust",))["thrust"]
     assert np.flatnonzero(np.isnan(found)).tolist() == [50, 60, 70]
-    thrust[80] = "12.3.4"
+    thrust[80] = "overload"
     err = refused(log(columns), "-o", tmp_path / "other")
-    assert "Fz [N], line 82: found 12.3.4, expected a number" in err.replace("'", "")
+    assert "Fz [N], line 82: found overload, expected a number" in err.replace("'", "")
 
 
 def test_a_log_of_names_alone_has_no_numbers(tmp_path, refused):
@@ -388,6 +388,35 @@ def test_an_electrical_speed_beside_a_signal_needs_the_pole_pairs(tmp_path, log,
     assert f"omega={header}:erpm/7" in refused(path, "--yes", "-o", tmp_path / "out")
     found = imported(path, "--map", f"omega={header}:erpm/7")
     np.testing.assert_allclose(found["omega"], columns[header] / 7.0, rtol=1e-8)
+
+
+@pytest.mark.parametrize(("name", "unit", "factor"), [("omega", "rad/s", np.pi / 30.0), ("omega_ref", "Hz", 1.0 / 60.0)])
+def test_a_speed_in_another_unit_than_its_command_is_refused_as_an_electrical_one_is(
+    tmp_path, log, imported, printed, refused, name, unit, factor
+):
+    headers = {"omega": "speed", "omega_ref": "speed cmd"}
+    path = log(named("time", "thrust") | {headers[n]: T[n] * (factor if n == name else 1.0) for n in headers})
+    maps = ("--map", "omega=speed:rpm", "omega_ref=speed cmd:rpm")
+    assert f"({name} in {unit}?)" in (err := refused(path, *maps, "-o", tmp_path / "out"))
+    assert f"--map '{name}={headers[name]}:{unit}'" in err
+    told = printed(path, *maps, "--force", "-o", tmp_path / "forced")
+    assert told.count("error") == 1  # no other finding on the same fault
+    assert "% of a move" not in told
+    check(imported(path, "--map", *(f"{n}={headers[n]}:{unit if n == name else 'rpm'}" for n in headers)), name)
+
+
+def test_a_few_absurd_cells_of_a_sensor_are_emptied_and_most_are_a_wrong_unit(tmp_path, log, imported, refused):
+    speed = np.tile(T["omega"], 2)
+    spoiled = speed.copy()
+    spoiled[[50, 400, 401]] = 5e5, -3e4, 2e6
+    time = np.append(T["time"], T["time"] + T["time"][-1] + 0.01)
+    columns = {"t [s]": time} | {n: np.tile(c, 2) for n, c in named("omega_ref", "beta_ref", "thrust").items()}
+    record = imported(log(columns | {"speed [rpm]": spoiled}))
+    assert np.flatnonzero(np.isnan(record["omega"])).tolist() == [50, 400, 401]
+    kept = np.isfinite(record["omega"])
+    np.testing.assert_allclose(record["omega"][kept], speed[kept], rtol=1e-8)
+    err = refused(log(columns | {"speed [rpm]": 100.0 * speed}), "--force", "-o", tmp_path / "out")
+    assert "rows beyond the range" in err
 
 
 def test_a_motor_at_its_commanded_speed_is_not_electrical(log, imported):

@@ -19,7 +19,6 @@ from identification.logs.speed_map import (
     steady_points,
     turning_from,
 )
-from vpp_fmu.app import cli
 from vpp_fmu.campaign import read_static
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import OMEGA
@@ -566,11 +565,20 @@ def test_a_log_without_a_speed_is_refused_by_the_command(tmp_path, refused):
     assert not (tmp_path / "out").exists()
 
 
-def test_speeds_that_no_reader_takes_are_warned_of(tmp_path, capsys):
+def test_speeds_that_no_reader_takes_are_refused(tmp_path, refused):
     t = truth()
     path = write(tmp_path / "log.csv", t | {"optical": 2.0 * t["optical"] * OMEGA.maximum / t["optical"].max()})
-    assert cli.main(["import", "rcbenchmark", str(path), "-o", str(tmp_path / "out")]) == 0
-    assert "readers will refuse it" in capsys.readouterr().err
+    assert "Try: vpp import csv with --map omega=COLUMN:UNIT" in refused(path, "-o", tmp_path / "out")
+
+
+def test_thrust_that_was_logged_backwards_is_turned_by_the_option_that_the_finding_names(tmp_path, printed):
+    t = truth()
+    path = write(tmp_path / "log.csv", t | {"thrust": -t["thrust"]})
+    assert "import rcbenchmark --backwards" in printed(path, "-o", tmp_path / "first")
+    assert "thrust_sign" not in printed(path, "--backwards", "-o", tmp_path / "again")
+    printed(write(tmp_path / "right.csv", t), "-o", tmp_path / "right")
+    found, right = (read_record(tmp_path / name / "record.csv", holes=("thrust",))["thrust"] for name in ("again", "right"))
+    np.testing.assert_allclose(found, right, atol=1e-9)
 
 
 # The real logs

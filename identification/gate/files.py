@@ -161,14 +161,10 @@ def _speeds(files: Sequence[File]) -> Iterator[Finding]:
     for file in files:
         ratio = _ratio(file)
         # A constant command with a moving speed was not logged.
-        if ratio is not None and np.ptp(file.column("omega_ref")) > 0.0 and (pairs := pole_pairs(ratio)):
+        found = speed_unit(ratio) if ratio is not None else None
+        if found and (np.ptp(file.column("omega_ref")) > 0.0 or not pole_pairs(ratio)):
             message = f"measured speed is {ratio:.4g} times the commanded one"
-            yield Finding("speed_unit", file.where, "omega", ratio, "1", message, electrical_cause(pairs))
-            continue
-        if ratio is not None and (found := as_unit(ratio, SPEEDS)):
-            unit, field = found[0], "omega" if found[1] else "omega_ref"
-            message = f"measured speed is {ratio:.4g} of the commanded one"
-            yield Finding("speed_unit", file.where, field, ratio, "1", message, f"{field} in {unit}")
+            yield Finding("speed_unit", file.where, found[0], ratio, "1", message, found[2])
             continue
         turns = [t for r in file.records if (t := turns_a_value(r)) is not None]
         for unit in ("rad/s", "Hz"):
@@ -193,6 +189,18 @@ def speed_ratio(omega: np.ndarray, command: np.ndarray) -> float | None:
     return ratio if ratio > 0.0 else None
 
 
+def speed_unit(ratio: float) -> tuple[str, str, str] | None:
+    """(column, its unit, cause in words) if measured over commanded speed shows that one of both is no speed of the rotor in
+    rpm; else None."""
+    if pairs := pole_pairs(ratio):
+        cause = f"electrical speed of a motor with {pairs} pole pairs"
+        return "omega", f"erpm/{pairs}", f"{cause}, or deg/s" if pairs == SPEEDS["deg/s"] else cause
+    if found := as_unit(ratio, SPEEDS):
+        column = "omega" if found[1] else "omega_ref"
+        return column, found[0], f"{column} in {found[0]}"
+    return None
+
+
 def pole_pairs(ratio: float) -> int | None:
     """Number of pole pairs if measured over commanded speed is that of an electrical speed; None if the ratio is no whole
     number, or is nearer to that of a unit."""
@@ -201,12 +209,6 @@ def pole_pairs(ratio: float) -> int | None:
         return None
     units = [size for factor in SPEEDS.values() for size in (factor, 1.0 / factor)]
     return pairs if all(abs(np.log(ratio / pairs)) <= abs(np.log(ratio / size)) for size in units) else None
-
-
-def electrical_cause(pairs: int) -> str:
-    """Cause of a measured speed of `pairs` times the commanded one, in words."""
-    cause = f"electrical speed of a motor with {pairs} pole pairs"
-    return f"{cause}, or deg/s" if pairs == SPEEDS["deg/s"] else cause
 
 
 def turns_a_value(record: Record) -> float | None:

@@ -32,8 +32,13 @@ KINDS = {
     "speed_unit": Kind(ERROR, "speed in rad/s, Hz or deg/s, or electrical speed", "Write rpm of the rotor", _GO_ON),
     "pitch_unit": Kind(ERROR, "pitch in rad, or as a share of its travel", "Write degrees", _GO_ON),
     "thrust_unit": Kind(ERROR, "thrust in gf, kgf, lbf, ozf, mN or kN", "Write newtons", _GO_ON),
-    "thrust_sign": Kind(ERROR, "thrust counts downwards", "Import the column as thrust=COLUMN:-1 N", _GO_ON),
-    "pitch_sign": Kind(ERROR, "thrust decreases with pitch", "Import the column as beta_ref=COLUMN:-1 deg", _GO_ON),
+    "thrust_sign": Kind(
+        ERROR,
+        "thrust counts downwards",
+        "Import the log again, --map thrust=COLUMN:'-1 UNIT' (torque, too), or import rcbenchmark --backwards",
+        _GO_ON,
+    ),
+    "pitch_sign": Kind(ERROR, "thrust decreases with pitch", "Import the log again, --map beta_ref=COLUMN:'-1 UNIT'", _GO_ON),
     "speed_dead": Kind(
         WARNING, "the measured speed is constant while its command moves", "Look at the mark and its sensor", _KEEP
     ),

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.gate.files import SPEEDS, electrical_cause, pole_pairs, speed_ratio
+from identification.gate.files import speed_ratio, speed_unit
 from identification.logs.clock import GAP, Clock, read_clock
 from identification.logs.commands import averaged_map, fitted_map, taken_over
 from identification.logs.mapping import ROWS, Column, Plan, clock_like, in_other_unit, moving_angle, text_instead
@@ -35,6 +35,9 @@ APART = 0.05
 SCATTER, EXPLAINED, MOST_MOVES = 0.05, 0.5, 0.1
 """Residual of thrust at fixed pitch as a share of its range, from which a further command is searched; the share of its
 variance that such a command explains; the largest share of rows in which a command moves."""
+
+ABSURD = 0.01
+"""Share of a measured column's rows beyond its limits, up to which the cells are disturbed ones: a wrong unit spoils most."""
 
 FASTER = 1.0
 """Median step, s, above which rows are steady points and not a record in time."""
@@ -119,12 +122,14 @@ def take_in(
     unknown = clock and not {"beta_ref", "beta"} & {*columns, *plan.fixed} and not _no_angle(table, plan)
     if unknown and (other := _other_command(table, plan, columns, rows)):
         raise BadInput(table.source, "beta_ref", *other)
+    words = {name: f"{name}, column {column.name} in {column.unit}" for name, column in plan.columns.items()}
+    columns, notes = within_ranges(columns, words, table.source)
+    said += notes
     columns, notes = _held(columns)
     said += notes
     columns, notes, speed_map = _commanded(table, plan, columns, clock, kind, speed_map)
-    taken = Taken(columns, clock, (*said, *notes), table.source, speed_map)
-    _check_ranges(table, plan, taken)
-    return taken
+    columns, _ = within_ranges(columns, words, table.source)
+    return Taken(columns, clock, (*said, *notes), table.source, speed_map)
 
 
 def thrust_of(columns: Mapping[str, np.ndarray], propeller: Propeller, source: str) -> tuple[dict[str, np.ndarray], list[str]]:
@@ -158,7 +163,7 @@ def values_of(table: RawTable, quantity: str, column: Column) -> np.ndarray:
 
 
 def electrical(plan: Mapping[str, Column], columns: Mapping[str, np.ndarray]) -> tuple[str, str, str] | None:
-    """(found, expected, hint) if the measured speed is a whole multiple of the commanded one, or if its name says
+    """(found, expected, hint) if measured and commanded speed are in different units, or if the measured one's name says
     electrical and there is no command to compare; else None."""
     if "omega" not in columns:
         return None
@@ -172,13 +177,15 @@ def electrical(plan: Mapping[str, Column], columns: Mapping[str, np.ndarray]) ->
         return (f"at most {fastest:.4g} rpm", f"a motor that reaches {SLOW:g} rpm", hint) if slow else None
     command = np.nan_to_num(columns.get("omega_ref", np.zeros(1)))
     ratio = speed_ratio(columns["omega"], command) if command.any() else None
-    if ratio is None or not (pairs := pole_pairs(ratio)):
+    if ratio is None or not (other := speed_unit(ratio)):
         matches = ratio is not None and abs(np.log(ratio)) < SAME_SPEED
         return by_name if _E_RPM.search(column.name) and not matches else None
-    found = f"{ratio:.4g} times the commanded speed ({electrical_cause(pairs)}?)"
-    unit = f"erpm/{pairs}" if factor_of(QUANTITIES["omega"], column.unit) == 1.0 else f"{column.unit}/{pairs}"
-    also = ", or in deg/s" if pairs == SPEEDS["deg/s"] else ""
-    return found, "the speed of the rotor", f"--map 'omega={column.name}:{unit}'{also}, or --force to take it as it is"
+    quantity, unit, cause = other
+    column = plan.get(quantity, column)
+    if factor_of(QUANTITIES[quantity], column.unit) != 1.0:
+        unit = f"{column.unit}/{unit.removeprefix('erpm/')}" if unit.startswith("erpm") else "UNIT"
+    hint = f"--map '{quantity}={column.name}:{unit}'{', or in deg/s' * ('deg/s' in cause)}, or --force to take it as it is"
+    return f"{ratio:.4g} times the commanded speed ({cause}?)", "the speed of the rotor", hint
 
 
 def _no_angle(table: RawTable, plan: Plan) -> tuple[str, str, str] | None:
@@ -398,18 +405,23 @@ def _check_signal(table: RawTable, plan: Plan, signal: np.ndarray, span: SignalR
         raise BadInput(table.source, f"signal, column {plan.columns['signal'].name}", found, allowed, hint)
 
 
-def _check_ranges(table: RawTable, plan: Plan, taken: Taken) -> None:
-    """BadInput for a column beyond a record's limits, usually because of a wrong unit."""
-    for name, values in taken.columns.items():
-        quantity = RANGE.get(name)
-        outside = (values < quantity.minimum) | (values > quantity.maximum) if quantity else np.zeros(1, bool)
-        if outside.any():
-            column = plan.columns.get(name) or plan.columns.get("signal")
-            row = int(np.argmax(outside))
-            field = f"{name}, column {column.name} in {column.unit}" if column else name
-            allowed, found = (
-                f"{quantity.minimum:g} to {quantity.maximum:g} {quantity.unit}",
-                f"{values[row]:.6g} {quantity.unit}",
-            )
-            rows, hint = f"in {int(outside.sum())} rows", f"another unit with --map {name}=COLUMN:UNIT"
-            raise BadInput(table.source, field, f"{found} {rows}", allowed, hint)
+def within_ranges(
+    columns: Mapping[str, np.ndarray], fields: Mapping[str, str], source: str, hint: str = "another unit with --map"
+) -> tuple[dict[str, np.ndarray], list[str]]:
+    """(columns (n,) without measured cells beyond a record's limits, messages). BadInput for a command beyond them, or for more
+    cells than a share ABSURD, usually because of a wrong unit. `fields`: by name, the column in words."""
+    kept, said = dict(columns), []
+    for name, values in sorted(columns.items(), key=lambda item: item[0] in COMMANDS):  # a map makes a command of a speed
+        if (quantity := RANGE.get(name)) is None:
+            continue
+        outside = (values < quantity.minimum) | (values > quantity.maximum)
+        if not (count := int(outside.sum())):
+            continue
+        worst = values[outside][np.argmax(np.abs(values[outside]))]
+        allowed = f"{quantity.minimum:g} to {quantity.maximum:g} {quantity.unit}"
+        if name in COMMANDS or count > ABSURD * len(values):
+            found = f"{worst:.6g} {quantity.unit}, {count} of {len(values)} rows beyond the range"
+            raise BadInput(source, fields.get(name, name), found, allowed, f"{hint} {name}=COLUMN:UNIT")
+        kept[name] = np.where(outside, np.nan, values)
+        said.append(f"{name}: {count} cells beyond {allowed}, up to {worst:.4g}, are emptied")
+    return kept, said

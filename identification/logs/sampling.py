@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from identification.gate.files import FOLLOWS
+from identification.gate.files import FOLLOWS, GAIN_RANGE, speed_ratio
 from identification.gate.finding import Finding
 from identification.gate.fitted import FIFTH
 from identification.gate.gate import look
@@ -123,6 +123,9 @@ def _leads(record: Record) -> list[str]:
     Least squares of the changes of speed on the changes of the command in the same row and ROWS_BACK rows before.
     """
     if "omega" not in record or len(record) < 5 * ROWS_BACK or not np.ptp(record["omega_ref"]):
+        return []
+    ratio = speed_ratio(record["omega"], record["omega_ref"])
+    if ratio is None or not GAIN_RANGE[0] < ratio < GAIN_RANGE[1]:  # a speed in another unit
         return []
     command, speed = np.diff(record["omega_ref"]), np.diff(record["omega"])
     moves = np.lib.stride_tricks.sliding_window_view(command, ROWS_BACK + 1)[:, ::-1]

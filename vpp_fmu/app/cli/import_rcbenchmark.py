@@ -4,7 +4,7 @@ Logs of one stand share the map of the first log in the folder. The pitch is fix
 Quantities that the log did not measure, or measured before the row's time, are empty. Rows of averages become static.csv.
 """
 
-import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from identification.logs.clock import Clock
 from identification.logs.commands import FILE as SPEED_MAP
 from identification.logs.commands import map_beside
 from identification.logs.delimited import read_delimited
-from identification.logs.intake import Taken
+from identification.logs.intake import Taken, within_ranges
 from identification.logs.mapping import in_other_unit, parse_fixed
 from identification.logs.rcbenchmark import REMEMBERED, Log, read_log
 from identification.logs.speed_map import SpeedMap, fit_quality, fit_speed_map, read_speed_map
@@ -22,7 +22,6 @@ from vpp_fmu.app.cli.import_place import add_kind, add_speed_from, headline, pla
 from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.digits import number, signed
 from vpp_fmu.errors import BadInput
-from vpp_fmu.record import QUANTITIES, Record, RecordWarning
 from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp import rcbenchmark tuesday.csv --speed-map monday/speed_map.json -o tuesday"
@@ -35,12 +34,15 @@ def configure(parser):
     add_kind(parser, None, "which file of a campaign (default: record.csv of samples, static.csv of averages)")
     add_speed_from(parser)
     parser.add_argument("--fixed", metavar="beta_ref=V:UNIT", help="the pitch, which is fixed (default: beta_ref=0:deg)")
+    parser.add_argument("--backwards", action="store_true", help="the thrust was logged with the opposite sign")
     parser.add_argument("--keep-stalls", action="store_true", help="keep what was logged right behind a stall of the logger")
     add_output(parser)
 
 
 def run(options):
-    log = read_log(options.log)
+    log, beyond = read_log(options.log), []
+    if options.backwards:
+        log = replace(log, thrust=-log.thrust)
     pitch = _pitch(options, log)
     measured = options.speed_from == "measured"
     known, taken_over = (None, False) if measured else _speed_map(options, log)
@@ -53,7 +55,7 @@ def run(options):
     columns = {name: column for name, column in record.columns.items() if not (measured and name == "omega")}
     columns["beta_ref"] = np.full(len(record), pitch)
     if kind != "static":
-        warn_beyond(record)
+        columns, beyond = within_ranges(columns, log.names, log.source, "vpp import csv with --map")
     taken = Taken(columns, Clock(np.arange(len(record)), log.time, ""), (), log.source, speed_map)
     folder, said = placed(Path(options.output), kind, taken, options.replace, options.mend)
     if known:
@@ -61,7 +63,7 @@ def run(options):
     folder.write("import.json", as_json(figures))
     lines = [said_of_rows(figures), *said_of_averages(log, kind), *said_of_thrust(figures)]
     lines += said_of_map(figures["speed_map"], known, taken_over) if known else ["omega_ref: the measured speed"]
-    lines += said
+    lines += beyond + said
     return Answer(headline(folder, kind, record, options.log), figures, lines, written=written(folder))
 
 
@@ -202,15 +204,3 @@ def said_of_map(figures: dict, known: SpeedMap, taken_over: bool) -> list[str]:
     if figures["rows_beyond"]:
         lines.append(f"note: {figures['rows_beyond']} rows have a higher signal than the map was fitted to")
     return lines
-
-
-def warn_beyond(record: Record) -> None:
-    """A RecordWarning for each column that `read_record` refuses later."""
-    for name, column in record.columns.items():
-        signal, seen = QUANTITIES.get(name), column[np.isfinite(column)]
-        if signal is not None and len(seen) and not signal.minimum <= seen.min() <= seen.max() <= signal.maximum:
-            found = f"{name} from {seen.min():.6g} to {seen.max():.6g} {signal.unit}"
-            allowed = f"{signal.minimum:g} to {signal.maximum:g} that a record may hold"
-            warnings.warn(
-                f"{record.source}: {found}, beyond the {allowed}: readers will refuse it", RecordWarning, stacklevel=2
-            )
