@@ -123,6 +123,28 @@ def test_clipped_rows_are_left_out_unless_accepted(record):
     assert again == findings
 
 
+@pytest.mark.parametrize("factor", [2.0, 3.0, 0.5, 1.0 / 3.0])
+@pytest.mark.parametrize("place", [(0, 300), (1200, 1350), (3100, 3112), (4300, 5000)])
+def test_a_speed_that_is_a_multiple_for_a_while_is_left_out(record, factor, place):
+    """At the record's start, middle and end; across moves of both commands."""
+    stretch = (np.arange(len(record)) >= place[0]) & (np.arange(len(record)) < place[1])
+    spoiled = record.with_columns(omega=np.where(stretch, factor, 1.0) * record["omega"])
+    kept, findings = screen(spoiled)
+    assert [f.code for f in findings] == ["speed_multiple"]
+    np.testing.assert_array_equal(np.isnan(kept["omega"]), stretch)
+    assert f"{stretch.sum()} readings are {factor:.3g} times" in findings[0].text
+    np.testing.assert_array_equal(screen(spoiled, frozenset({"speed_multiple"}))[0]["omega"], spoiled["omega"])
+
+
+def test_a_rotor_that_is_slow_to_follow_has_no_multiples(record):
+    """Its speed passes the half and the double of its command in each large step, but does not jump."""
+    command = np.repeat(np.where(np.arange(10) % 2, 2000.0, 6000.0), 500)
+    slow = lagged(command, 0.004, 0.5)
+    rising = lagged(command, 0.004, 0.1)
+    for speed in (slow, np.maximum(slow, rising)):
+        assert screen(record.with_columns(omega_ref=command, omega=np.round(speed)))[1] == ()
+
+
 def test_a_sensor_with_less_noise_than_its_resolution_is_not_clipped(record):
     """Settled, its readings are constant for a second each time, at the highest level too."""
     quiet = Simulator(BASE).simulate({}, *record.run)[:, 0]

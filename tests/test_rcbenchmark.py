@@ -398,6 +398,47 @@ def test_too_few_signals_or_a_falling_speed_make_no_map():
         fit_speed_map(falling, RANGES["DShot"], NOMINAL, "log.csv")
 
 
+@pytest.mark.parametrize(("wrong", "factor"), [(11, 2.0), (0, 2.0), (5, 0.5), (8, 3.0)])
+def test_a_part_of_doubled_or_halved_speed_does_not_change_the_map(wrong, factor):
+    points = cubic_points(np.linspace(150, 1900, 12))
+    speed = points.speed + np.random.default_rng(2).normal(0.0, 10.0, 12)
+    spoiled = np.where(np.arange(12) == wrong, factor, 1.0) * speed
+    keep = np.arange(12) != wrong
+    others = SteadyPoints(points.signal[keep], points.voltage[keep], speed[keep], points.turns_from)
+    spoiled = SteadyPoints(points.signal, points.voltage, spoiled, points.turns_from)
+    found, expected = (fit_speed_map(p, RANGES["DShot"], NOMINAL, "log.csv") for p in (spoiled, others))
+    np.testing.assert_allclose(found.coefficients, expected.coefficients, rtol=1e-9)
+    assert found.points == 11
+    assert fit_quality(spoiled, found)["points_off"] == 1
+    assert fit_quality(spoiled, found)["largest"] < 50.0
+
+
+def test_a_map_that_the_parts_do_not_fit_is_refused():
+    points = cubic_points([100, 400, 800, 1200, 1400, 1900])
+    doubled = SteadyPoints(points.signal, points.voltage, points.speed * np.array([1, 1, 2, 1, 1, 1]), 100.0)
+    with pytest.raises(BadInput, match=r"off the best map.*at most 5 % of the largest speed.*--speed-from measured"):
+        fit_speed_map(doubled, RANGES["DShot"], NOMINAL, "log.csv")
+
+
+@pytest.mark.parametrize("words", [(), ("--speed-from", "measured")])
+def test_a_speed_that_is_doubled_for_a_while_is_excluded(tmp_path, printed, words):
+    levels = (0, 200, 600, 1000, 1500, 1900, 800, 400, 1200, 300, 1700, 0)
+    t = truth(levels)
+    doubled = (t["time"] > 9.0) & (t["time"] < 13.5)
+    path = write(tmp_path / "log.csv", t | {"optical": np.where(doubled, 2.0, 1.0) * t["optical"]})
+    said = printed(path, *words, "-o", tmp_path / "out")
+    record = read_record(tmp_path / "out" / "record.csv", holes=("thrust",))
+    if words:
+        np.testing.assert_allclose(record["omega_ref"][~doubled], t["optical"][~doubled], rtol=1e-8, atol=1e-6)
+        assert record["omega_ref"].max() < 1.01 * t["optical"].max()
+    else:
+        assert f"{doubled.sum()} readings are 2 times what the command and their neighbours say, from 8.99 s" in said
+        assert "off by a factor and left out" in said
+        kept = read_speed_map(tmp_path / "out" / "speed_map.json").omega_ref(np.array([800.0]))[0]
+        nominal = read_speed_map(tmp_path / "out" / "speed_map.json").nominal_voltage
+        assert kept == pytest.approx(np.polyval(COEFFICIENTS[::-1], 800.0 / 2047.0 * nominal / NOMINAL), rel=0.01)
+
+
 def test_points_beyond_the_range_of_a_map_do_not_affect_its_quality():
     found = SpeedMap(COEFFICIENTS, NOMINAL, RANGES["DShot"], 300.0, 1500.0, 1.0, 9, "log.csv")
     points = cubic_points([100, 400, 800, 1900])

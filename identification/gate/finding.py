@@ -45,6 +45,9 @@ KINDS = {
     "frozen": Kind(WARNING, "a reading is constant despite noise or a moving command", "Look at wires and logger", _KEEP),
     "clipped": Kind(WARNING, "readings at the sensor's limit", "Measure with more range, or less thrust", _KEEP),
     "spikes": Kind(WARNING, "single readings far from their neighbours", "Look at wires and shield", _KEEP),
+    "speed_multiple": Kind(
+        WARNING, "the measured speed is doubled or halved for a while", "Look at the marks and their sensor", _KEEP
+    ),
     "run_in": Kind(WARNING, "a record begins before the rig has settled", "Hold the first command before the log begins"),
     "gap": Kind(WARNING, "rows are missing", "Log without gaps", _KEEP),
     "speed_off": Kind(WARNING, "the measured speed does not follow its command", "Look at both columns"),

@@ -72,12 +72,9 @@ def _look(campaign: Campaign, further: Mapping[str, Record], accept: frozenset[s
         found += faults
     for run in campaign.steps:
         found += screen(run)[1] if len(run) > 1 else ()
+    campaign, further = replace(campaign, **{n: kept[n] for n in own}), {n: kept[n] for n in further}
     found += of_files([f for f in files_of(campaign, further) if f.where not in short], campaign.rig)
-    return Passed(
-        replace(campaign, **{n: kept[n] for n in own}),
-        {n: kept[n] for n in further},
-        settled(_of_one_file(found), accept),
-    )
+    return Passed(campaign, further, settled(_of_one_file(found), accept))
 
 
 def passed(campaign: Campaign, further: Mapping[str, Record] | None = None, accept: Iterable[str] = ()) -> Passed:

@@ -129,7 +129,7 @@ class Look:
         """A command after a lag in rows, at the rows in use; shifted `early` rows earlier than in the file."""
         key = channel, lag, early
         if key not in self._lagged:
-            parts = [_after_lag(_earlier(r[f"{channel}_ref"], early), lag) for r in self.records]
+            parts = [after_lag(_earlier(r[f"{channel}_ref"], early), lag) for r in self.records]
             self._lagged[key] = np.concatenate(parts)[self.rows]
         return self._lagged[key]
 
@@ -166,7 +166,7 @@ def _earlier(command: np.ndarray, rows: int) -> np.ndarray:
     return np.append(command[rows:], np.full(min(rows, len(command)), command[-1]))
 
 
-def _after_lag(command: np.ndarray, lag: float) -> np.ndarray:
+def after_lag(command: np.ndarray, lag: float) -> np.ndarray:
     """(n,): a held command after a first-order lag in rows, in equilibrium at the start; each row has the value before its
     command acts."""
     kept = float(np.exp(-1.0 / lag)) if lag > 0.0 else 0.0

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from identification.gate.finding import Finding
+from identification.gate.response import after_lag
 from vpp_fmu.record import Record, digit_of
 
 FEWEST_ROWS = 200
@@ -43,6 +44,19 @@ AFTER_GAP = 2.0
 STUCK = 20.0
 """Usual times between new values of the speed: a speed constant for longer after a move of its command is stuck. After a
 smaller move the limit is the longest run of equal readings at rest by chance; repeated readings at rest make it infinite."""
+
+MULTIPLES = np.log([2.0, 3.0, 4.0, 1.0 / 2.0, 1.0 / 3.0, 1.0 / 4.0])
+"""Logarithms of a speed over the true one, with marks seen twice or missed."""
+
+HALFWAY, NEAR = 0.5 * np.log(2.0), 0.2
+"""Logarithm of measured over expected speed above which it is nearer to a multiple; its tolerance at a multiple, and at 1.
+Motors hold a command within some per cent."""
+
+EDGE = 4
+"""Maximum number of values in which the speed changes to a multiple and back: a smoothing stand makes half of a change each."""
+
+LAGS = (0.0, *np.geomspace(0.5, 200.0, 25))
+"""Rows: lags of the speed behind its command that are tried to expect a speed."""
 
 MOVE = 0.05
 """Minimum move of a command, as a share of its range in the record."""
@@ -78,7 +92,10 @@ def faults(record: Record) -> Iterator[Fault]:
     yield from _equal(record)
     yield from _spikes(record, "thrust", "N", np.flatnonzero(np.isfinite(record["thrust"])))
     if "omega" in record:
-        yield from _speed(record)
+        wrong, times = multiples(record)
+        if wrong.any():
+            yield _multiple(record, wrong, times)
+        yield from _speed(record.with_columns(omega=np.where(wrong, np.nan, record["omega"])))
     yield from _gaps(record)
 
 
@@ -231,6 +248,69 @@ def _speed(record: Record) -> Iterator[Fault]:
         cause = "lost pulses, or a logger that holds the last value"
         yield Fault(Finding("frozen", record.source, "omega", count, "1", message, cause), "omega", stuck)
     yield from _spikes(record, "omega", "rpm", seen[first])
+
+
+def multiples(record: Record) -> tuple[np.ndarray, list[float]]:
+    """(mask (n,) of rows whose measured speed is a multiple or a fraction of the true one, the factor of each such stretch).
+
+    Expected is the command after one lag, times the record's own gain. In a stretch the measured speed is a multiple of it, and
+    it changes by that factor within EDGE values at both ends. `_spikes` treats stretches of up to half of NEIGHBOURS.
+    """
+    wrong, found = np.zeros(len(record), bool), []
+    seen = np.flatnonzero(np.isfinite(record["omega"]))
+    at = seen[runs_of_equals(record["omega"][seen])[0]] if len(seen) else seen
+    size = np.log(np.maximum(record["omega"][at], 1e-9))
+    if len(at) < 4 * NEIGHBOURS or np.abs(size[EDGE:] - size[:-EDGE]).max() < HALFWAY:
+        return wrong, found
+    ratio = _log_ratio(record, at, size)
+    off = np.abs(ratio) > HALFWAY
+    first, length = runs_of_equals(off)
+    for begin, end in zip(first[1:-1], (first + length)[1:-1], strict=True):
+        off[begin:end] |= end - begin <= EDGE  # a move of the command within a stretch
+    first, length = runs_of_equals(off)
+    for begin, end in zip(first, first + length, strict=True):
+        factor = MULTIPLES[np.argmin(np.abs(MULTIPLES - np.median(ratio[begin:end])))]
+        if end - begin <= NEIGHBOURS // 2 or abs(np.median(ratio[begin:end]) - factor) > NEAR:
+            continue
+        inside = begin + np.flatnonzero(np.abs(ratio[begin:end] - factor) < NEAR)
+        right = np.flatnonzero(np.abs(ratio) < NEAR)
+        before, after = right[right < begin][-1:], right[right >= end][:1]
+        ends = [(before, inside[0]), (after, inside[-1])]
+        if begin > 0 and end < len(at) and not (len(before) and len(after)):
+            continue
+        sharp = (abs(b - k) <= EDGE and (size[k] - size[b]) * np.sign(factor) > HALFWAY for side, k in ends for b in side)
+        if all(sharp) and (len(before) or len(after)):
+            wrong[at[before[0] + 1] if len(before) else 0 : at[after[0]] if len(after) else len(record)] = True
+            found.append(float(np.exp(factor)))
+    return wrong, found
+
+
+def _log_ratio(record: Record, at: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """(len(at),) logarithm of measured over expected speed at the rows `at`; 0 near rest, and everywhere in another unit."""
+    best, ratio = np.inf, np.zeros(len(at))
+    for lag in LAGS:
+        expected = after_lag(record["omega_ref"], lag)[at]
+        turning = (expected > MOVE * record["omega_ref"].max()) & (record["omega"][at] > 0.0)
+        if not turning.any():
+            continue
+        tried = size - np.log(np.maximum(expected, 1e-9))
+        gain = float(np.median(tried[turning]))
+        tried = np.where(turning, tried - gain, 0.0)
+        error = float(np.mean(np.minimum(np.abs(tried), NEAR)))
+        if abs(gain) < HALFWAY and error < best:
+            best, ratio = error, tried
+    return ratio
+
+
+def _multiple(record: Record, wrong: np.ndarray, times: list[float]) -> Fault:
+    """The fault of a speed that is a multiple for a while."""
+    factors = ", ".join(f"{f:.3g}" for f in sorted({*times}))
+    begin, many = record.time[np.argmax(wrong)], int(wrong.sum())
+    places = f" in {len(times)} places" if len(times) > 1 else ""
+    message = f"{many} readings are {factors} times what the command and their neighbours say, from {begin:.2f} s on{places}"
+    cause = "a second mark that is seen" if max(times) > 1.0 else "missed marks"
+    finding = Finding("speed_multiple", record.source, "omega", many, "1", f"{message}, excluded", cause)
+    return Fault(finding, "omega", wrong)
 
 
 def _equal_at_rest(first: np.ndarray, since: np.ndarray, stretch: slice, usual: float) -> float:

@@ -17,6 +17,7 @@ from identification.logs.speed_map import (
     fit_quality,
     fit_speed_map,
     read_speed_map,
+    said_of_gross,
     steady_points,
     turning_from,
 )
@@ -73,6 +74,7 @@ def taken_over(
     here = fit_quality(points, found)
     if here["points"]:
         text += f"; here rms {here['rms']:.3g} rpm, at most {here['largest']:.3g} rpm at signal {here['largest_at']:.6g}"
+        text += said_of_gross(here)
     if found is not known:
         text += f"; here the rotor turns from signal {found.turns_from:.6g} on, there from {known.turns_from:.6g}"
     return Fitted(found, text)
@@ -98,7 +100,7 @@ def fitted_map(
         found = fit_speed_map(points, span, nominal, Path(source).name)
         worst = fit_quality(points, found)
         quality = f"rms {found.rms:.3g} rpm, at most {worst['largest']:.3g} rpm at signal {worst['largest_at']:.6g}"
-        return Fitted(found, f"fitted to {len(points)} steady parts, {quality}{alone}")
+        return Fitted(found, f"fitted to {found.points} steady parts, {quality}{said_of_gross(worst)}{alone}")
     return _lagged(source, time, signal, speed, volts, span, nominal, alone)
 
 
@@ -151,7 +153,7 @@ def averaged_map(source: str, signal: np.ndarray, speed: np.ndarray, voltage: np
     volts, turning = np.ones(len(signal)) if voltage is None else voltage, _turning(source, speed)
     points = SteadyPoints(signal[turning], volts[turning], speed[turning], float(signal[turning].min()))
     found = fit_speed_map(points, span, float(np.median(volts[turning])), Path(source).name)
-    return Fitted(found, f"fitted to {len(points)} points, rms {found.rms:.3g} rpm")
+    return Fitted(found, f"fitted to {found.points} of {len(points)} points, rms {found.rms:.3g} rpm")
 
 
 def _turning(source: str, speed: np.ndarray) -> np.ndarray:

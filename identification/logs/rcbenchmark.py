@@ -132,9 +132,10 @@ class Log:
             return SteadyPoints(signal, self.voltage[turning], self.speed[turning], float(signal.min()))
         return steady_points(self.time, self.signal, self.speed, self.voltage, ~self.stalled, self.span.low)
 
-    def filled_speed(self) -> np.ndarray:
-        """The measured speed (n,) as a command, rpm, interpolated over empty cells and stalled rows. BadInput without one."""
-        there = np.isfinite(self.speed) & ~self.stalled if self.speed is not None else np.zeros(0, bool)
+    def filled_speed(self, wrong: np.ndarray) -> np.ndarray:
+        """The measured speed (n,) as a command, rpm, interpolated over empty cells, stalled rows and `wrong` (n,). BadInput
+        without one."""
+        there = np.isfinite(self.speed) & ~self.stalled & ~wrong if self.speed is not None else np.zeros(0, bool)
         if not there.any():
             raise BadInput(
                 self.source, "columns", "no speed", "the motor's optical or electrical speed for --speed-from measured"

@@ -162,7 +162,7 @@ def _slow(record: Record) -> list[str]:
     return [f"slow sampling: {fast}, and a lag needs {FIFTH:g} rows: log every {enough:.2g} ms or more often"]
 
 
-def findings(record: Record) -> tuple[Finding, ...]:
-    """Findings of the quality gate about a record: channels that are clipped, frozen, or in a wrong unit."""
-    campaign = Campaign(Path("."), None, (), record, None, None, rig=infer_rig([record], None, {}))
-    return look(campaign).findings
+def screened(record: Record) -> tuple[Record, tuple[Finding, ...]]:
+    """(the record without the readings that the quality gate excludes, its findings)."""
+    found = look(Campaign(Path("."), None, (), record, None, None, rig=infer_rig([record], None, {})))
+    return found.campaign.open_loop, found.findings

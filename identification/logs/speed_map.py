@@ -31,6 +31,16 @@ half such a part, the mean of its second half then differs from the settled spee
 AT_REST = 0.01
 """Share of a log's largest speed below which the rotor is at rest."""
 
+GROSS, FAR = 0.25, 5.0
+"""Relative error, and multiple of the other points' robust standard deviation, of a steady point that is left out of the fit:
+half or double speed is, scatter is not."""
+
+MOST_GROSS, MISFIT = 1.0 / 3.0, 0.05
+"""Largest share of such points, and largest rms residual as a share of the largest speed, of a map that is accepted."""
+
+DRAWS = 3000
+"""Fits through four points each, of which the one with the smallest median residual starts the fit."""
+
 ROWS = 3
 """Minimum readings of a hold that show whether the rotor turns and whether it decelerates."""
 
@@ -186,20 +196,47 @@ def _held_parts(signal: np.ndarray, time: np.ndarray) -> Iterator[tuple[slice, f
 
 
 def fit_speed_map(points: SteadyPoints, span: SignalRange, nominal_voltage: float, source: str) -> SpeedMap:
-    """Fit the cubic by least squares. BadInput: too few different signals, or a map that does not increase over them."""
+    """Fit the cubic by least squares, without points of doubled or halved speed. BadInput: too few different signals, a map
+    that does not increase over them, or one that the points do not fit."""
     different = len(np.unique(points.signal))
     if different < FEWEST:
         allowed = f"{FEWEST} or more with the motor turning"
         found = f"{different} different ESC signals held for {PLATEAU:g} s"
         raise BadInput(source, "steady parts", found, allowed, "--speed-map M.json of another log")
     x = span.throttle(points.signal) * points.voltage / nominal_voltage
-    a, *_ = np.linalg.lstsq(np.vander(x, 4, increasing=True), points.speed, rcond=None)
+    columns = np.vander(x, 4, increasing=True)
+    kept = _kept(columns, points.speed)
+    a, *_ = np.linalg.lstsq(columns[kept], points.speed[kept], rcond=None)
+    rms = float(np.sqrt(np.mean((np.polyval(a[::-1], x) - points.speed)[kept] ** 2)))
+    if rms > MISFIT * points.speed[kept].max() or np.sum(~kept) > MOST_GROSS * len(x):
+        found = f"speeds {rms:.0f} rpm (rms) off the best map of signal and voltage, {int(np.sum(~kept))} of {len(x)} far more"
+        allowed = f"at most {100 * MISFIT:g} % of the largest speed"
+        raise BadInput(source, "steady parts", found, allowed, "--speed-map M.json of another log, or --speed-from measured")
     along = np.linspace(x.min(), x.max(), 101)
     if np.any(np.diff(np.polyval(a[::-1], along)) <= 0.0):
         raise BadInput(source, "steady parts", "speeds that don't increase with the ESC signal", "an increasing curve")
-    rms = float(np.sqrt(np.mean((np.polyval(a[::-1], x) - points.speed) ** 2)))
     reach = points.turns_from, float(points.signal.max())
-    return SpeedMap(tuple(a.tolist()), nominal_voltage, span, *reach, rms, len(points), source)
+    return SpeedMap(tuple(a.tolist()), nominal_voltage, span, *reach, rms, int(kept.sum()), source)
+
+
+def _kept(columns: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Mask (points,) without gross errors of `speed` (points,) rpm in a fit of `columns` (points, 4).
+
+    Least median of squares: up to half of the points may be wrong. Fewer than nine points give no majority: all are kept.
+    """
+    points, order = columns.shape
+    if points <= 2 * order:
+        return np.ones(points, bool)
+    rng = np.random.default_rng(0)
+    draws = np.argsort(rng.random((DRAWS, points)), axis=1)[:, :order]
+    found = np.einsum("dij,dj->di", np.linalg.pinv(columns[draws]), speed[draws])
+    errors = np.abs(found @ columns.T - speed)
+    best = found[np.argmin(np.median(errors, axis=1))]
+    for _ in range(order):
+        error = np.abs(columns @ best - speed)
+        gross = (error > GROSS * np.abs(columns @ best)) & (error > FAR * 1.4826 * np.median(error))
+        best = np.linalg.lstsq(columns[~gross], speed[~gross], rcond=None)[0]
+    return ~gross
 
 
 def read_speed_map(path: str | os.PathLike) -> SpeedMap:
@@ -240,13 +277,22 @@ def _number(path: str | os.PathLike, field: str, found: object, above: float = -
     return float(found)
 
 
+def said_of_gross(figures: dict) -> str:
+    """Points of a `fit_quality` that are off by a factor, in words; "" without any."""
+    return f"; {count} more are off by a factor and left out" if (count := figures.get("points_off")) else ""
+
+
 def fit_quality(points: SteadyPoints, speed_map: SpeedMap) -> dict[str, float | int]:
     """Fit of a map to a log's steady points: numbers of points within its range and beyond, rms and largest error [rpm], and
-    the signal at the largest."""
+    the signal at the largest. Up to MOST_GROSS of the points, with gross errors, are only counted, in `points_off`."""
     known = (points.signal >= speed_map.turns_from) & (points.signal <= speed_map.fitted_to)
     figures = {"points": int(known.sum()), "points_beyond": int((~known).sum())}
     if not known.any():
         return figures
+    off = np.abs(speed_map.error(points)) > GROSS * np.maximum(speed_map.speed(points.signal, points.voltage), 1.0)
+    if 0 < np.sum(off & known) <= MOST_GROSS * known.sum():
+        known &= ~off
+        figures |= {"points": int(known.sum()), "points_off": int(off.sum())}
     error = np.abs(speed_map.error(points)[known])
     worst = {"largest": float(error.max()), "largest_at": float(points.signal[known][np.argmax(error)])}
     return figures | {"rms": float(np.sqrt(np.mean(error**2)))} | worst

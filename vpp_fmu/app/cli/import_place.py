@@ -8,7 +8,7 @@ import numpy as np
 from identification.logger_fit import mended
 from identification.logs.intake import Taken
 from identification.logs.kinds import KINDS, repeat_of, runs_of, static_of
-from identification.logs.sampling import findings, read_once, said_of_rows
+from identification.logs.sampling import read_once, said_of_rows, screened
 from identification.logs.speed_choice import said_of_speed
 from vpp_fmu.app.report.sentences import size
 from vpp_fmu.campaign import write_static, write_steps
@@ -82,9 +82,10 @@ def _record(place: Path, kind: str, taken: Taken, mend: bool) -> tuple[Record, l
     if kind == "repeat" and (first := there(place, "open_loop")):
         record, remarks = repeat_of(record, read_record(first, holes=("thrust",)))
         said += remarks
+    kept, found = screened(record)
     if taken.speed_map is not None:
-        said += said_of_speed(record)
-    return record, [*said, *said_of_rows(record), *(f.text for f in findings(record))]
+        said += said_of_speed(kept)
+    return record, [*said, *said_of_rows(kept), *(f.text for f in found)]
 
 
 def there(folder: Path, kind: str) -> Path | None:

@@ -4,11 +4,13 @@ Logs of one stand share the map of the first log in the folder. The pitch is fix
 Quantities that the log did not measure, or measured before the row's time, are empty. Rows of averages become static.csv.
 """
 
+import contextlib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from identification.gate.sensors import multiples
 from identification.logs.clock import Clock
 from identification.logs.commands import FILE as SPEED_MAP
 from identification.logs.commands import map_beside
@@ -16,7 +18,7 @@ from identification.logs.delimited import read_delimited
 from identification.logs.intake import Taken, within_ranges
 from identification.logs.mapping import in_other_unit, parse_fixed
 from identification.logs.rcbenchmark import REMEMBERED, Log, read_log
-from identification.logs.speed_map import SpeedMap, fit_quality, fit_speed_map, read_speed_map
+from identification.logs.speed_map import SpeedMap, fit_quality, fit_speed_map, read_speed_map, said_of_gross
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.import_place import add_kind, add_speed_from, headline, placed
 from vpp_fmu.app.cli.output import add_output, written
@@ -50,7 +52,7 @@ def run(options):
     figures = findings(log, speed_map, options.keep_stalls)
     kind = options.kind or ("static" if log.averaged else "record")
     tare = log.tare()
-    omega_ref = log.filled_speed() if measured else speed_map.omega_ref(log.signal)
+    omega_ref = log.filled_speed(_multiples(log)) if measured else speed_map.omega_ref(log.signal)
     record = log.record(omega_ref, tare[0] if tare else 0.0, options.keep_stalls)
     columns = {name: column for name, column in record.columns.items() if not (measured and name == "omega")}
     columns["beta_ref"] = np.full(len(record), pitch)
@@ -89,6 +91,13 @@ def _speed_map(options, log: Log) -> tuple[SpeedMap, bool]:
         allowed = f"a map for {log.span.kind} {log.span.low:g} to {log.span.high:g}, which is in {options.log}"
         raise BadInput(options.speed_map, "signal, kind", found.signal.kind, allowed)
     return found, bool(options.speed_map or beside)
+
+
+def _multiples(log: Log) -> np.ndarray:
+    """Mask (n,) of doubled or halved speeds, if the log's steady parts give a map to compare with; else none."""
+    with contextlib.suppress(BadInput):
+        return multiples(log.record(fitted(log).omega_ref(log.signal)))[0]
+    return np.zeros(len(log.time), bool)
 
 
 def said_of_averages(log: Log, kind: str) -> list[str]:
@@ -194,11 +203,13 @@ def said_of_map(figures: dict, known: SpeedMap, taken_over: bool) -> list[str]:
     own = f"rms {figures['rms']:.0f} rpm, nominal {figures['nominal_voltage']:.2f} V"
     worst = f"at most {here['largest']:.0f} rpm at signal {here['largest_at']:g}" if here["points"] else ""
     if not taken_over:
-        return [f"speed map: fitted to {here['points']} steady parts, {own}, {worst}"]
+        return [f"speed map: fitted to {here['points']} steady parts, {own}, {worst}{said_of_gross(here)}"]
     lines = [f"speed map: taken over from {figures['source']} (there {own})"]
     if here["points"]:
         beyond = f", {here['points_beyond']} beyond its signals left out" if here["points_beyond"] else ""
-        lines.append(f"speed map here: rms {here['rms']:.0f} rpm, {worst}, on {here['points']} steady parts{beyond}")
+        lines.append(
+            f"speed map here: rms {here['rms']:.0f} rpm, {worst}, on {here['points']} steady parts{beyond}{said_of_gross(here)}"
+        )
     if (low := figures["turns_from"]) < known.turns_from:
         lines.append(f"speed map: here the rotor turns from signal {low:g} on, there from {known.turns_from:g}")
     if figures["rows_beyond"]:
