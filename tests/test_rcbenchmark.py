@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from builders import refusal
 
+from identification.gate.zero import resting, tare
 from identification.logs.rcbenchmark import REMEMBERED, read_log
 from identification.logs.speed_map import (
     RANGES,
@@ -229,17 +230,30 @@ def test_rows_after_a_stall_of_the_logger_can_be_kept(log):
 
 def test_thrust_is_tared_by_the_rest(log):
     read = log()
-    mean, spread, readings = read.tare()
+    record = read.record(np.zeros(len(read.time)))
+    zero, at_rest = tare(record), resting(record)
     still = np.flatnonzero(truth()["optical"] > 0)
-    assert mean == pytest.approx(OFFSET, abs=4 * 0.01 / np.sqrt(readings))
-    assert spread == pytest.approx(0.01, rel=0.3)
-    assert not read.resting[still[0] : still[-1] + int(0.4 / 0.011)].any()
-    record = read.record(np.zeros(len(read.time)), mean)
-    np.testing.assert_allclose(record["thrust"] + mean, truth()["thrust"], rtol=1e-12, atol=1e-12)
+    assert zero.mean == pytest.approx(OFFSET, abs=4 * 0.01 / np.sqrt(zero.readings))
+    assert zero.spread == pytest.approx(0.01, rel=0.3)
+    assert zero.readings == at_rest.sum() > 200
+    assert not at_rest[still[0] : still[-1] + int(0.4 / 0.011)].any()
+    np.testing.assert_allclose(record["thrust"], truth()["thrust"], rtol=1e-12, atol=1e-12)
 
 
 def test_a_log_without_rest_has_no_tare(tmp_path):
-    assert read_log(write(tmp_path / "log.csv", truth((300, 900, 1500)))).tare() is None
+    read = read_log(write(tmp_path / "log.csv", truth((300, 900, 1500))))
+    assert tare(read.record(read.speed)) is None
+
+
+def test_a_zero_that_jumps_is_taken_off_on_each_side(tmp_path, printed):
+    t = truth(held=3.0)
+    path = write(tmp_path / "log.csv", t | {"thrust": t["thrust"] + np.where(t["time"] > 13.0, 0.9, 0.0)})
+    said = printed(path, "-o", tmp_path / "out")
+    assert "zero: jumps by +0.9" in said
+    assert "zero_jump" not in said
+    thrust = read_record(tmp_path / "out" / "record.csv", holes=("thrust",))["thrust"]
+    np.testing.assert_allclose(thrust, t["thrust"] - OFFSET, atol=0.006)
+    assert f"thrust {thrust.min():.3g} to {thrust.max():.3g} N" in said.splitlines()[0]
 
 
 @pytest.mark.parametrize(
@@ -640,7 +654,7 @@ def test_real_logs_are_cleaned(path, start, offset):
     gaps = np.diff(log.time)[log.late[1:]]
     assert 0.04 < gaps.min() <= gaps.max() < 0.1
     assert 0.02 < log.stalled.mean() < 0.035  # about 3 % of the rows
-    assert log.tare()[0] == pytest.approx(offset, abs=0.003)
+    assert tare(log.record(log.speed)).mean == pytest.approx(offset, abs=0.003)
 
 
 @real

@@ -14,6 +14,7 @@ import numpy as np
 from identification.gate.finding import Finding
 from identification.gate.response import FOLLOWS, Look, Response, steady_response
 from identification.gate.sensors import runs_of_equals
+from identification.gate.zero import FAR, OFFSET, moved, tare
 from vpp_fmu.campaign import Campaign, StaticMap
 from vpp_fmu.kernel.effects.actuator import TIME_CONSTANTS
 from vpp_fmu.record import Record
@@ -62,12 +63,6 @@ AGREE = 1.25
 
 USED = (0.25, 1.1)
 """Range of a campaign's largest thrust over the declared one, in the right unit."""
-
-OFFSET = 0.02
-"""Minimum offset to report, as a share of the largest thrust; it must also exceed FAR standard deviations."""
-
-FAR = 5.0
-"""Minimum standard deviations of a significant offset, also if the scatter is the model error of a map of five terms."""
 
 SOUND, LIFT, AIR = 340.0, 0.4, 1.225
 """m/s, largest thrust coefficient T / (rho n^2 D^4) of any static propeller, and kg/m^3: they give a rotor's minimum
@@ -452,9 +447,19 @@ def _tares(files: Sequence[File]) -> Iterator[Finding]:
     """An offset of the thrust reading: at rest, of the steady points extrapolated to zero speed, or between files."""
     largest = max((_most(f) for f in files), default=0.0)
     for file in files:
-        if (zero := _at_rest(file)) is not None and abs(zero[0]) > max(OFFSET * largest, FAR * zero[1]):
-            message = f"{zero[0]:+.3g} N at rest ({100 * abs(zero[0]) / largest:.2g} % of the largest thrust)"
-            yield Finding("tare", file.where, "thrust", zero[0], "N", message, "the sensor was not tared")
+        for record in file.records:
+            zero, move = tare(record), moved(record)
+            if zero is not None and abs(zero.mean) > max(OFFSET * largest, FAR * zero.error):
+                message = f"{zero.mean:+.3g} N at rest ({100 * abs(zero.mean) / largest:.2g} % of the largest thrust)"
+                yield Finding("tare", record.source, "thrust", zero.mean, "N", message, "the sensor was not tared")
+            if move is not None:
+                by, ends = move.last.mean - move.first.mean, f"{move.first.text}, {move.last.text}"
+                code, how = (
+                    ("zero_drift", "evenly") if move.jump is None else ("zero_jump", f"at {record.time[move.jump]:.2f} s")
+                )
+                cause = "a cold amplifier, or warm air" if move.jump is None else "a knock, or a loose cell"
+                message = f"the reading at rest moves by {by:+.3g} N, {how} ({ends})"
+                yield Finding(code, record.source, "thrust", by, "N", message, cause)
     steady = next((f for f in files if f.static is not None and f.response is not None), None)
     if steady is not None:
         offset, std = _at_no_speed(steady)
@@ -464,21 +469,6 @@ def _tares(files: Sequence[File]) -> Iterator[Finding]:
     by_name = {f.name: f for f in files}
     if {"open_loop", "repeat"} <= set(by_name):
         yield from _shifted(by_name["open_loop"], by_name["repeat"], largest)
-
-
-def _at_rest(file: File) -> tuple[float, float] | None:
-    """(mean thrust, its standard error) of readings at rest; None with too few."""
-    parts = []
-    for record in file.records:
-        speed = record["omega"] if "omega" in record else record["omega_ref"]
-        still = (speed == 0.0) & (record["omega_ref"] == 0.0) & np.isfinite(record["thrust"])
-        if "omega" not in record:  # the rotor may still turn: only the later half of each stop counts
-            first, length = runs_of_equals(still)
-            for begin, many in zip(first, length, strict=True):
-                still[begin : begin + many // 2] = False
-        parts.append(record["thrust"][still])
-    thrust = np.concatenate(parts) if parts else np.zeros(0)
-    return (float(thrust.mean()), float(thrust.std() / np.sqrt(len(thrust) / 10))) if len(thrust) >= 20 else None
 
 
 def _at_no_speed(file: File) -> tuple[float, float]:

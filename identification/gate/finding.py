@@ -58,6 +58,8 @@ KINDS = {
         "Nothing: the fit corrects it; vpp import --mend corrects the file",
     ),
     "tare": Kind(WARNING, "the thrust reading has an offset", "Tare at rest, or correct the column; else vpp diagnose"),
+    "zero_drift": Kind(WARNING, "the thrust reading at rest drifts", "vpp diagnose, of which sensor_drift is a candidate"),
+    "zero_jump": Kind(ERROR, "the thrust reading at rest jumps", "Import the file with vpp import, which levels it", _GO_ON),
     "disagree": Kind(WARNING, "files differ in thrust at the same commands", "Measure all files on one rig"),
     "beyond_rig": Kind(WARNING, "commands or readings are outside the ranges of rig.json", "Correct rig.json, or the file"),
     "on_bound": Kind(WARNING, "a fitted parameter is at its bound", "Look at units and scales; it is no estimate"),

@@ -12,8 +12,8 @@ from identification.assessment.reading_noise import ReadingNoise
 from identification.fit.coordinates import CHANNELS
 from identification.fit.refine import Refinement
 from identification.fit.uncertainty import Uncertainty
-from identification.gate.files import FAR, OFFSET
 from identification.gate.finding import Finding
+from identification.gate.zero import FAR, OFFSET
 from identification.static.static_map import TERMS, design
 from vpp_fmu.rig import Rig
 

@@ -44,12 +44,6 @@ SAMPLED = 0.04
 POINTS = 1.0
 """Median interval [s] above which each row is a steady point."""
 
-AT_REST = 0.5
-"""Time [s] after the motor's stop from which thrust readings are at rest."""
-
-FEWEST_AT_REST = 10
-"""Minimum readings at rest for a tare."""
-
 _GRAVITY = 9.80665
 _TURN = 30.0 / np.pi
 _US = ("us", "µs", "μs")
@@ -109,15 +103,6 @@ class Log:
         return self.interval > POINTS
 
     @property
-    def resting(self) -> np.ndarray:
-        """Mask (n,) of thrust readings at rest: the speed is 0, and has been for AT_REST."""
-        if self.speed is None:
-            return np.zeros(len(self.time), bool)
-        turning = np.where(self.speed > 0.0, self.time, -np.inf)
-        still = self.time - np.maximum.accumulate(turning) > AT_REST
-        return still & (self.speed == 0.0) & np.isfinite(self.thrust) & ~self.repeated & ~self.stalled
-
-    @property
     def loaded_voltage(self) -> float:
         """Median voltage with the motor turning, V; NaN if it never turns."""
         turning = np.zeros(len(self.time), bool) if self.speed is None else self.speed > 0.0
@@ -142,13 +127,8 @@ class Log:
             )
         return np.interp(self.time, self.time[there], self.speed[there])
 
-    def tare(self) -> tuple[float, float, int] | None:
-        """Thrust at rest: (mean [N], standard deviation [N], number of readings); None if readings are too few."""
-        rest = self.thrust[self.resting]
-        return (float(rest.mean()), float(rest.std()), len(rest)) if len(rest) >= FEWEST_AT_REST else None
-
-    def record(self, omega_ref: np.ndarray, offset: float = 0.0, keep_stalls: bool = False) -> Record:
-        """The record, with `offset` [N] subtracted from the thrust, and `beta_ref` 0 (fixed pitch).
+    def record(self, omega_ref: np.ndarray, keep_stalls: bool = False) -> Record:
+        """The record, with thrust as logged, and `beta_ref` 0 (fixed pitch).
 
         Repeated thrust is empty, and so are readings of stalled rows unless `keep_stalls`. The voltage has no gaps, because it
         is an effect's input: late rows hold the value from before the stall.
@@ -157,7 +137,7 @@ class Log:
         columns = {"time": self.time, "omega_ref": omega_ref, "beta_ref": np.zeros(len(self.time))}
         if self.speed is not None:
             columns["omega"] = np.where(stalled, np.nan, self.speed)
-        columns["thrust"] = np.where(stalled | self.repeated, np.nan, self.thrust - offset)
+        columns["thrust"] = np.where(stalled | self.repeated, np.nan, self.thrust)
         columns["voltage"] = _held(np.where(late, np.nan, self.voltage))
         if self.current is not None:
             columns["current"] = np.where(late, np.nan, self.current)

@@ -115,10 +115,10 @@ def run(options):
     beside = map_beside(options.output, span, options.log) if span and given is None else None
     propeller = Propeller(options.diameter, options.density)
     taken = take_in(table, plan, options.kind, given or beside, propeller, options.force, options.run_number)
-    folder, said = _placed(options, plan, taken)
+    folder, put, said = _placed(options, plan, taken)
     lines += [*_columns(plan, taken), *_unused(table, plan.columns), *taken.said, *said]
     content = {"format": FORMAT, options.kind: plan.section(Path(options.log).name)}
-    return Answer(headline(folder, options.kind, taken.columns, options.log), content, lines, written=written(folder))
+    return Answer(headline(folder, options.kind, put.columns, options.log), content, lines, written=written(folder))
 
 
 def _section(options) -> dict:
@@ -213,14 +213,14 @@ def _columns(plan: Plan, taken: Taken) -> list[str]:
     return lines + [f"{name} = {number(value)} {QUANTITIES[name].unit}, fixed" for name, value in plan.fixed.items()]
 
 
-def _placed(options, plan: Plan, taken: Taken) -> tuple[OutputFolder, list[str]]:
-    """Write the campaign's file, the mapping and the speed map, all or none; returns their paths and remarks."""
+def _placed(options, plan: Plan, taken: Taken) -> tuple[OutputFolder, Taken, list[str]]:
+    """Write the campaign's file, the mapping and the speed map, all or none; returns folder, corrected log, remarks."""
     place = Path(options.output)
     sections = read_sections(place / FILE) if (place / FILE).exists() else {}
-    folder, said = placed(place, options.kind, taken, options.replace, options.mend)
+    folder, put, said = placed(place, options.kind, taken, options.replace, options.mend)
     folder.write(FILE, to_toml({**sections, options.kind: plan.section(Path(options.log).name)}))
     if taken.speed_map is not None and not (place / SPEED_MAP).exists():
         folder.write(SPEED_MAP, taken.speed_map.to_json())
     if taken.clock is not None and "run" not in taken.columns:
         said = said_of_gaps(taken.record()) + said
-    return folder, said
+    return folder, put, said

@@ -1,10 +1,12 @@
 """Place of an imported log in a campaign's folder: one file per kind, which never replaces another log's silently."""
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
+from identification.gate.zero import levelled
 from identification.logger_fit import mended
 from identification.logs.intake import Taken
 from identification.logs.kinds import KINDS, repeat_of, runs_of, static_of
@@ -32,8 +34,9 @@ def add_speed_from(parser) -> None:
     parser.add_argument("--speed-from", choices=("command", "measured"), default="command", help=text)
 
 
-def placed(place: Path, kind: str, taken: Taken, replace: bool, mend: bool = False) -> tuple[OutputSet, list[str]]:
-    """(the output folder with the file KIND.csv, not yet in its place; remarks). BadInput."""
+def placed(place: Path, kind: str, taken: Taken, replace: bool, mend: bool = False) -> tuple[OutputSet, Taken, list[str]]:
+    """(the output folder with the file KIND.csv, not yet in its place; the log with the corrections of a record; remarks).
+    BadInput."""
     if kind == "static":
         static, said = static_of(taken)
     elif kind == "steps":
@@ -41,6 +44,7 @@ def placed(place: Path, kind: str, taken: Taken, replace: bool, mend: bool = Fal
         said += said_of_rows(runs[0])
     else:
         record, said = _record(place, kind, taken, mend)
+        taken = dataclasses.replace(taken, columns=record.columns)
     if (other := there(place, kind)) and other.suffix == ".gz":
         raise BadInput(
             other, "file", f"{kind}.csv.gz already in the folder", f"either it or {kind}.csv", "delete it, or another folder"
@@ -56,7 +60,7 @@ def placed(place: Path, kind: str, taken: Taken, replace: bool, mend: bool = Fal
         raise BadInput(
             place / f"{kind}.csv", "file", "the file of another log", "a new file", "another folder, another --as, or --replace"
         )
-    return folder, said
+    return folder, taken, said
 
 
 def headline(folder: OutputSet, kind: str, columns: Mapping[str, np.ndarray] | Record, log: str) -> str:
@@ -76,6 +80,8 @@ def _record(place: Path, kind: str, taken: Taken, mend: bool) -> tuple[Record, l
         allowed = "rows close enough to show how the thrust moves"
         raise BadInput(record.source, "time", f"rows {number(record.period)} s apart", allowed, "--as static for steady points")
     record, said = read_once(record)
+    record, remarks = levelled(record)
+    said += remarks
     if mend:
         record, remarks = mended(record)
         said += remarks

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from identification.gate.sensors import multiples
+from identification.gate.zero import Rest, tare
 from identification.logs.clock import Clock
 from identification.logs.commands import FILE as SPEED_MAP
 from identification.logs.commands import map_beside
@@ -49,24 +50,25 @@ def run(options):
     measured = options.speed_from == "measured"
     known, taken_over = (None, False) if measured else _speed_map(options, log)
     speed_map = known and known.reaching(log.steady_points().turns_from)
-    figures = findings(log, speed_map, options.keep_stalls)
     kind = options.kind or ("static" if log.averaged else "record")
-    tare = log.tare()
     omega_ref = log.filled_speed(_multiples(log)) if measured else speed_map.omega_ref(log.signal)
-    record = log.record(omega_ref, tare[0] if tare else 0.0, options.keep_stalls)
+    record = log.record(omega_ref, options.keep_stalls)
+    if zero := tare(record):
+        record = record.with_columns(thrust=record["thrust"] - zero.mean)
+    figures = findings(log, speed_map, zero, options.keep_stalls)
     columns = {name: column for name, column in record.columns.items() if not (measured and name == "omega")}
     columns["beta_ref"] = np.full(len(record), pitch)
     if kind != "static":
         columns, beyond = within_ranges(columns, log.names, log.source, "vpp import csv with --map")
     taken = Taken(columns, Clock(np.arange(len(record)), log.time, ""), (), log.source, speed_map)
-    folder, said = placed(Path(options.output), kind, taken, options.replace, options.mend)
+    folder, put, said = placed(Path(options.output), kind, taken, options.replace, options.mend)
     if known:
         folder.write(SPEED_MAP, known.to_json())
     folder.write("import.json", as_json(figures))
     lines = [said_of_rows(figures), *said_of_averages(log, kind), *said_of_thrust(figures)]
     lines += said_of_map(figures["speed_map"], known, taken_over) if known else ["omega_ref: the measured speed"]
     lines += beyond + said
-    return Answer(headline(folder, kind, record, options.log), figures, lines, written=written(folder))
+    return Answer(headline(folder, kind, put.columns, options.log), figures, lines, written=written(folder))
 
 
 def _pitch(options, log: Log) -> float:
@@ -116,11 +118,11 @@ def fitted(log: Log) -> SpeedMap:
     return fit_speed_map(log.steady_points(), log.span, log.loaded_voltage, Path(log.source).name)
 
 
-def findings(log: Log, speed_map: SpeedMap | None, keep_stalls: bool) -> dict:
+def findings(log: Log, speed_map: SpeedMap | None, zero: Rest | None, keep_stalls: bool) -> dict:
     """The content of import.json: the log, and its corrections. `speed_map` None: the speed is the measured one."""
     filled, behind = np.isfinite(log.thrust), log.stalled & ~log.repeated
     emptied = behind & (not keep_stalls)
-    gaps, tare = np.diff(log.time)[log.late[1:]], log.tare()
+    gaps = np.diff(log.time)[log.late[1:]]
     return {
         "format": "vpp-import/1",
         "log": Path(log.source).name,
@@ -143,7 +145,7 @@ def findings(log: Log, speed_map: SpeedMap | None, keep_stalls: bool) -> dict:
             "rows_behind": int(log.stalled.sum()),
             "emptied": not keep_stalls,
         },
-        "tare": dict(zip(("mean", "spread", "readings"), tare, strict=True)) if tare else None,
+        "tare": {name: getattr(zero, name) for name in ("mean", "spread", "readings")} if zero else None,
         "signal": {"kind": log.span.kind, "minimum": float(log.signal.min()), "maximum": float(log.signal.max())},
         "speed_map": speed_map
         and {
@@ -174,7 +176,7 @@ def said_of_rows(figures: dict) -> str:
 
 def said_of_thrust(figures: dict) -> list[str]:
     """The treatment of the thrust and its reason, in words."""
-    thrust, stalls, tare = (figures[name] for name in ("thrust", "stalls", "tare"))
+    thrust, stalls, zero = (figures[name] for name in ("thrust", "stalls", "tare"))
     lines = [
         f"thrust: {thrust['filled']} cells filled; {thrust['repeated']} repeat the last value, {thrust['behind_stalls']} more "
         f"stand behind a stall; {thrust['kept']} readings kept",
@@ -189,10 +191,10 @@ def said_of_thrust(figures: dict) -> list[str]:
             f"speed and thrust of {stalls['rows_behind']} rows ({REMEMBERED} behind each, {share:.1%}) "
             f"{'left empty' if stalls['emptied'] else 'kept as logged'}"
         )
-    if tare:
+    if zero:
         lines[2] = (
-            f"tare: {signed(tare['mean'])} N taken off, the mean of {tare['readings']} readings at rest "
-            f"(spread {number(tare['spread'])} N)"
+            f"tare: {signed(zero['mean'])} N taken off, the mean of {zero['readings']} readings at rest "
+            f"(spread {number(zero['spread'])} N)"
         )
     return lines
 
