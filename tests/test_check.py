@@ -21,6 +21,7 @@ from identification.gate.files import (
     least_diameter,
     of_files,
     pole_pairs,
+    said_of_size,
     turns_a_value,
 )
 from identification.gate.finding import ERROR, KINDS, acceptable
@@ -38,6 +39,7 @@ from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BASE, FINE_TUNED
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import QUANTITIES, Record
+from vpp_fmu.rig import infer_rig
 
 SHORT = {"1.2 N": 3.0, "15 N": 6.0, "180 N": 16.0}
 """s of a section: enough moves to show a fault, few enough rows to write and read a dozen times."""
@@ -143,6 +145,45 @@ def test_a_rotor_that_is_slow_to_follow_has_no_multiples(record):
     rising = lagged(command, 0.004, 0.1)
     for speed in (slow, np.maximum(slow, rising)):
         assert screen(record.with_columns(omega_ref=command, omega=np.round(speed)))[1] == ()
+
+
+@pytest.mark.parametrize("later", [0, 40])
+def test_a_hold_out_record_with_commands_of_a_fitted_one_is_no_unseen_data(short, later):
+    """Measured anew, from another moment on; other commands, and those of a repeat, have no such finding."""
+    own = short["15 N"]
+
+    def found(campaign):
+        return [f for f in look(campaign).findings if f.code == "seen_commands"]
+
+    assert found(own) == []
+    noise = np.random.default_rng(5).normal(0.0, 0.1, len(own.open_loop))
+    again = own.open_loop.with_columns(thrust=own.open_loop["thrust"] + noise)
+    rows = np.maximum(np.arange(len(again)) - later, 0)  # its first commands are held longer
+    again = again.with_columns(**{name: again[name][rows] for name in ("omega_ref", "beta_ref", "omega", "thrust")})
+    (finding,) = found(replace(own, validation=again, repeat=None))
+    assert finding.value > 0.9
+    assert "open_loop.csv" in finding.text
+    assert "repeat.csv" in finding.text
+
+
+def test_thrust_in_grams_is_compared_with_the_declared_rotor(record):
+    """By T = CT rho n^2 D^4, thrust in gf in place of N needs a rotor of 102^(1/4) = 3.2 times the size."""
+
+    def codes(thrust, rotor):
+        rig = replace(infer_rig([record], None, {}), rotor=rotor)
+        found = look(replace(campaign_of(record.with_columns(thrust=thrust)), rig=rig)).findings
+        return [f.text for f in found if f.code == "thrust_unit"]
+
+    grams = 1000.0 / 9.80665 * record["thrust"]
+    assert codes(record["thrust"], {"diameter": 0.28}) == []
+    assert codes(grams, {}) == []  # a rotor of 0.9 m would be possible
+    (told,) = codes(grams, {"diameter": 0.28})
+    assert "rig.json declares 0.28 m" in told
+    assert "thrust in gf" in told
+    (line,) = said_of_size(files_of(campaign_of(record), {}))
+    assert "need a rotor of" in line
+    assert 'rig.json, "rotor": {"diameter": D}' in line
+    assert "rig.json declares 0.28 m" in said_of_size(files_of(campaign_of(record), {}), 0.28)[0]
 
 
 def test_a_sensor_with_less_noise_than_its_resolution_is_not_clipped(record):

@@ -63,13 +63,19 @@ def test_a_jump_is_found_at_its_row_and_taken_off(jump, at, measured):
 
 
 @pytest.mark.parametrize("measured", [True, False])
-@pytest.mark.parametrize("rate", [0.02, -0.012])
-def test_a_drift_is_a_warning_and_changes_nothing(rate, measured):
+@pytest.mark.parametrize(
+    "drift",
+    [lambda t: 0.02 * t, lambda t: -0.012 * t, lambda t: 0.6 * (1 - np.exp(-t / 10)), lambda t: 0.9 * (1 - np.exp(-t / 4))],
+)
+def test_a_drift_is_a_warning_and_changes_nothing(drift, measured):
     for seed in range(5):
-        record, _ = log(seed, lambda time: rate * time, measured)
+        record, _ = log(seed, drift, measured)
         assert codes(record) == ["zero_drift"]
         move = moved(record)
         assert move.jump is None
-        seconds = 0.5 * (move.last.begin + move.last.end - move.first.begin - move.first.end)
-        assert move.last.mean - move.first.mean == pytest.approx(rate * seconds, abs=6.0 * NOISE / np.sqrt(move.last.readings))
+        first, last = (
+            drift(record.time[(record.time >= r.begin) & (record.time <= r.end)]).mean() for r in (move.first, move.last)
+        )
+        expected = pytest.approx(last - first, abs=6.0 * NOISE / np.sqrt(move.last.readings))
+        assert move.last.mean - move.first.mean == expected
         assert levelled(record) == (record, [])

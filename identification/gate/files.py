@@ -18,7 +18,7 @@ from identification.gate.zero import FAR, OFFSET, moved, tare
 from vpp_fmu.campaign import Campaign, StaticMap
 from vpp_fmu.kernel.effects.actuator import TIME_CONSTANTS
 from vpp_fmu.record import Record
-from vpp_fmu.rig import DECLARED, RANGES, Rig
+from vpp_fmu.rig import DECLARED, FILE, RANGES, Rig
 
 SPEEDS = {"rad/s": 2.0 * np.pi / 60.0, "Hz": 1.0 / 60.0, "deg/s": 6.0}
 """One rpm in other units."""
@@ -68,6 +68,10 @@ SOUND, LIFT, AIR = 340.0, 0.4, 1.225
 """m/s, largest thrust coefficient T / (rho n^2 D^4) of any static propeller, and kg/m^3: they give a rotor's minimum
 diameter."""
 
+FEWEST_MOVES, SAME_COMMAND, REPEATED = 3, 1e-3, 0.5
+"""Minimum moves of a record whose commands are compared; tolerance of equal commands, as a share of their range; share of the
+rows above which a record repeats another's commands. Random levels agree in no row."""
+
 MARK = 0.025
 """Relative tolerance of the turns between a tachometer's values, from a given number, and between slow and fast rotation."""
 
@@ -113,6 +117,7 @@ def of_files(files: Sequence[File], rig: Rig) -> Iterator[Finding]:
     units = [*_times(files), *_speeds(files), *_pitches(files), *_forces(files, rig)]
     yield from units
     yield from _copies(files)
+    yield from _repeated(files)
     wrong = {f.code for f in units}
     if "time_unit" not in wrong:
         yield from _early(files)
@@ -289,7 +294,7 @@ def _forces(files: Sequence[File], rig: Rig) -> Iterator[Finding]:
     if rig.origin.get("thrust") == DECLARED:
         yield from _declared([f for f in files if f.name not in in_unit], max(map(abs, rig.thrust)))
     for file in looked:
-        yield from _supersonic(file)
+        yield from _too_large(file, rig.rotor.get("diameter"))
 
 
 def _declared(files: Sequence[File], declared: float) -> Iterator[Finding]:
@@ -337,13 +342,27 @@ def least_diameter(file: File) -> tuple[float, float, float]:
     return force, rpm, (force / (LIFT * AIR * (rpm / 60.0) ** 2)) ** 0.25 if rpm > 0.0 else 0.0
 
 
-def _supersonic(file: File) -> Iterator[Finding]:
-    """Thrust that needs supersonic tips: of a rotor with the minimum diameter at this speed."""
-    force, rpm, diameter = least_diameter(file)
-    tip = np.pi * diameter * rpm / 60.0
-    if tip > SOUND:
-        message = f"{force:.4g} N at {rpm:.4g} rpm need a rotor of {diameter:.2f} m with a tip speed of {tip:.0f} m/s"
-        cause = "thrust in gf or mN, or a speed that is not in rpm"
+def said_of_size(files: Sequence[File], diameter: float | None = None) -> list[str]:
+    """The rotor that the files' thrust needs, and a request for its diameter unless the rig declares `diameter` [m]."""
+    rotors = [least_diameter(f) for f in files if f.response is not None]
+    if not rotors:
+        return []
+    force, rpm, least = max(rotors)
+    ask = f"rig.json declares {diameter:g} m" if diameter else f'declare it: {FILE}, "rotor": {{"diameter": D}}, D in m'
+    need = f"{force:.4g} N at {rpm:.4g} rpm need a rotor of {least:.2g} m or more"
+    return [f"units: {need}; if yours is smaller, thrust is not in N ({ask})"]
+
+
+def _too_large(file: File, diameter: float | None) -> Iterator[Finding]:
+    """Thrust that needs a larger rotor than the declared one of `diameter` [m], or one with supersonic tips."""
+    force, rpm, least = least_diameter(file)
+    tip = np.pi * least * rpm / 60.0
+    need = f"{force:.4g} N at {rpm:.4g} rpm need a rotor of {least:.2f} m"
+    cause = "thrust in gf or mN, or a speed that is not in rpm"
+    if diameter and least > diameter:
+        yield Finding("thrust_unit", file.where, "thrust", least, "m", f"{need}, rig.json declares {diameter:g} m", cause)
+    elif tip > SOUND:
+        message = f"{need} with a tip speed of {tip:.0f} m/s"
         yield Finding("thrust_unit", file.where, "thrust", float(tip), "m/s", message, cause)
 
 
@@ -356,6 +375,33 @@ def _copies(files: Sequence[File]) -> Iterator[Finding]:
         if rows > 20 and np.array_equal(a[:rows], b[:rows], equal_nan=True) and np.ptp(a[np.isfinite(a)]) > 0.0:
             message = f"all {rows} readings are those of {Path(one.where).name}"
             yield Finding("copied", other.where, "thrust", rows, "1", message, "the file was copied, not measured")
+
+
+def _repeated(files: Sequence[File]) -> Iterator[Finding]:
+    """A hold-out record with the commands of a fitted one. Both times count from the first move of a command."""
+    unseen = next((f for f in files if f.name == "validation"), None)
+    for other in files:
+        if unseen is None or other is unseen or len(other.records) != 1:
+            continue
+        ours, theirs = unseen.records[0], other.records[0]
+        starts, held = [], []
+        for r in (ours, theirs):
+            moves = np.flatnonzero((np.diff(r["omega_ref"]) != 0.0) | (np.diff(r["beta_ref"]) != 0.0))
+            starts.append(r.time[moves[0] + 1] if len(moves) > FEWEST_MOVES else np.nan)
+        at = ours.time - starts[0] + starts[1]
+        both = (at >= theirs.time[0]) & (at <= theirs.time[-1])
+        if not both.any():  # also if a command hardly moves
+            continue
+        row = np.searchsorted(theirs.time, at[both] + 0.5 * theirs.period, side="right") - 1
+        for name in ("omega_ref", "beta_ref"):
+            digit = SAME_COMMAND * max(np.ptp(ours[name]), 1e-9)
+            held.append(np.abs(ours[name][both] - theirs[name][row]) <= digit)
+        share = float(np.sum(held[0] & held[1])) / len(ours)
+        if share > REPEATED:
+            message = f"{share:.0%} of its commands are those of {Path(other.where).name}, row by row"
+            yield Finding(
+                "seen_commands", unseen.where, "omega_ref and beta_ref", share, "1", message, "a repeat, not unseen data"
+            )
 
 
 def _early(files: Sequence[File]) -> Iterator[Finding]:
@@ -449,7 +495,7 @@ def _tares(files: Sequence[File]) -> Iterator[Finding]:
     for file in files:
         for record in file.records:
             zero, move = tare(record), moved(record)
-            if zero is not None and abs(zero.mean) > max(OFFSET * largest, FAR * zero.error):
+            if move is None and zero is not None and abs(zero.mean) > max(OFFSET * largest, FAR * zero.error):
                 message = f"{zero.mean:+.3g} N at rest ({100 * abs(zero.mean) / largest:.2g} % of the largest thrust)"
                 yield Finding("tare", record.source, "thrust", zero.mean, "N", message, "the sensor was not tared")
             if move is not None:

@@ -28,6 +28,11 @@ KINDS = {
     "no_commands": Kind(ERROR, "no command moves while the rotor does", "Log the commands, row by row"),
     "thrust_dead": Kind(ERROR, "the thrust never changes", "Look at the load cell and its wires"),
     "copied": Kind(ERROR, "a file has the readings of another one", "Remove the file, so that it counts as missing"),
+    "seen_commands": Kind(
+        WARNING,
+        "validation.csv repeats the commands of a fitted record",
+        "Name it repeat.csv, and measure other commands as validation.csv",
+    ),
     "time_unit": Kind(ERROR, "responses are slower or faster than any rotor's", "Write seconds", _GO_ON),
     "speed_unit": Kind(ERROR, "speed in rad/s, Hz or deg/s, or electrical speed", "Write rpm of the rotor", _GO_ON),
     "pitch_unit": Kind(ERROR, "pitch in rad, or as a share of its travel", "Write degrees", _GO_ON),

@@ -14,6 +14,9 @@ AT_REST = 0.5
 FEWEST_AT_REST = 10
 """Minimum readings of a rest."""
 
+WARM_UPS = (3.0, 8.0, 20.0)
+"""Durations of a record in time constants of a warm-up that is compared with a jump."""
+
 CORRELATED = 10.0
 """Readings that are taken as one independent reading in a standard error."""
 
@@ -87,7 +90,7 @@ def tare(record: Record) -> Rest | None:
 def moved(record: Record) -> Move | None:
     """The move of the zero between two rests; None if all rests have one zero.
 
-    It is a jump if a step in time explains more of the residual of a thrust map than a line does.
+    It is a jump if a step in time explains more of the residual of a thrust map than a line or an exponential does.
     """
     found = sorted(rests(record), key=lambda r: r.mean)
     if len(found) < 2:
@@ -97,9 +100,10 @@ def moved(record: Record) -> Move | None:
     if abs(last.mean - first.mean) <= max(OFFSET * largest, FAR * float(np.hypot(first.error, last.error))):
         return None
     rows, basis, residual = _unexplained(record)
-    time = record.time[rows] - record.time[0]
-    line = time - basis @ (basis.T @ time)
-    drift = float(line @ residual) ** 2 / float(line @ line)
+    part = (record.time[rows] - record.time[0]) / record.time[-1]
+    drifts = np.column_stack([part, *(1.0 - np.exp(-many * part) for many in WARM_UPS)])
+    drifts -= basis @ (basis.T @ drifts)
+    drift = float(np.max((residual @ drifts) ** 2 / np.sum(drifts**2, axis=0)))
     after = np.cumsum(residual[::-1])[::-1]  # of a step at each row
     own = np.arange(len(rows), 0, -1) - np.sum(np.cumsum(basis[::-1], axis=0)[::-1] ** 2, axis=1)
     between = (record.time[rows] > first.begin) & (record.time[rows] <= last.end)

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from identification.gate.files import FOLLOWS, GAIN_RANGE, speed_ratio
-from identification.gate.finding import Finding
+from identification.gate.files import FOLLOWS, GAIN_RANGE, files_of, said_of_size, speed_ratio
 from identification.gate.fitted import FIFTH
 from identification.gate.gate import look
 from identification.gate.response import Look
@@ -162,7 +161,7 @@ def _slow(record: Record) -> list[str]:
     return [f"slow sampling: {fast}, and a lag needs {FIFTH:g} rows: log every {enough:.2g} ms or more often"]
 
 
-def screened(record: Record) -> tuple[Record, tuple[Finding, ...]]:
-    """(the record without the readings that the quality gate excludes, its findings)."""
+def screened(record: Record) -> tuple[Record, list[str]]:
+    """(the record without the readings that the quality gate excludes; its findings and the size of its rotor, in words)."""
     found = look(Campaign(Path("."), None, (), record, None, None, rig=infer_rig([record], None, {})))
-    return found.campaign.open_loop, found.findings
+    return found.campaign.open_loop, [*(f.text for f in found.findings), *said_of_size(files_of(found.campaign, {}))]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from tqdm import tqdm
 
 from identification.gate.contents import COLUMNS, FileContents, contents, missing
-from identification.gate.files import File, files_of, least_diameter
+from identification.gate.files import File, files_of, said_of_size
 from identification.gate.finding import ERROR, KINDS, Finding, check_accepted, settled
 from identification.gate.gate import look
 from identification.gate.template import write_template
@@ -141,8 +141,5 @@ def _lines(found: Checked) -> list[str]:
     lines += [f"missing {name}: {cost}" for name, cost in found.missing.items()]
     lines.append(f"rig: {'; '.join(found.campaign.rig.lines())}")
     lines += [f"your logger: {line}" for line in (found.logger.lines if found.logger else ())]
-    if rotors := [least_diameter(f) for f in found.files if f.response is not None]:
-        force, rpm, diameter = max(rotors)
-        need = f"{force:.4g} N at {rpm:.4g} rpm need a rotor of {diameter:.2g} m or more"
-        lines.append(f"units: {need}; if yours is smaller, thrust is not in N")
+    lines += said_of_size(found.files, found.campaign.rig.rotor.get("diameter"))
     return lines + ([finding.text for finding in found.findings] or ["quality: nothing found against these data"])

@@ -91,7 +91,7 @@ def _record(place: Path, kind: str, taken: Taken, mend: bool) -> tuple[Record, l
     kept, found = screened(record)
     if taken.speed_map is not None:
         said += said_of_speed(kept)
-    return record, [*said, *said_of_rows(kept), *(f.text for f in found)]
+    return record, [*said, *said_of_rows(kept), *found]
 
 
 def there(folder: Path, kind: str) -> Path | None:
