@@ -74,7 +74,7 @@ def test_files_that_are_neither_campaign_nor_log_are_named(tmp_path, capsys):
     with pytest.raises(BadInput, match=r"two logs of RCbenchmark, or two tables beside an import\.toml"):
         list(measured.found(tmp_path, look=False))
     printed = capsys.readouterr().out
-    assert "day0.csv: left out: line 2: found 5 cells" in printed
+    assert "day0.csv: left out: column Time: found only Zeit" in printed
     assert "notes.txt: left out: neither a log" in printed
     with pytest.raises(SystemExit, match="no folder"):
         measured.main(ArgumentParser(), [str(tmp_path / "none")])

@@ -24,6 +24,7 @@ import numpy as np
 from identification.logs.clock import mended
 from identification.logs.delimited import read_delimited
 from identification.logs.raw_table import RawTable
+from identification.logs.sampling import read_once
 from identification.logs.speed_map import RANGES, SignalRange, SteadyPoints, steady_points
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import Record
@@ -33,10 +34,6 @@ STALL = 4.0
 
 REMEMBERED = 7
 """Rows after a stall in which speed and thrust still settle: 0.3, 0.12, 0.06, 0.03, 0.015, 0.007 of a step remains."""
-
-COARSE = 10.0
-"""Minimum ratio of the median change between values to the smallest, for equal neighbours to be repeats. Below it 3 % or more
-are equal by chance. The logs have 900."""
 
 SAMPLED = 0.04
 """Longest median interval [s] of samples: a stand samples every 8 to 12 ms; rows 125 ms apart are averages."""
@@ -159,6 +156,7 @@ def read_log(path: str | os.PathLike) -> Log:
     signal = _held(table.numbers(names["signal"]))
     time, *mending = mended(values["time"] - values["time"][0])
     late, stalled = _stalls(time)
+    once, _ = read_once(Record({"time": time, "thrust": values["thrust"]}, table.source))
     for quantity in ("thrust", "voltage"):
         if not np.isfinite(values[quantity]).any():
             raise BadInput(path, f"column {names[quantity]}", "empty cells only", f"measured {quantity}")
@@ -172,7 +170,7 @@ def read_log(path: str | os.PathLike) -> Log:
         thrust=values["thrust"],
         voltage=_held(values["voltage"]),
         current=values.get("current"),
-        repeated=_repeated(values["thrust"]),
+        repeated=np.isfinite(values["thrust"]) & ~np.isfinite(once["thrust"]),
         late=late,
         stalled=stalled,
         names=names,
@@ -253,16 +251,6 @@ def _stalls(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     late &= np.median(step) < SAMPLED
     stalled = np.convolve(late, np.ones(REMEMBERED, bool))[: len(time)] > 0
     return late, stalled
-
-
-def _repeated(thrust: np.ndarray) -> np.ndarray:
-    """Mask (n,) of cells equal to the filled cell before; none if equal values occur by chance (COARSE)."""
-    filled = np.flatnonzero(np.isfinite(thrust))
-    change = np.abs(np.diff(thrust[filled]))
-    repeated, moved = np.zeros(len(thrust), bool), change[change > 0.0]
-    if len(moved) and np.median(moved) > COARSE * moved.min():
-        repeated[filled[1:][change == 0.0]] = True
-    return repeated
 
 
 def _span(table: RawTable, header: str, signal: np.ndarray) -> SignalRange:

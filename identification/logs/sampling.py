@@ -42,7 +42,7 @@ LONGEST = 3.0
 """Ratio of the longest run of repeats to the usual one."""
 
 FEWEST_REPEATS = 100
-"""Minimum number of readings to detect repeats."""
+"""Minimum number of new readings to detect repeats: a coarse sensor without noise changes with the command only."""
 
 CHANCE = 5.0
 """Standard errors that noise alone exceeds in one of three million logs."""
@@ -55,13 +55,13 @@ def read_once(record: Record) -> tuple[Record, list[str]]:
     it is new. Runs longer than LONGEST usual ones stay as they are: the sensor is frozen or clipped.
     """
     seen = np.flatnonzero(np.isfinite(record["thrust"]))
-    if len(seen) < FEWEST_REPEATS:
-        return record, []
     thrust = record["thrust"][seen]
     first, length = runs_of_equals(thrust)
+    if len(first) < FEWEST_REPEATS:
+        return record, []
     change = np.abs(np.diff(thrust[first]))
     equal = float(np.median([np.mean(part) for part in np.array_split(np.diff(thrust) == 0.0, PARTS)]))
-    if len(change) < 2 or equal < REPEATED:
+    if equal < REPEATED:
         return record, []
     by_chance = digit_of(thrust) / (np.sqrt(2.0 * np.pi) * 1.4826 * float(np.median(change)))
     if equal < BY_CHANCE * by_chance:
