@@ -141,6 +141,17 @@ def frozen(name: str) -> Change:
     return change
 
 
+def multiplied(factor: float) -> Change:
+    """A speed of another number of marks over a twentieth of the open-loop record, three times."""
+
+    def change(c: Campaign, rng) -> Campaign:
+        part = np.arange(len(c.open_loop)) / len(c.open_loop)
+        wrong = np.any([(part > start) & (part < start + 0.05) for start in (0.1, 0.4, 0.8)], axis=0)
+        return replace(c, open_loop=c.open_loop.with_columns(omega=np.where(wrong, factor, 1.0) * c.open_loop["omega"]))
+
+    return change
+
+
 def dead(name: str) -> Change:
     """A sensor without a signal."""
     return lambda c, rng: column(c, name, lambda x: np.full(len(x), 0.0), static=False)
@@ -243,6 +254,11 @@ FAULTS = {
         fit=True,
     ),
     "thrust of another time": Planted(unrelated, "poor_fit", fit=True),
+    "speed doubled for a while": Planted(multiplied(2.0), "speed_multiple"),
+    "speed halved for a while": Planted(multiplied(0.5), "speed_multiple"),
+    "validation repeats open_loop": Planted(
+        lambda c, rng: replace(c, validation=replace(c.repeat, source="validation.csv"), repeat=None), "seen_commands"
+    ),
 }
 
 
