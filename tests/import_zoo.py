@@ -529,6 +529,16 @@ def _refused() -> list[Format]:
         Format(
             "a word among numbers", text(cells={"thrust": lambda v: "overload" if v > 10.0 else f"{v:.5f}"}), refused="overload"
         ),
+        Format(
+            "two marks that may separate thousands",
+            text(
+                PLAIN,
+                delimiter=";",
+                cells={n: lambda v: f"{v:,.0f}".replace(",", ".") for n in ("omega", "omega_ref")}
+                | {n: lambda v: f"{1.5 + v % 8:.3f}".replace(".", ",") for n in ("time", "beta_ref", "thrust", "voltage")},
+            ),
+            refused="--decimal comma",
+        ),
         Format("many rows too long", text(lines=lambda rows: [*rows, *["1,2,3,4,5,6,7,8"] * 6]), refused="at most 1 % damaged"),
         Format(
             "the names again in another order",

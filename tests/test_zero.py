@@ -79,3 +79,10 @@ def test_a_drift_is_a_warning_and_changes_nothing(drift, measured):
         expected = pytest.approx(last - first, abs=6.0 * NOISE / np.sqrt(move.last.readings))
         assert move.last.mean - move.first.mean == expected
         assert levelled(record) == (record, [])
+
+
+def test_rests_that_differ_on_one_side_of_a_jump_are_no_jump():
+    """A cell that sticks: three rests, three zeros, of which no step makes one."""
+    record, _ = log(1, lambda time: np.select([time < 8.0, time < 30.0], [0.0, 1.0], -0.8))
+    assert codes(record) == ["zero_drift"]
+    assert levelled(record) == (record, [])

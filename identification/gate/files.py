@@ -501,7 +501,7 @@ def _tares(files: Sequence[File]) -> Iterator[Finding]:
             if move is not None:
                 by, ends = move.last.mean - move.first.mean, f"{move.first.text}, {move.last.text}"
                 code, how = (
-                    ("zero_drift", "evenly") if move.jump is None else ("zero_jump", f"at {record.time[move.jump]:.2f} s")
+                    ("zero_drift", "gradually") if move.jump is None else ("zero_jump", f"at {record.time[move.jump]:.2f} s")
                 )
                 cause = "a cold amplifier, or warm air" if move.jump is None else "a knock, or a loose cell"
                 message = f"the reading at rest moves by {by:+.3g} N, {how} ({ends})"

@@ -263,7 +263,7 @@ def multiples(record: Record) -> tuple[np.ndarray, list[float]]:
     if len(at) < 4 * NEIGHBOURS or np.abs(size[EDGE:] - size[:-EDGE]).max() < HALFWAY:
         return wrong, found
     ratio = _log_ratio(record, at, size)
-    off = np.abs(ratio) > HALFWAY
+    off, right = np.abs(ratio) > HALFWAY, np.flatnonzero(np.abs(ratio) < NEAR)
     first, length = runs_of_equals(off)
     for begin, end in zip(first[1:-1], (first + length)[1:-1], strict=True):
         off[begin:end] |= end - begin <= EDGE  # a move of the command within a stretch
@@ -273,7 +273,6 @@ def multiples(record: Record) -> tuple[np.ndarray, list[float]]:
         if end - begin <= NEIGHBOURS // 2 or abs(np.median(ratio[begin:end]) - factor) > NEAR:
             continue
         inside = begin + np.flatnonzero(np.abs(ratio[begin:end] - factor) < NEAR)
-        right = np.flatnonzero(np.abs(ratio) < NEAR)
         before, after = right[right < begin][-1:], right[right >= end][:1]
         ends = [(before, inside[0]), (after, inside[-1])]
         if begin > 0 and end < len(at) and not (len(before) and len(after)):

@@ -90,14 +90,16 @@ def tare(record: Record) -> Rest | None:
 def moved(record: Record) -> Move | None:
     """The move of the zero between two rests; None if all rests have one zero.
 
-    It is a jump if a step in time explains more of the residual of a thrust map than a line or an exponential does.
+    It is a jump if a step in time explains more of the residual of a thrust map than a line or an exponential does, and if the
+    rests on each side of it have one zero.
     """
     found = sorted(rests(record), key=lambda r: r.mean)
     if len(found) < 2:
         return None
     first, last = sorted((found[0], found[-1]), key=lambda r: r.begin)
     largest = float(np.quantile(np.abs(record["thrust"][np.isfinite(record["thrust"])]), 0.999))
-    if abs(last.mean - first.mean) <= max(OFFSET * largest, FAR * float(np.hypot(first.error, last.error))):
+    limit = max(OFFSET * largest, FAR * float(np.hypot(first.error, last.error)))
+    if abs(last.mean - first.mean) <= limit:
         return None
     rows, basis, residual = _unexplained(record)
     part = (record.time[rows] - record.time[0]) / record.time[-1]
@@ -108,7 +110,10 @@ def moved(record: Record) -> Move | None:
     own = np.arange(len(rows), 0, -1) - np.sum(np.cumsum(basis[::-1], axis=0)[::-1] ** 2, axis=1)
     between = (record.time[rows] > first.begin) & (record.time[rows] <= last.end)
     steps = np.where(between & (own > FEWEST_AT_REST), after**2 / np.maximum(own, 1.0), 0.0)
-    return Move(first, last, int(rows[np.argmax(steps)]) if steps.max() > drift else None)
+    jump = int(rows[np.argmax(steps)])
+    sides = [[r.mean for r in found if (r.end < record.time[jump]) == side] for side in (True, False)]
+    one_each = all(max(side, default=0.0) - min(side, default=0.0) <= limit for side in sides)
+    return Move(first, last, jump if steps.max() > drift and one_each else None)
 
 
 def levelled(record: Record) -> tuple[Record, list[str]]:

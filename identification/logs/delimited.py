@@ -91,7 +91,7 @@ def read_delimited(path: str | os.PathLike, given: Mapping[str, str]) -> RawTabl
         separated = f"cells separated by {read['delimiter']}"
         named = f", names on line {line}" if head else ", no names: columns are numbered"
     cells = [row for _, row in data]
-    read["decimal"] = decimal = given.get("decimal") or _decimal(cells, delimiter)
+    read["decimal"] = decimal = given.get("decimal") or _decimal(path, cells, delimiter)
     how = f"text in {encoding}, {separated}, decimal {'comma' if decimal == ',' else 'point'}{named}"
     columns = [_column(list(column), decimal) for column in zip(*cells, strict=True)]
     broken = sorted({row for column, _ in columns for row in _broken(column, decimal)})
@@ -350,8 +350,9 @@ def _units(row: Sequence[str]) -> bool:
     return bool(filled) and 2 * known >= len(filled)
 
 
-def _decimal(rows: Sequence[Sequence[str]], delimiter: str) -> str:
-    """The decimal mark: that of cells in which it can't separate thousands, if only one mark has such cells; else of most."""
+def _decimal(path, rows: Sequence[Sequence[str]], delimiter: str) -> str:
+    """The decimal mark: that of cells in which it can't separate thousands, if only one mark has such cells; else of most.
+    BadInput if both marks occur, and each may separate thousands."""
     commas = points = 0
     proven = set()
     for row in rows[: 10 * _LOOK]:
@@ -368,6 +369,9 @@ def _decimal(rows: Sequence[Sequence[str]], delimiter: str) -> str:
                 commas += 1
     if delimiter != "," and len(proven) == 1:
         return proven.pop()
+    if delimiter != "," and commas and points and not proven:
+        found = "points and commas in cells of three digits behind them: either may separate thousands"
+        raise BadInput(path, "decimal mark", found, "one that decides", "--decimal comma, or --decimal point")
     return "," if commas and (not points or (delimiter != "," and commas > points)) else "."
 
 
