@@ -44,7 +44,7 @@ from vpp_fmu.kernel.calls import (
     TERMINATE_STATES,
     TERMINATED,
 )
-from vpp_fmu.kernel.schedule import LONGEST_EXACT, NOW, PIECES, DelayFull, DelayLine, run_held, run_sampled
+from vpp_fmu.kernel.schedule import LONGEST_EXACT, NOW, PIECES, DelayFull, DelayLine, next_sample, run_held, run_sampled
 
 TYPE_NAMES = ("Real", "Integer", "Boolean")
 REAL, INTEGER, BOOLEAN = TYPE_NAMES
@@ -112,6 +112,7 @@ class TracedSlave(Fmi2Slave):
     RANGES = ()  # (minimum, maximum, unit for messages, range in words) of each parameter
     TUNABLE = ()  # which parameters may change while the model runs
     N_INPUTS = N_OUTPUTS = N_PARAMETERS = 0
+    SAMPLES = ()  # (position of the time to its next sample, position of its period) of each sampled effect
     DELAYS = ()  # (position of the input, position of its delay)
     SAMPLE_TIME = None  # position of the period of a sampled model
     start = prepare = step = largest_step = total = None  # see vpp_fmu.tracer.emit.python_source
@@ -440,9 +441,12 @@ class Scheduled:
         n = self.N_INPUTS
         held = self.v[:n]
         try:
-            run_held(self.lines, self.delays, held, step_size, self.largest, self._piece)
+            run_held(self.lines, self.delays, held, step_size, self.largest, self._piece, None, self._due)
         finally:
             self.v[:n] = held
+
+    def _due(self):
+        return [next_sample(self.v[wait], self.v[period]) for wait, period in self.SAMPLES]
 
     def _piece(self, acting, dt):
         if dt != self.prepared_for:

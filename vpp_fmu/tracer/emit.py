@@ -1,12 +1,13 @@
 """A traced program as text: Python (for the Python FMU, and where there is no compiler) and C."""
 
 from collections import Counter
-from collections.abc import Callable, Container, Sequence
-from itertools import takewhile
+from collections.abc import Callable, Container, Iterable, Sequence
+from hashlib import sha256
+from importlib.resources import files
 from math import isinf
 
 from vpp_fmu.kernel.ops import WHOLE
-from vpp_fmu.tracer.graph import CALLS, COMPARE, Node, needed
+from vpp_fmu.tracer.graph import CALLS, COMPARE, TABLES, Node, needed
 from vpp_fmu.tracer.program import Program, Write
 
 ONCE = """#if defined(__clang__)
@@ -34,7 +35,7 @@ def python_source(program: Program) -> str:
         )
 
     def body(writes: tuple[Write, ...]) -> list[str]:
-        lines, values = _statements(writes, name, _python_operation, "{0} = {1}")
+        lines, values = _statements(writes, name, "{0} = {1}")
         if writes and writes[0][0][0] in "vd":
             return [
                 *lines,
@@ -42,6 +43,8 @@ def python_source(program: Program) -> str:
             ]
         return [*lines, f"return {', '.join(values[t] for t, _ in writes)}" + ("," if writes[0][0][0] == "c" else "")]
 
+    blocks = (program.start, program.prepare, program.step)
+    tables = [f"{name} = {', '.join(map(repr, parts))}\n" for name, parts in _tables(blocks).items()]
     constants = "".join(f"c{i}, " for i in range(len(program.prepare)))
     functions = (
         ("start(v, d)", body(program.start)),
@@ -49,7 +52,12 @@ def python_source(program: Program) -> str:
         ("step(v, c, d)", ([f"{constants}= c"] if constants else []) + body(program.step)),
         ("largest_step(v)", body(program.largest_step)),
     )
-    return "\n\n\n".join(f"def {head}:\n" + "\n".join("    " + line for line in lines) for head, lines in functions) + "\n"
+    defined = [f"def {head}:\n" + "\n".join("    " + line for line in lines) + "\n" for head, lines in functions]
+    imports = [
+        f"from math import {', '.join(CALLS)}\n",
+        *["from vpp_fmu.kernel.tables import look_up, look_up_2\n"] * bool(tables),
+    ]
+    return "\n\n".join(["".join([*imports, *tables]), *defined])
 
 
 def c_source(program: Program) -> str:
@@ -77,12 +85,19 @@ def c_source(program: Program) -> str:
         "N_TANGENTS": max(1, width * len(layout.moving)),
         "N_DELAYED": len(model.delays),
         "N_DELAYED_OR_1": len(delayed),
+        "N_SAMPLED": len(model.sampled),
         "SAMPLED": int(bool(model.sample_time)),
         "SAMPLE_TIME": sample_time,
     }
     parts = ["#include <math.h>\n", ONCE, *(f"#define {k} {n}\n" for k, n in sizes.items())]
+    parts.append(_c_library((program.start, program.prepare, program.step)))
     parts.append(f"static const int DELAYED_INPUT[] = {{{', '.join(map(str, delayed))}}};\n")
     parts.append(f"static const int DELAY_PARAMETER[] = {{{', '.join(map(str, delays))}}};\n")
+    for array, positions in (
+        ("SAMPLE_STATE", [at["state", x] for x, _ in model.sampled]),
+        ("SAMPLE_PERIOD", [at["parameter", p] for _, p in model.sampled]),
+    ):
+        parts.append(f"static const int {array}[] = {{{', '.join(map(str, positions or [0]))}}};\n")
     columns = [program.wrt.index(p) if p in program.wrt else -1 for _, p in model.delays] or [-1]
     parts.append(f"static const int DELAY_COLUMN[] = {{{', '.join(map(str, columns))}}};\n")
     plain = tuple((target, value) for target, value in program.step if target[0] != "d")
@@ -103,10 +118,10 @@ LANES = 8
 
 def c_lanes(program: Program) -> str:
     """`step` without tangents as static C on LANES sets of values at once, with the same arithmetic. "" if runs may take
-    different steps: for a model that is sampled, or delays its inputs.
+    different steps: for a model that is sampled, has sampled effects, or delays its inputs.
 
     Compilers vectorise only loops that call no function, so HEAVY operations are in loops of their own."""
-    if program.model.sample_time or program.model.delays:
+    if program.model.sample_time or program.model.delays or program.model.sampled:
         return ""
     writes = tuple((target, value) for target, value in program.step if target[0] != "d")
     loops, arrays, last = _loops(writes)
@@ -127,11 +142,48 @@ def c_function(head: str, writes: tuple[Write, ...], name: Callable) -> str:
     return "".join([f"\nstatic {head} {{\n", *(f"  {line}\n" for line in lines), "}\n"])
 
 
-HEAVY = frozenset(CALLS) - {"sqrt"}
+def _tables(blocks: Iterable[tuple[Write, ...]]) -> dict[str, tuple]:
+    """The tables that these blocks read, by name."""
+    return {_table_name(n): tuple(n.table[0]) for n in needed(v for writes in blocks for _, v in writes) if n.op in TABLES}
+
+
+def _table_name(n: Node) -> str:
+    return f"TABLE_{sha256(repr(n.table[0]).encode()).hexdigest()[:12]}"
+
+
+def _c_library(blocks: Sequence[tuple[Write, ...]]) -> str:
+    """What these blocks call beside C's library: tables with their functions, and a power that no compiler replaces."""
+    parts, used = [], {n.op for n in needed(v for writes in blocks for _, v in writes)}
+    if "pow" in used:  # compilers replace pow(x, 2.0) by x * x, which Python does not
+        parts.append("static double (*const volatile power)(double, double) = pow;\n")
+    if used & set(TABLES):
+        parts.append((files("vpp_fmu.kernel") / "tables.c").read_text(encoding="utf-8"))
+    for name, arrays in _tables(blocks).items():
+        for k, numbers in enumerate(arrays):
+            if numbers:
+                parts.append(f"static const double {name}_{k}[] = {{{', '.join(map(repr, numbers))}}};\n")
+    return "".join(parts)
+
+
+HEAVY = frozenset((*CALLS, *TABLES)) - {"sqrt"}
 """Operations that cost as much as some twenty others: if only one side of a choice needs them, they are computed there."""
 
-Path = tuple[tuple[int, int], ...]
-"""Place of a statement: number of a choice and its side (1 or 2), from the outermost inwards."""
+DEEPEST = 32
+"""Most choices within each other: compilers and Python's parser limit the depth of brackets."""
+
+
+class Place:
+    """Place of a statement: side 1 or 2 of the choice number `choice`, within another place; the outermost has no `outer`."""
+
+    __slots__ = ("choice", "depth", "known", "outer", "side")
+
+    def __init__(self, outer: "Place | None" = None, choice: int = -1, side: int = 0):
+        self.outer, self.choice, self.side, self.known = outer, choice, side, {}
+        self.depth: int = outer.depth + 1 if outer else 0
+
+    def within(self, choice: int, side: int) -> "Place":
+        """The place of one side of a choice that is here; each exists once."""
+        return self.known.setdefault((choice, side), Place(self, choice, side))
 
 
 def _loops(writes: tuple[Write, ...]) -> tuple[dict[Node, int], set[Node], int]:
@@ -140,16 +192,20 @@ def _loops(writes: tuple[Write, ...]) -> tuple[dict[Node, int], set[Node], int]:
     Even loops have no HEAVY operations; an odd one has those that need only the loops before it. The last is even, and stores.
     """
     order = needed(value for _, value in writes)
-    homes = _homes(order, writes)
-    outer = {n: n.number if not homes[n] else homes[n][0][0] for n in order}
+    homes, outer = _homes(order, writes), {}
+    for n in order:
+        place = homes[n]
+        while place.depth > 1:
+            place = place.outer
+        outer[n] = place.choice if place.depth else n.number
     heavy = {outer[n] for n in order if n.op in HEAVY}
     ready: dict[Node, int] = {}  # the even loop from which a value can be used
     loops: dict[Node, int] = {}
     for n in order:
         ready[n] = max((ready[a] for a in n.nodes), default=0)
-        if not homes[n] and n.number in heavy:
+        if not homes[n].depth and n.number in heavy:
             loops[n], ready[n] = ready[n] + 1, ready[n] + 2
-        elif not homes[n]:
+        elif not homes[n].depth:
             loops[n] = ready[n]
     last = max(loops.values(), default=0)
     last += last % 2
@@ -167,8 +223,9 @@ def _c_statements(
     """(for each node at the outermost place the lines that compute it, lines that store or return the values). `arrays`: nodes
     whose values are elements k of an array."""
     order, form = needed(value for _, value in writes), "const double {0} = {1};"
-    homes, text = _homes(order, writes), {}
-    inside: dict[Path, list[Node]] = {}
+    outermost = Place()
+    homes, text = _homes(order, writes, outermost), {}
+    inside: dict[Place, list[Node]] = {}
     for n in order:
         inside.setdefault(homes[n], []).append(n)
 
@@ -177,56 +234,73 @@ def _c_statements(
 
     def statement(n: Node) -> list[str]:
         if n.op in COMPARE:
-            text[n] = f"({_c_operation(n.op, [said(a) for a in n.args])})"
+            text[n] = f"({_operation(n, [said(a) for a in n.args], True)})"
             return []
         text[n] = f"t{n.number}[k]" if n in arrays else f"t{n.number}"
-        sides = [(*homes[n], (n.number, side)) for side in (1, 2)]
-        if n.op == "where" and any(side in inside for side in sides):
+        sides = [homes[n].within(n.number, side) for side in (1, 2)] if n.op == "where" else []
+        if any(side in inside for side in sides):
             lines = [f"double {text[n]};"] * (n not in arrays)
             for head, side, value in zip((f"if ({said(n.args[0])}) {{", "} else {"), sides, n.args[1:], strict=True):
                 lines += [head, *(f"  {line}" for line in block(side)), f"  {text[n]} = {said(value)};"]
             return [*lines, "}"]
-        code = _c_operation(n.op, [said(a) for a in n.args]) if n.nodes else name((n.op, *n.args))
+        code = _operation(n, [said(a) for a in n.args], True) if n.nodes else name((n.op, *n.args))
         return [f"{text[n]} = {code};" if n in arrays else form.format(text[n], code)]
 
-    def block(path: Path) -> list[str]:
+    def block(path: Place) -> list[str]:
         return [line for n in inside.get(path, ()) for line in statement(n)]
 
-    statements = [(n, statement(n)) for n in inside.get((), ())]
+    statements = [(n, statement(n)) for n in inside.get(outermost, ())]
     return statements, [f"{name(t)} = {said(v)};" if t != ("result",) else f"return {said(v)};" for t, v in writes]
 
 
-def _homes(order: Sequence[Node], writes: tuple[Write, ...]) -> dict[Node, Path]:
+def _homes(order: Sequence[Node], writes: tuple[Write, ...], outermost: Place | None = None) -> dict[Node, Place]:
     """For each node the innermost place that is visible to all its users; choices without HEAVY operations have no place."""
-    homes: dict[Node, Path] = {value: () for _, value in writes if isinstance(value, Node)}
+    outermost = outermost or Place()
+    homes: dict[Node, Place] = {value: outermost for _, value in writes if isinstance(value, Node)}
     for n in reversed(order):  # all users of a node come later
         for k, a in enumerate(n.args):
             if isinstance(a, Node):
-                there = (*homes[n], (n.number, k)) if n.op == "where" and k else homes[n]
+                there = homes[n].within(n.number, k) if n.op == "where" and k and homes[n].depth < DEEPEST else homes[n]
                 homes[a] = _shared(homes[a], there) if a in homes else there
-    opened = {homes[n][:k] for n in order if n.op in HEAVY for k in range(len(homes[n]) + 1)} | {()}
-    return {n: next(home[:k] for k in range(len(home), -1, -1) if home[:k] in opened) for n, home in homes.items()}
+    opened = {outermost}
+    for n in order:
+        place = homes[n]
+        while n.op in HEAVY and place not in opened:
+            opened.add(place)
+            place = place.outer
+    return {n: _innermost(place, opened) for n, place in homes.items()}
 
 
-def _shared(one: Path, other: Path) -> Path:
-    """Common beginning of two paths."""
-    same = [a for a, b in takewhile(lambda pair: pair[0] == pair[1], zip(one, other, strict=False))]
-    return tuple(same)
+def _innermost(place: Place, opened: Container[Place]) -> Place:
+    while place not in opened:
+        place = place.outer
+    return place
 
 
-def _statements(writes, name: Callable, operation: Callable, form: str):
-    """Code for `writes`: (statements in order, expression of each target's value)."""
+def _shared(one: Place, other: Place) -> Place:
+    """The innermost place that contains both."""
+    while one is not other:
+        if one.depth >= other.depth:
+            one = one.outer
+        else:
+            other = other.outer
+    return one
+
+
+def _statements(writes, name: Callable, form: str):
+    """Python code for `writes`: (statements in order, expression of each target's value)."""
     order = needed(value for _, value in writes)
     uses = Counter(value for _, value in writes if isinstance(value, Node))
     uses.update(a for n in order for a in n.nodes)
-    lines, text = [], {}
+    lines, text, depth = [], {}, {}
     for n in order:
         args = [text[a] if isinstance(a, Node) else _number(a, form) for a in n.args] if n.nodes else None
-        code = operation(n.op, args) if args else name((n.op, *n.args))
-        if n.op in COMPARE or uses[n] == 1 or n.op in ("c", "dt"):
-            text[n] = f"({code})" if args and n.op not in CALLS else code
+        code = _operation(n, args, False) if args else name((n.op, *n.args))
+        depth[n] = 1 + max((depth[a] for a in n.nodes), default=0)
+        if n.op in COMPARE or n.op in ("c", "dt") or (uses[n] == 1 and depth[n] < DEEPEST):
+            text[n] = f"({code})" if args and n.op not in (*CALLS, *TABLES) else code
         else:
-            text[n] = f"t{len(lines)}"
+            text[n], depth[n] = f"t{len(lines)}", 0
             lines.append(form.format(text[n], code))
     return lines, {t: text[v] if isinstance(v, Node) else _number(v, form) for t, v in writes}
 
@@ -237,21 +311,31 @@ def _number(x: float, form: str) -> str:
     return f"({float(x)!r})" if x < 0 else repr(float(x))
 
 
-def _python_operation(op: str, x: list[str]) -> str:
-    if op == "where":
-        return f"{x[1]} if {x[0]} else {x[2]}"
-    if op == "neg":
-        return f"-{x[0]}"
-    if op == "whole":
-        return f"{x[0]} + {WHOLE!r} - {WHOLE!r}"
-    return f"{op}({x[0]})" if op in CALLS else f"{x[0]} {op} {x[1]}"
+def _operation(n: Node, x: list[str], in_c: bool) -> str:
+    """The operation of a node on its arguments `x`, in C or in Python."""
+    match n.op:
+        case "where":
+            return f"{x[0]} ? {x[1]} : {x[2]}" if in_c else f"{x[1]} if {x[0]} else {x[2]}"
+        case "neg":
+            return f"-{x[0]}"
+        case "whole":
+            return f"{x[0]} + {WHOLE!r} - {WHOLE!r}"
+        case "&" | "|" if in_c:
+            return f"{x[0]} {n.op * 2} {x[1]}"
+        case "&" | "|":
+            return f"{x[0]} {'and' if n.op == '&' else 'or'} {x[1]}"
+        case "pow" if in_c:
+            return f"power({x[0]}, {x[1]})"
+        case "look_up" | "look_up_2":
+            return f"{n.op}({', '.join([*x, *_table_arguments(n, in_c), *map(str, n.table[1:])])})"
+    return f"{n.op}({', '.join(x)})" if n.op in CALLS else f"{x[0]} {n.op} {x[1]}"
 
 
-def _c_operation(op: str, x: list[str]) -> str:
-    if op == "where":
-        return f"{x[0]} ? {x[1]} : {x[2]}"
-    if op == "neg":
-        return f"-{x[0]}"
-    if op == "whole":
-        return f"{x[0]} + {WHOLE!r} - {WHOLE!r}"
-    return f"{op}({x[0]})" if op in CALLS else f"{x[0]} {op} {x[1]}"
+def _table_arguments(n: Node, in_c: bool) -> list[str]:
+    """Sizes and arrays of a node's table."""
+    name, parts = _table_name(n), n.table[0]
+    arrays = [(f"{name}_{k}" if in_c else f"{name}[{k}]") if part else "0" if in_c else "None" for k, part in enumerate(parts)]
+    if n.op == "look_up":
+        return [str(len(parts.xs)), *arrays]
+    sized = [str(len(parts.xs)), arrays[0], str(len(parts.ys)), arrays[1], arrays[2]]
+    return [*sized, str(int(len(parts.grid) > len(parts.xs) * len(parts.ys)))] if in_c else sized

@@ -122,6 +122,7 @@ def _is_zero(value: object) -> bool:
 
 def _writes(graph: Graph, layout: Layout, signals: dict, states: dict, wrt: list[dict[Node, object]]) -> tuple[Write, ...]:
     values = [signals[n] for n in layout.outputs] + [states[n] for n in layout.states]
+    values = [graph.where(v, 1.0, 0.0) if isinstance(v, Node) and v.op in COMPARE else v for v in values]
     writes = [(("v", i), value) for i, value in zip(layout.moving, values, strict=True)]
     order = needed(values)
     for j, leaves in enumerate(wrt):
@@ -161,6 +162,6 @@ def _set_apart(graph: Graph, writes: tuple[Write, ...], parameters: set[Node]) -
 
     for n in order:
         if n not in fixed:
-            moved[n] = graph.node(n.op, *(carried(a) for a in n.args)) if n.nodes else n
+            moved[n] = graph.rebuilt(n, map(carried, n.args)) if n.nodes else n
     stepped = tuple((target, carried(value)) for target, value in writes)
     return tuple(prepared), stepped
