@@ -46,6 +46,7 @@ __all__ = [
     "example_campaign",
     "export_fmu",
     "identify",
+    "instance",
     "learn",
     "plan",
     "read_campaign",

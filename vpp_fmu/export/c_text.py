@@ -138,7 +138,7 @@ def _calls() -> str:
 
 def is_exact(model: Model) -> bool:
     """Whether one communication step is one step of the chain."""
-    return not (model.sample_time or model.delays or any(e.largest_step is not None for e in model.effects))
+    return not (model.sample_time or model.delays or model.sampled or any(e.largest_step is not None for e in model.effects))
 
 
 def _string(text: str) -> str:

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from xml.etree.ElementTree import Element, SubElement
 
 from vpp_fmu.export.description import (
-    AUTHOR,
     Experiment,
     Flavour,
     about,
@@ -21,11 +20,11 @@ TYPES = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean"}
 
 
 def model_description_3(
-    model: Model, values: Mapping[str, float], token: str, flavour: Flavour, experiment: Experiment, author: str = AUTHOR
+    model: Model, values: Mapping[str, float], token: str, flavour: Flavour, experiment: Experiment
 ) -> bytes:
     """The XML text. `values`: every parameter's start value. `token`: what FMI 2.0 calls the guid."""
     fixed = {"fmiVersion": "3.0", "instantiationToken": token}
-    root = Element("fmiModelDescription", fixed | about(model, flavour, author))
+    root = Element("fmiModelDescription", fixed | about(model, flavour))
     can = (
         "canGetAndSetFMUState",
         "canHandleVariableCommunicationStepSize",

@@ -1,6 +1,7 @@
 """Documentation of an FMU: a page with equations and parameters, licences, an icon."""
 
 import importlib
+import inspect
 import struct
 import zlib
 from collections.abc import Iterable, Mapping
@@ -9,6 +10,7 @@ from html import escape
 from importlib.metadata import distribution
 from importlib.util import find_spec
 from math import cos, hypot, pi, sin
+from pathlib import Path
 from textwrap import dedent
 
 from vpp_fmu.files import as_bytes
@@ -54,14 +56,16 @@ def documents(
     """The files by their place in an FMU.
 
     `values`: every parameter's start value. `origins`: known sources of values, by name; the others are defaults, or were set
-    at the export. `packages`: other packages whose code is in the FMU.
+    at the export. `packages`: other packages whose code is in the FMU beside this one's, with their licences.
     """
-    licences = {f"documentation/licenses/{name}.txt": _licence(name).encode() for name in packages}
+    licences = {f"documentation/licenses/{name}.txt": _licence(name).encode() for name in ("vpp-fmu", *packages)}
+    pictures = {"model.png": icon() if model.icon == "propeller" else Path(model.icon).read_bytes()} if model.icon else {}
+    said = "\n\n".join(filter(None, (model.copyright, model.license and f"Licence: {model.license}")))
     return {
         "documentation/index.html": as_bytes(_page(model, values, origins or {})),
-        "documentation/licenses/license.txt": _licence("vpp-fmu").encode(),
+        **({"documentation/licenses/license.txt": as_bytes(said + "\n")} if said else {}),
         **licences,
-        "model.png": icon(),
+        **pictures,
     }
 
 
@@ -122,8 +126,9 @@ def _equations(model: Model) -> list[str]:
 
 def _theory(effect: Effect) -> str:
     """The docstring of the file with an effect's equation, of the library or user-defined; a delay has no equation."""
-    if effect.step is not no_step:
-        return effect.step.__globals__.get("__doc__") or effect.description
+    function = effect.derivative or (effect.step if effect.step is not no_step else effect.output)
+    if function is not None:
+        return inspect.unwrap(function).__globals__.get("__doc__") or effect.description
     own = f"{EFFECTS}.{effect.name}"
     return (find_spec(own) and importlib.import_module(own).__doc__) or effect.description
 

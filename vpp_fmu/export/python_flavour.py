@@ -10,7 +10,6 @@ from pathlib import Path
 from vpp_fmu.export.archive import archive
 from vpp_fmu.export.c_text import is_exact
 from vpp_fmu.export.description import (
-    AUTHOR,
     TEN_SECONDS,
     Experiment,
     Flavour,
@@ -32,28 +31,31 @@ def python_fmu(
     parameters: Mapping[str, float] | None = None,
     experiment: Experiment = TEN_SECONDS,
     origins: Mapping[str, str] | None = None,
-    author: str = AUTHOR,
 ) -> bytes:
     """An FMU of `model` that runs under Python; its bytes depend on the arguments and versions alone.
 
     `parameters`: changes to the defaults (KeyError names an unknown one); they become the start values. `origins`: sources of
-    values, by name, for the FMU's documentation. `author`: of the model, for its description.
+    values, by name, for the FMU's documentation.
     """
     values = model.values(parameters)
     source = module_source(model, values)
     # Python modules share one namespace in a process, so modules of different content need different names.
     module = f"{model.name.lower()}_{sha256(source.encode()).hexdigest()[:16]}"
     flavour = Flavour(f"pythonfmu {version('pythonfmu')}", {"needsExecutionTool": True})
-    identity = guid(source, model_description(model, values, "", flavour, experiment, author))
+    identity = guid(source, model_description(model, values, "", flavour, experiment))
     return archive(
         {
-            "modelDescription.xml": model_description(model, values, identity, flavour, experiment, author),
+            "modelDescription.xml": model_description(model, values, identity, flavour, experiment),
             "resources/slavemodule.txt": module.encode(),
             f"resources/{module}.py": source.encode(),
             **_pythonfmu(model.name),
             **documents(model, values, origins, packages=["pythonfmu"]),
         }
     )
+
+
+TABLES = "from vpp_fmu.kernel.tables import look_up, look_up_2\n"
+"""The import of generated code that has tables: in an FMU their functions are in the same file."""
 
 
 def _pythonfmu(name: str) -> dict[str, bytes]:
@@ -84,6 +86,7 @@ def module_source(model: Model, values: Mapping[str, float]) -> str:
         "N_OUTPUTS": len(layout.outputs),
         "N_PARAMETERS": len(layout.parameters),
         "DELAYS": tuple((at["input", u], at["parameter", p]) for u, p in model.delays),
+        "SAMPLES": tuple((at["state", x], at["parameter", p]) for x, p in model.sampled),
         "SAMPLE_TIME": at["parameter", model.sample_time] if model.sample_time else None,
     }
     generated = f"{python_source(program)}\n\ndef total(v):\n    return {' + '.join(f'v[{i}]' for i in layout.moving)}\n"
@@ -97,8 +100,8 @@ def module_source(model: Model, values: Mapping[str, float]) -> str:
             _text("vpp_fmu.kernel", "schedule.py"),
             _text("vpp_fmu.kernel", "calls.py"),
             _text("fmu_src", "slave.py"),
-            "from math import cos, exp, expm1, sin, sqrt, tanh\n",
-            generated,
+            *[_text("vpp_fmu.kernel", "tables.py")] * (TABLES in generated),
+            generated.replace(TABLES, ""),
             "\n".join(lines) + "\n",
         )
     )

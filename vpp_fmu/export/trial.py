@@ -49,7 +49,7 @@ COMMUNICATION_STEPS = (0.004, 0.4, 40.0)
 def step_dependence(model: Model, values: Mapping[str, float]) -> str:
     """Difference, in words, between one step and two half steps of a model that declares no largest step. "": both agree to
     TOLERANCE of an output's nominal value, or the model declares its steps."""
-    if model.sample_time is not None or any(e.largest_step is not None for e in model.effects):
+    if model.sample_time is not None or any(e.largest_step is not None or e.sample_time for e in model.effects):
         return ""
     for step in COMMUNICATION_STEPS:
         simulations = [Simulation(model, values), Simulation(model, values)]
