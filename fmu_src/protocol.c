@@ -60,9 +60,19 @@ static bool unknown(Slave *s, unsigned r) {
 /* Whether the reference is that of a variable of this type. */
 static bool is_of(Slave *s, const char *call, unsigned r, int type) {
   if (r >= N_VALUES) return !unknown(s, r);
-  if (TYPES[r] == type) return true;
+  if (TYPES[r] == type || (TYPES[r] == ENUMERATION && type == ENUMERATIONS_AS)) return true;
   refuse(s, MODEL_NAME ": %s: found %s of type %s, expected the call's own type", call, NAMES[r], TYPE_NAMES[TYPES[r]]);
   return false;
+}
+
+/* Whether x is the number of one of the variable's items, if it has any. */
+static bool is_item(Slave *s, unsigned r, double x) {
+  char text[32];
+  int n = 0;
+  if (!ITEMS[r]) return true;
+  while (ITEMS[r][n]) n++;
+  if (1.0 <= x && x <= n && x == (int)x) return true;
+  return refuse(s, MODEL_NAME ": %s: found item %s, expected 1 to %d", NAMES[r], number(text, x), n), false;
 }
 
 static bool in_range(Slave *s, int parameter) {
@@ -86,7 +96,7 @@ static bool set_value(Slave *s, const char *call, unsigned r, int type, double x
     refuse(s, MODEL_NAME ": %s: found a value after initialisation, expected it before: it is fixed", NAMES[r]);
   else if (!is_finite(x))
     refuse(s, MODEL_NAME ": %s: found %s, expected a finite number", NAMES[r], number(text, x));
-  else {
+  else if (is_item(s, r, x)) {
     s->m.v[r] = x;
     if (is_state) s->chosen[r - FIRST_STATE] = true;
     if (is_parameter && s->state == STEPPING) {
@@ -287,6 +297,30 @@ GETTER(get_reals, double, REAL)
 SETTER(set_reals, double, REAL, value[i])
 GETTER(get_integers, int, INTEGER)
 SETTER(set_integers, int, INTEGER, value[i])
+
+/* A string is one of its variable's items; the model has its number. */
+static Status get_strings(Slave *s, const char *call, const unsigned r[], size_t n, const char *value[]) {
+  if (get_values(s, call, r, n, value) != OK) return REFUSED;
+  for (size_t i = 0; i < n; i++) {
+    if (!is_of(s, call, r[i], STRING) || !is_item(s, r[i], s->m.v[r[i]])) return REFUSED;
+    value[i] = ITEMS[r[i]][(int)s->m.v[r[i]] - 1];
+  }
+  return OK;
+}
+
+static Status set_strings(Slave *s, const char *call, const unsigned r[], size_t n, const char *const value[]) {
+  if (!allowed(s, call, SET_STATES) || !given(s, call, n, r, value)) return REFUSED;
+  for (size_t i = 0; i < n; i++) {
+    int k = 0;
+    if (!is_of(s, call, r[i], STRING)) return REFUSED;
+    if (!value[i]) return refuse(s, MODEL_NAME ": %s: found a null pointer, expected data", call);
+    while (ITEMS[r[i]][k] && strcmp(ITEMS[r[i]][k], value[i]) != 0) k++;
+    if (!ITEMS[r[i]][k]) return refuse(s, MODEL_NAME ": %s: found %s, expected one of its items", NAMES[r[i]], value[i]);
+    if (!set_value(s, call, r[i], STRING, k + 1.0)) return REFUSED;
+  }
+  s->settled = false;
+  return OK;
+}
 
 /* For types without variables: only a call without references is accepted. */
 static Status none_such(Slave *s, const char *call, int states, const unsigned r[], size_t n) {

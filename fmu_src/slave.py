@@ -46,8 +46,8 @@ from vpp_fmu.kernel.calls import (
 )
 from vpp_fmu.kernel.schedule import LONGEST_EXACT, NOW, PIECES, DelayFull, DelayLine, next_sample, run_held, run_sampled
 
-TYPE_NAMES = ("Real", "Integer", "Boolean")
-REAL, INTEGER, BOOLEAN = TYPE_NAMES
+TYPE_NAMES = ("Real", "Integer", "Boolean", "Enumeration", "String")
+REAL, INTEGER, BOOLEAN, ENUMERATION, STRING = TYPE_NAMES
 SAVED = ("time", "state", "settled", "scheduled", "wait")
 
 
@@ -108,6 +108,7 @@ class TracedSlave(Fmi2Slave):
     TAG = ""  # hash of the content: saved states of other FMUs are refused
     VARIABLES = ()  # name of each value
     TYPES = ()  # type of each value
+    ITEMS = ()  # texts of each value that is an Enumeration or a String
     START = ()  # each value at instantiation
     RANGES = ()  # (minimum, maximum, unit for messages, range in words) of each parameter
     TUNABLE = ()  # which parameters may change while the model runs
@@ -222,7 +223,13 @@ class TracedSlave(Fmi2Slave):
 
     @call
     def set_string(self, vrs, values):
-        self._set_all("fmi2SetString", "String", vrs, values)
+        self._allow("fmi2SetString", SET_STATES)
+        for vr, text in zip(vrs, values, strict=True):
+            self._check_type("fmi2SetString", STRING, vr)
+            if text not in self.ITEMS[vr]:
+                raise Refused(f"{self.NAME}: {self.VARIABLES[vr]}: found {text}, expected one of its items")
+            self._set("fmi2SetString", STRING, vr, 1.0 + self.ITEMS[vr].index(text))
+        self.settled = False
 
     @call
     def get_integer(self, vrs):
@@ -234,7 +241,10 @@ class TracedSlave(Fmi2Slave):
 
     @call
     def get_string(self, vrs):
-        return self._get_all("fmi2GetString", "String", vrs)
+        numbers = self._get_all("fmi2GetString", STRING, vrs)
+        for vr, x in zip(vrs, numbers, strict=True):
+            self._check_item(vr, x)
+        return [self.ITEMS[vr][int(x) - 1] for vr, x in zip(vrs, numbers, strict=True)]
 
     @call
     def _get_fmu_state(self):
@@ -303,7 +313,7 @@ class TracedSlave(Fmi2Slave):
         if not 0 <= vr < len(self.v):  # pythonfmu passes references as signed numbers
             reference = vr % 2**32
             raise Refused(f"{self.NAME}: value reference: found {reference}, expected 0 to {len(self.v) - 1}")
-        if self.TYPES[vr] != kind:
+        if self.TYPES[vr] != kind and (self.TYPES[vr], kind) != (ENUMERATION, INTEGER):
             found = f"{self.VARIABLES[vr]} of type {self.TYPES[vr]}"
             raise Refused(f"{self.NAME}: {name}: found {found}, expected the call's own type")
 
@@ -320,6 +330,7 @@ class TracedSlave(Fmi2Slave):
         value = float(value)
         if not isfinite(value):
             raise Refused(f"{self.NAME}: {variable}: found {value}, expected a finite number")
+        self._check_item(vr, value)
         self.v[vr] = value
         if is_state:
             self.chosen[vr] = value
@@ -328,6 +339,11 @@ class TracedSlave(Fmi2Slave):
             self.prepared_for = None
             self._retune()
             self._report(f"{variable} set to {value}")
+
+    def _check_item(self, vr, x):
+        n = len(self.ITEMS[vr])
+        if n and not (1.0 <= x <= n and x == int(x)):
+            raise Refused(f"{self.NAME}: {self.VARIABLES[vr]}: found item {x}, expected 1 to {n}")
 
     def _check_range(self, k):
         (low, high, unit, words), value = self.RANGES[k], self.v[self.first_parameter + k]

@@ -33,6 +33,7 @@ from vpp_fmu.stopping import act, foreign
 
 WARNING = 1
 TYPES = {"Real": (ctypes.c_double, float), "Integer": (ctypes.c_int, round), "Boolean": (ctypes.c_int, bool)}
+TYPES["Enumeration"] = TYPES["Integer"]
 NAMES_MODULE = "slavemodule.txt"
 """The file by which pythonfmu's library finds the module to import."""
 
@@ -138,7 +139,7 @@ class _Block:
 
     def __init__(self, kind: str, references: Mapping[int, int]):
         c_type, self._convert = TYPES[kind]
-        self.kind, self.positions, n = kind, tuple(references), len(references)
+        self.kind, self.positions, n = "Integer" if kind == "Enumeration" else kind, tuple(references), len(references)
         self.values = (c_type * n)()
         self.arguments = (ctypes.c_uint * n)(*references.values()), ctypes.c_size_t(n), self.values
 
@@ -334,10 +335,12 @@ def problems(path: str | Path) -> list[str]:
 @foreign
 def steps_in_fmpy(path: str | Path, held: Sequence[Mapping[str, float]], step: float, outputs: Sequence[str]) -> np.ndarray:
     """Outputs (points, outputs) of an FMU of any version by fmpy's own simulation. `held`: inputs by name, each for one
-    communication step of `step` seconds; the last one only for the last point. SimulationFailed."""
+    communication step of `step` seconds; the last one only for the last point. A vector is one input or output, with all its
+    elements. SimulationFailed."""
     names = list(held[0])
     rows = [(k * step, *(inputs[name] for name in names)) for k, inputs in enumerate(held)]
-    table = np.array(rows, dtype=[(name, float) for name in ("time", *names)]) if names else None
+    sizes = [(name, float, np.shape(held[0][name])) for name in names]
+    table = np.array(rows, dtype=[("time", float), *sizes]) if names else None
     stop = (len(held) - 1) * step
     with _fmpys(lambda said: SimulationFailed(f"{path}: {said}")):
         result = fmpy.simulate_fmu(str(path), input=table, stop_time=stop, output_interval=step, output=list(outputs))

@@ -34,7 +34,7 @@ COMPILERS = """\
 SHELLS = {"2.0": ("fmi2.h", "shell2.c"), "3.0": ("fmi3.h", "shell3.c")}
 """Declarations and functions of each version of the standard; the parts between them are common."""
 
-TYPES = {"Real": "REAL", "Integer": "INTEGER", "Boolean": "BOOLEAN"}
+TYPES = {kind: kind.upper() for kind in ("Real", "Integer", "Boolean", "Enumeration", "String")}
 
 
 def c_text(model: Model, values: Mapping[str, float], guid: str, version: str = "2.0") -> str:
@@ -102,6 +102,9 @@ def _tables(model: Model, values: Mapping[str, float], guid: str) -> str:
         "N_STATES_OR_1": max(1, len(model.states)),
         "SLACK": calls.SLACK,
     }
+    quantities = (*model.inputs, *model.outputs, *model.parameters)
+    items = {r: q.items for r, q in enumerate(quantities) if q.items}
+    sizes = [0 if q.place > 1 else max(1, q.size) for q in (*quantities, *model.states)]
     types = ", ".join(TYPES[kind] for kind in variable_types(model))
     tunable = ", ".join(str(int(p.tunable)) for p in model.parameters)
     return "".join(
@@ -111,6 +114,12 @@ def _tables(model: Model, values: Mapping[str, float], guid: str) -> str:
             f"static const char *const TYPE_NAMES[] = {{{', '.join(map(_string, TYPES))}}};\n",
             f"static const char *const NAMES[] = {{{', '.join(map(_string, variable_names(model)))}}};\n",
             f"static const unsigned char TYPES[] = {{{types}}};\n",
+            *(
+                f"static const char *const ITEMS_{r}[] = {{{', '.join(map(_string, texts))}, 0}};\n"
+                for r, texts in items.items()
+            ),
+            f"static const char *const *const ITEMS[N_VALUES] = {{{', '.join(f'[{r}] = ITEMS_{r}' for r in items) or 0}}};\n",
+            f"static const int SIZES[] = {{{', '.join(map(str, sizes))}}}; /* elements from here; 0: inside a vector */\n",
             f"static const unsigned char TUNABLE[] = {{{tunable or 0}}};\n",
             f"static const double START[] = {{{', '.join(map(_number, start_values(model, values)))}}};\n",
             "static const struct {\n  double minimum, maximum;\n  const char *unit, *text;\n} RANGES[] = {\n",

@@ -211,7 +211,7 @@ class _Check:
 
     def forms(self, effect: Effect) -> None:
         """Step or derivative, and what each needs."""
-        field, moves = f"effect {effect.name}", [x for x in effect.states if x.closed_by is None and x.name != types.WAIT]
+        field, moves = f"effect {effect.name}", [x for x in effect.states if x.closed_by is None and x.name != effect.wait]
         if effect.derivative is not None:
             if effect.step is not no_step or effect.sample_time:
                 self.refuse(f"{field}, derivative", "a step or a sample_time as well", "only one of them")
@@ -299,6 +299,8 @@ class _Check:
                     self.at_rest(e, own, returned[1])
                 if starting:
                     set_ = self.call(f"effect {e.name}, output", e.output, (ops, seen, x, p), types.begun, e, ops, seen, x, p)
+                elif types.is_integrated(e):
+                    set_ = self.call(f"effect {e.name}, output", e.output, (ops, seen, x, p), types.shown, e, ops, seen, x, p)
                 else:
                     set_, _ = self.call(
                         f"effect {e.name}, output", e.output, (ops, seen, x, p), types.moved, e, ops, seen, x, p, dt
@@ -352,7 +354,7 @@ class _Check:
         states = returned[1] if pair else returned
         for part in returned if pair else (returned,):
             self.numbers(field, part)
-        own = {x.name: x for x in effect.states if x.name != types.WAIT}
+        own = {x.name: x for x in effect.states if x.name != effect.wait}
         for name, value in states.items():
             if name not in own:
                 self.refuse(field, f"a state {name} returned", f"its declared states: {', '.join(own) or 'none'}")

@@ -6,7 +6,7 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.export.description import Experiment
 from vpp_fmu.kernel.schedule import DelayFull
 from vpp_fmu.kernel.simulation import Simulation
-from vpp_fmu.kernel.types import INTEGER, REAL, Model, Signal
+from vpp_fmu.kernel.types import INTEGER, REAL, STRING, Model, Signal
 
 LEVELS = (0.6, 0.35, 0.8, 0.5)  # of an input's nominal value
 TOLERANCE = 1e-6
@@ -75,6 +75,8 @@ def course(model: Model, count: int) -> list[dict[str, float]]:
 
 def _level(u: Signal, k: int, share: float) -> float:
     """Input number `k` at a share of the time. A Boolean and the first items alternate, an Integer has whole numbers."""
+    if u.kind == STRING:
+        return u.start
     at = int(len(LEVELS) * share - 0.1 - 0.3 * k)
     if len(LEVELS) * share < 0.1 + 0.3 * k:
         return u.start

@@ -1,6 +1,6 @@
 """modelDescription.xml of a model, from its declarations: the part common to all FMI versions, and FMI 2.0."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from importlib.metadata import version
@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from vpp_fmu.kernel.calls import LOG_CATEGORIES
 from vpp_fmu.kernel.simulation import Simulation
-from vpp_fmu.kernel.types import BOOLEAN, REAL, Model, Parameter, State
+from vpp_fmu.kernel.types import BOOLEAN, ENUMERATION, REAL, STRING, Model, Parameter, State
 from vpp_fmu.tracer import Layout
 from vpp_fmu.units import base_unit, display_units
 
@@ -88,11 +88,19 @@ class Variable:
     maximum: float
     nominal: float
     start: float | None
+    items: tuple[str, ...]
+    size: int
+    place: int
 
     def typed(self) -> dict[str, str]:
         """The attributes of the type."""
         if self.kind == BOOLEAN:
             return {} if self.start is None else {"start": str(self.start != 0.0).lower()}
+        if self.kind == STRING:
+            return {} if self.start is None else {"start": self.items[round(self.start) - 1]}
+        if self.kind == ENUMERATION:
+            start = {} if self.start is None else {"start": str(round(self.start))}
+            return {"declaredType": type_name(self.items), **start}
         real = {"min": self.minimum, "max": self.maximum} | ({"nominal": self.nominal} if self.kind == REAL else {})
         numbers = {k: x for k, x in (*real.items(), ("start", self.start)) if x is not None and isfinite(x)}
         text = {k: repr(float(x)) if self.kind == REAL else str(round(x)) for k, x in numbers.items()}
@@ -126,7 +134,7 @@ def variables(model: Model, values: Mapping[str, float]) -> list[Variable]:
         low, high, nominal = (-inf, inf, _nominal(model, q)) if causality == "local" else (q.minimum, q.maximum, q.nominal)
         start = None if causality == "output" else starts[r]
         attributes = (causality, variability, initial, q.description, q.unit, low, high, nominal, start)
-        found.append(Variable(name, r, kind, *attributes))
+        found.append(Variable(name, r, kind, *attributes, getattr(q, "items", ()), q.size, q.place))
     return found
 
 
@@ -152,6 +160,24 @@ def unit_definitions(model: Model) -> Element:
         for name, attributes in display_units(unit).items():
             SubElement(element, "DisplayUnit", {"name": name} | attributes)
     return root
+
+
+def type_name(items: Iterable[str]) -> str:
+    """The name of the enumeration of these items."""
+    return "_".join(items)
+
+
+def type_definitions(model: Model, tags: Sequence[str]) -> list[Element]:
+    """TypeDefinitions of the enumerations, if there are any. `tags`: the nested elements of a type in this version."""
+    listed = {q.items for q in (*model.inputs, *model.outputs, *model.parameters) if q.kind == ENUMERATION}
+    root = Element("TypeDefinitions")
+    for items in sorted(listed):
+        element, named = root, {"name": type_name(items)}
+        for tag in tags:
+            element, named = SubElement(element, tag, named), {}
+        for number, item in enumerate(items, 1):
+            SubElement(element, "Item", name=item, value=str(number))
+    return [root] if listed else []
 
 
 def log_categories() -> Element:
@@ -205,7 +231,8 @@ def model_description(
         listed = SubElement(kind, "SourceFiles")
         for name in flavour.sources:
             SubElement(listed, "File", name=name)
-    root.extend((unit_definitions(model), log_categories(), default_experiment(experiment)))
+    types = type_definitions(model, ("SimpleType", "Enumeration"))
+    root.extend((unit_definitions(model), *types, log_categories(), default_experiment(experiment)))
     listed = SubElement(root, "ModelVariables")
     for v in variables(model, values):
         attributes = {"name": v.name, "valueReference": str(v.reference), "description": v.description}

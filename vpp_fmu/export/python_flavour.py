@@ -79,6 +79,7 @@ def module_source(model: Model, values: Mapping[str, float]) -> str:
         "NAME": model.name,
         "VARIABLES": tuple(variable_names(model)),
         "TYPES": tuple(variable_types(model)),
+        "ITEMS": (*(q.items for q in (*model.inputs, *model.outputs, *model.parameters)), *((),) * len(model.states)),
         "START": tuple(start_values(model, values)),
         "RANGES": tuple((p.minimum, p.maximum, in_unit(p), allowed(p)) for p in model.parameters),
         "TUNABLE": tuple(p.tunable for p in model.parameters),

@@ -1,13 +1,16 @@
-"""One step of an effect that declares the derivatives of its states, under held signals.
+"""One step of effects that declare the derivatives of their states.
 
     euler   x + h f(x),                                        error of a run ~ h
     rk4     x + h (k1 + 2 k2 + 2 k3 + k4) / 6,                 error of a run ~ h^4     (Kutta 1901)
     exact   x + h phi(h J) f(x),  phi(Z) = (e^Z - 1) / Z,  J = df/dx    (exponential Rosenbrock-Euler)
 
-The last is exact where f is linear in the states, for any step, and of second order elsewhere (Hochbruck and Ostermann, Acta
-Numerica 19, 2010). phi by its series at Z / 2^k, |Z / 2^k| <= 1/2, then k times phi(2Z) = phi(Z) (e^Z + 1) / 2.
+The first two take all effects of a chain together, and the signals between them at the time of each stage. The last takes an
+effect alone, under held signals: it is exact where f is linear in the states, for any step, and of second order elsewhere
+(Hochbruck and Ostermann, Acta Numerica 19, 2010). phi by its series at Z / 2^k, |Z / 2^k| <= 1/2, then k times
+phi(2Z) = phi(Z) (e^Z + 1) / 2.
 """
 
+from collections.abc import Callable, Collection, Mapping
 from types import SimpleNamespace
 from typing import Any
 
@@ -26,33 +29,28 @@ HALVINGS = 20
 """Largest k: |h J| up to 5e5, in the norm of the largest row sum."""
 
 
-def advanced(e: Any, ops: Any, s: Any, x: SimpleNamespace, p: Any, h: Any) -> dict:
-    """The states of an effect `e` after h s: of those that no signal closes."""
-    names = [q.name for q in e.states if q.closed_by is None and q.name != "next_sample"]
+def run_stages(rates: Callable, states: Mapping[str, Any], h: Any, euler: Collection[str]) -> dict[str, Any]:
+    """The states after h s by Runge-Kutta's method, those named in `euler` by Euler's.
 
-    def slope(at: dict) -> dict:
-        return e.derivative(ops, s, SimpleNamespace(**{**vars(x), **at}), p)
+    `rates(c, at)`: the derivatives after c s, with states `at`; c None: at the start.
+    """
+    k1 = rates(None, {})
 
-    def moved(h: Any, rates: dict) -> dict:
-        return {name: getattr(x, name) + h * _as_value(rates[name]) for name in names}
+    def ahead(c: Any, k: Mapping) -> dict:
+        return {name: states[name] + c * (k1 if name in euler else k)[name] for name in k1}
 
-    if e.method == "exact":
-        return _exact(e, ops, s, x, p, h, names)
-    k1 = slope({})
-    if e.method == "euler":
-        return moved(h, k1)
-    k2 = slope(moved(0.5 * h, k1))
-    k3 = slope(moved(0.5 * h, k2))
-    k4 = slope(moved(h, k3))
-    mean = {n: _as_value(k1[n]) + 2.0 * (_as_value(k2[n]) + _as_value(k3[n])) + _as_value(k4[n]) for n in names}
-    return moved(h / 6.0, mean)
+    if len(euler) == len(k1):
+        return ahead(h, k1)
+    k2 = rates(0.5 * h, ahead(0.5 * h, k1))
+    k3 = rates(0.5 * h, ahead(0.5 * h, k2))
+    k4 = rates(h, ahead(h, k3))
+    mean = {name: (k1[name] + 2.0 * (k2[name] + k3[name]) + k4[name]) / 6.0 for name in k1}
+    return ahead(h, mean)
 
 
-def _as_value(rate: Any) -> Any:
-    return Vector(rate) if isinstance(rate, list | tuple) else rate
-
-
-def _exact(e: Any, ops: Any, s: Any, x: SimpleNamespace, p: Any, h: Any, names: list) -> dict:
+def exact_step(e: Any, ops: Any, s: Any, x: SimpleNamespace, p: Any, h: Any) -> dict:
+    """The states of an effect `e` of the method "exact" after h s: of those that no signal closes."""
+    names = [q.name for q in e.states if q.closed_by is None]
     values = [a for name in names for a in _listed(getattr(x, name))]
     n = len(values)
     duals = Duals(ops, n)

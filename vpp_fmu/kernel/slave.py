@@ -16,6 +16,7 @@ once on symbols: `ops` has what to write in place of `if` and `math`.
 """
 
 from collections.abc import Mapping
+from inspect import signature
 from types import MappingProxyType
 from typing import Any
 
@@ -23,7 +24,17 @@ from vpp_fmu.kernel.types import Effect, Model, State
 
 
 class Slave:
-    """Base of such a class; `model()` is what is exported. `about`: further fields of its Model, such as its author."""
+    """Base of such a class; `model()` is what is exported. `about`: further fields of its Model, such as its author.
+
+    >>> class Counter(vpp.Slave):
+    ...     "Counts its steps."
+    ...     outputs = (vpp.Signal("count", "1", "steps so far"),)
+    ...     largest_step = 0.1
+    ...     def do_step(self, ops, dt):
+    ...         self.count = self.count + 1.0
+    >>> Counter.model().name
+    'Counter'
+    """
 
     inputs: tuple = ()
     outputs: tuple = ()
@@ -56,7 +67,7 @@ class Slave:
                     )
             return {name: getattr(slave, name) for name in moving}
 
-        step.__wrapped__ = cls.do_step  # type: ignore[attr-defined]
+        vars(step).update(__signature__=signature(step), __wrapped__=cls.do_step)  # its file's text documents it
         name = f"{cls.__name__.lower()}_step"
         effect = Effect(name, description, step, cls.parameters, states, largest_step=cls.largest_step)
         return Model(cls.__name__, description, cls.inputs, cls.outputs, (effect,), sample_time=cls.sample_time, **cls.about)

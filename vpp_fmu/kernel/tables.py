@@ -84,7 +84,7 @@ def _slopes(xs, ys):
     inside = []
     for h0, h1, d0, d1 in zip(h, h[1:], d, d[1:], strict=False):
         w0, w1 = h0 + 2.0 * h1, 2.0 * h0 + h1
-        inside.append((w0 + w1) / (w1 / d0 + w0 / d1) if d0 * d1 > 0.0 else 0.0)
+        inside.append((w0 + w1) / (w0 / d0 + w1 / d1) if d0 * d1 > 0.0 else 0.0)
     return (_end(h[0], h[1], d[0], d[1]), *inside, _end(h[-1], h[-2], d[-1], d[-2]))
 
 

@@ -13,7 +13,7 @@ from math import inf
 from types import SimpleNamespace
 from typing import Any, TypeVar
 
-from vpp_fmu.kernel.integration import advanced
+from vpp_fmu.kernel.integration import exact_step, run_stages
 from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.kernel.vector import Vector
 
@@ -210,8 +210,13 @@ class Effect:
     wired: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.sample_time and WAIT not in [x.name for x in self.states]:
-            object.__setattr__(self, "states", (*self.states, State(WAIT, "s", "time until its next sample", 0.0)))
+        if self.sample_time and self.wait not in [x.name for x in self.states]:
+            object.__setattr__(self, "states", (*self.states, State(self.wait, "s", "time until its next sample", 0.0)))
+
+    @property
+    def wait(self) -> str:
+        """The state of a sampled effect that counts down to its next sample; the same for every instance."""
+        return f"next_{self.name.rpartition('.')[2]}" if self.sample_time else ""
 
     def sized(self, scales: Scales) -> "Effect":
         """The effect with absolute numbers for a rig of these scales."""
@@ -239,15 +244,17 @@ class Effect:
         return {self.full(name): value for name, value in (self.off or {}).items()}
 
 
-WAIT = "next_sample"
-"""The state of a sampled effect that counts down to its next sample."""
-
-
 def instance(name: str, effects: Iterable[Effect], **wired: str) -> tuple[Effect, ...]:
     """The effects as the part `name` of a larger model: their signals, states and parameters are `name.NAME`.
 
     Its effects read the part's own signals first, then those of the whole. `wired`: the signal of the whole that is the part's
     signal of this name; another part's are written `left.speed`. The other effects read the part's signals as `s.name.NAME`.
+
+    >>> heater = vpp.Effect("heater", "warms", derivative=lambda ops, s, x, p: {"T": s.power - x.T}, largest_step=0.1,
+    ...     states=(vpp.State("T", "degC", "temperature", 20.0),))
+    >>> hall = (*vpp.instance("left", [heater], power="supply"), *vpp.instance("right", [heater], power="left.T"))
+    >>> [effect.name for effect in hall]
+    ['left.heater', 'right.heater']
     """
     return tuple(replace(e, name=f"{name}.{e.name}", prefix=f"{name}.{e.prefix}", wired=wired) for e in effects)
 
@@ -301,7 +308,7 @@ class Model:
     @cached_property
     def sampled(self) -> tuple[tuple[str, str], ...]:
         """(state that counts down to the next sample, parameter that is the period) of each sampled effect, by full names."""
-        return tuple((e.full(WAIT), e.full(e.sample_time)) for e in self.effects if e.sample_time)
+        return tuple((e.full(e.wait), e.full(e.sample_time)) for e in self.effects if e.sample_time)
 
     @cached_property
     def links(self) -> tuple[tuple[Effect, str, tuple, tuple, tuple, Mapping], ...]:
@@ -319,6 +326,15 @@ class Model:
             )
             for e in self.effects
         )
+
+    @cached_property
+    def integrated(self) -> Mapping[str, frozenset[str]]:
+        """The full names of the states that are integrated together, by their method; empty if there are none."""
+        found: dict[str, set[str]] = {"rk4": set(), "euler": set()}
+        for e in filter(is_integrated, self.effects):
+            own = replace(self, effects=(e,)).states
+            found[e.method] |= {x.name for x in own if x.closed_by is None}
+        return {method: frozenset(names) for method, names in found.items()} if any(found.values()) else {}
 
     @cached_property
     def vectors(self) -> Mapping[str, tuple[str, ...]]:
@@ -438,19 +454,19 @@ def shown(e: Effect, ops: Any, s: Any, x: SimpleNamespace, p: Any) -> Mapping:
     if e.output is not None:
         signals: Mapping = e.output(ops, s, x, p)
         return signals
-    return {name: value for name, value in vars(x).items() if name != WAIT}
+    return {name: value for name, value in vars(x).items() if name != e.wait}
 
 
 def moved(e: Effect, ops: Any, s: Any, x: SimpleNamespace, p: Any, dt: Any) -> tuple[Mapping, Mapping]:
     """(signals that an effect sets, its next states) after a step of dt s."""
-    returned = advanced(e, ops, s, x, p, dt) if e.derivative else e.step(ops, s, x, p, dt)
+    returned = exact_step(e, ops, s, x, p, dt) if e.derivative else e.step(ops, s, x, p, dt)
     signals, ahead = returned if isinstance(returned, tuple) else (None, returned)
     if e.sample_time:
-        wait, period = x.next_sample, getattr(p, e.sample_time)
+        wait, period = getattr(x, e.wait), getattr(p, e.sample_time)
         due = wait < INSTANT
         held = {name: _chosen(ops, due, value, getattr(x, name)) for name, value in ahead.items()}
         left = ops.where(due, wait + period, wait) - dt
-        ahead = {**held, WAIT: ops.where(ops.abs(left) < INSTANT, 0.0, left)}
+        ahead = {**held, e.wait: ops.where(ops.abs(left) < INSTANT, 0.0, left)}
     if e.output is not None or signals is None:
         signals = shown(e, ops, s, SimpleNamespace(**{**vars(x), **ahead}), p)
     return signals, ahead
@@ -467,17 +483,48 @@ def step(model: Model, ops: Any, inputs: Mapping, states: Mapping, parameters: M
 
     `states` and `parameters` have full names. Units are the declarations'; dt in s.
     """
-    s = input_signals(model, inputs)
+    s, reached = input_signals(model, inputs), states
     ahead: dict = {}
-    for e, prefix, its_states, its_parameters, _, vectors in model.links:
-        x, p = own_values(states, its_states, vectors), own_values(parameters, its_parameters, vectors)
-        signals, own = moved(e, ops, view(e, s), x, p, dt)
-        set_signals(e, s, signals)
-        _entered(ahead, prefix, own, vectors)
+    if model.integrated:
+
+        def rates(c: Any, at: Mapping) -> dict:
+            found: dict = {}
+            _passed(model, ops, input_signals(model, inputs), {**states, **at}, parameters, c, {}, found)
+            return found
+
+        ahead = run_stages(rates, states, dt, model.integrated["euler"])
+        reached = {**states, **ahead}
+    _passed(model, ops, s, reached, parameters, dt, ahead, None)
     for e, *_, closed, vectors in model.links:
         for full, signal in closed:
             _entered(ahead, "", {full: vars(view(e, s))[signal]}, vectors)
     return flat(model, s), ahead
+
+
+def _passed(
+    model: Model, ops: Any, s: SimpleNamespace, states: Mapping, parameters: Mapping, dt: Any, ahead: dict, rates: dict | None
+) -> None:
+    """Enter the signals after dt s (None: at the start), the next states of effects with a step, and if `rates` is given the
+    derivatives of the others, whose states have been integrated."""
+    for e, prefix, its_states, its_parameters, _, vectors in model.links:
+        x, p = own_values(states, its_states, vectors), own_values(parameters, its_parameters, vectors)
+        seen = view(e, s)
+        own: Mapping = {}
+        if e.derivative is not None and is_integrated(e):
+            signals = shown(e, ops, seen, x, p)
+            if rates is not None:
+                _entered(rates, prefix, e.derivative(ops, seen, x, p), vectors)
+        elif dt is None:
+            signals = begun(e, ops, seen, x, p)
+        else:
+            signals, own = moved(e, ops, seen, x, p, dt)
+        set_signals(e, s, signals)
+        _entered(ahead, prefix, own, vectors)
+
+
+def is_integrated(e: Effect) -> bool:
+    """Whether its states are integrated together with those of other effects."""
+    return e.derivative is not None and e.method != "exact"
 
 
 def start(model: Model, ops: Any, inputs: Mapping, parameters: Mapping) -> tuple[dict, dict]:

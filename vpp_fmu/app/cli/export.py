@@ -16,6 +16,7 @@ from identification.tune.profile import reach
 from vpp_fmu import __version__
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.inputs import ADAPT, GAINS, add_plant, read_gains, read_plant
+from vpp_fmu.app.cli.options import real
 from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.export import Experiment, native_fmu, python_fmu
@@ -36,15 +37,17 @@ FLAT = ".flat"
 """Suffix of the loop without system connectors, for importers that do not support them."""
 
 
-ABOUT: Mapping[str, tuple[type, str]] = {
+SECONDS = real(0.0, 1e9, "s", above=True)
+
+ABOUT: Mapping[str, tuple[Callable, str]] = {
     "author": (str, "who made the model; this and the next ones are for the FMUs (default: as the model declares)"),
     "version": (str, "version of the model"),
     "license": (str, "the model's licence"),
     "copyright": (str, "the model's copyright"),
     "description": (str, "the model in words"),
-    "stop_time": (float, "end of the default experiment, s"),
-    "step_size": (float, "its communication step, s"),
-    "tolerance": (float, "its relative tolerance"),
+    "stop_time": (SECONDS, "end of the default experiment, s"),
+    "step_size": (SECONDS, "its communication step, s"),
+    "tolerance": (real(0.0, 1.0, above=True), "its relative tolerance"),
 }
 """Fields of a Model that an export may replace, with their types."""
 
@@ -65,7 +68,7 @@ def configure(parser):
     parser.add_argument("--model", metavar="MODEL", help=f"export this model instead of plant and controller: {FORM}")
     for field, (kind, text) in ABOUT.items():
         name = "--model-version" if field == "version" else f"--{field.replace('_', '-')}"
-        parser.add_argument(name, dest=f"about_{field}", metavar=kind.__name__.upper(), type=kind, help=text)
+        parser.add_argument(name, dest=f"about_{field}", metavar="TEXT" if kind is str else "X", type=kind, help=text)
     text = "also write cross_check.zip: FMUs, references and how to check, in the folders of the FMI project's cross-check"
     parser.add_argument("--cross-check", action="store_true", help=text)
     add_output(parser)
@@ -75,7 +78,10 @@ def run(options):
     _check(options)
     given = {field: getattr(options, f"about_{field}") for field in ABOUT}
     parts = [about(p, given) for p in (_own(options) if options.model else _plant_and_controller(options))]
-    folder = OutputSet(options.output, "export" if options.fmi == "2.0" else f"export --fmi {options.fmi}")
+    kind = (f" --model {parts[0].model.name}" if options.model else "") + (
+        f" --fmi {options.fmi}" if options.fmi != "2.0" else ""
+    )
+    folder = OutputSet(options.output, f"export{kind}")
     flavours = ("python", "native") if options.flavour == "both" else (options.flavour,)
     files = exported(parts, flavours, options.platforms, options.fmi)
     lines = []
