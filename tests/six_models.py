@@ -31,7 +31,12 @@ class Case:
     bound: float = 1e-10
 
     def model(self) -> Model:
-        return find_model(f"{FOLDER / self.file}.py:MODEL")
+        """Read from its file."""
+        return find_model(f"{self.source}:MODEL")
+
+    @property
+    def source(self) -> Path:
+        return FOLDER / f"{self.file}.py"
 
     @property
     def twin(self) -> Path:

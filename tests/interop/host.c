@@ -1,5 +1,5 @@
-/* A host without Python: one instance of an FMU for FMI 2.0, stepped with its first input at VALUE; prints the Real variables
- * of these references as they are at the end.
+/* A host without Python: one instance of an FMU for FMI 2.0, stepped with its first input at VALUE (nan: it has none); prints
+ * the Real variables of these references as they are at the end.
  *
  *   host LIBRARY GUID RESOURCES VALUE STEPS STEP REFERENCE... */
 
@@ -52,7 +52,7 @@ int main(int count, char **given) {
   CALL("ExitInitializationMode", (void *), c);
   const unsigned first = 0;
   for (int k = 0; k < atoi(given[5]); k++) {
-    CALL("SetReal", (void *, const unsigned *, size_t, const double *), c, &first, 1, &value);
+    if (value == value) CALL("SetReal", (void *, const unsigned *, size_t, const double *), c, &first, 1, &value);
     CALL("DoStep", (void *, double, double, int), c, k * step, step, 1);
   }
   for (int i = 7; i < count; i++) {
