@@ -120,13 +120,9 @@ def in_fmi_3(path: Path, case: Case, model: Model) -> list[list[float]]:
     return steps_in_fmi_3(path, held, STEP, outputs).tolist()
 
 
-def checked_and_hosted(folder: Path, fmus: Mapping[tuple[str, str, str], Path]) -> None:
+def checked_and_hosted(folder: Path, host: Path | None, fmus: Mapping[tuple[str, str, str], Path]) -> None:
     """Every FMU in validators and hosts."""
     fmutool = next(checker for checker in hosts.CHECKERS if checker.name == "fmutool")
-    try:
-        host: Path | None = hosts.built(folder)
-    except CompilerMissing:
-        host = None
     print("| model | FMU | fmpy validate | fmutool | Ecos | libcosim | host in C | bits |\n|---|---|---|---|---|---|---|---|")
     in_c: dict[str, str] = {}
     for (name, flavour, version), path in fmus.items():
@@ -176,25 +172,19 @@ def errors() -> None:
         print(f"| {name} | {' | '.join(cells)} | {how} |", flush=True)
 
 
-def microseconds(path: Path, inputs: Mapping[str, float], outputs: Sequence[str], step: float, steps: int) -> float:
-    """The least time of a step, of some repeats, in one importer."""
-    best = np.inf
+def microseconds(host: Path, path: Path, step: float, steps: int, python: bool) -> float:
+    """The least time of a step in the C host, of some repeats."""
     with contextlib.closing(Fmu(path)) as fmu:
-        for _ in range(REPEATS):
-            instance = FmuInstance(fmu, list(inputs), outputs)
-            values = list(inputs.values())
-            instance.start(values)
-            take = instance.stepper(step)
-            began = time.perf_counter()
-            for _ in range(steps):
-                take(values)
-            best = min(best, (time.perf_counter() - began) / steps)
-            instance.close()
-    return 1e6 * best
+        lines = hosts.three_lines() if python else ""
+        done = [hosts.in_c(host, fmu, lines, steps, step) for _ in range(REPEATS)]
+    return min(float(one.stderr.split(" us a step")[0].split()[-1]) for one in done)
 
 
-def beside_pythonfmu(folder: Path, fmus: Mapping[tuple[str, str, str], Path]) -> None:
-    heads = " | ".join(f"{1e3 * step:g} ms: us of the twin, times faster: Python, native" for step in SPEEDS)
+def beside_pythonfmu(folder: Path, host: Path | None, fmus: Mapping[tuple[str, str, str], Path]) -> None:
+    if host is None or hosts.no_libpython():
+        print("\nspeed beside pythonfmu: not run here: no compiler, or no libpython")
+        return
+    heads = " | ".join(f"{1e3 * step:g} ms: us of the twin; times faster: Python, native" for step in SPEEDS)
     print(f"\n| model | lines, of the twin | fmpy validate of the twin | {heads} |\n|---|---|---|---|---|---|")
     for name, case in CASES.items():
         if not case.twin.is_file():
@@ -203,13 +193,15 @@ def beside_pythonfmu(folder: Path, fmus: Mapping[tuple[str, str, str], Path]) ->
         subprocess.run(build, check=True, capture_output=True, text=True)
         twin = next(path for path in folder.glob("*Twin.fmu") if path.stem.removesuffix("Twin") == case.model().name)
         lines = [len([x for x in file.read_text().splitlines() if x.strip()]) for file in (case.source, case.twin)]
-        problems, cells, outputs = len(validate_fmu(str(twin))), [], [y.name for y in case.model().outputs if y.kind == "Real"]
+        problems, cells = len(validate_fmu(str(twin))), []
         for step, steps in SPEEDS.items():
-            slow = microseconds(twin, case.inputs(0.0), outputs, step, steps)
-            ours = [path for (own, _, version), path in fmus.items() if own == name and version == "2.0"]
-            ratios = [slow / microseconds(path, case.inputs(0.0), outputs, step, steps) for path in ours]
-            cells.append(f"{slow:.0f}: {', '.join(f'{r:.1f}' for r in ratios)}")
+            slow = microseconds(host, twin, step, steps, True)
+            fast = [microseconds(host, fmus[name, flavour, "2.0"], step, steps, flavour == "Python") for flavour in FLAVOURS]
+            cells.append(f"{slow:.1f}; {', '.join(f'{slow / own:.1f}' for own in fast)}")
         print(f"| {name} | {lines[0]}, {lines[1]} | {problems} problems | {' | '.join(cells)} |", flush=True)
+
+
+FLAVOURS = ("Python", "native")
 
 
 def table_of(n: int) -> Model:
@@ -233,7 +225,7 @@ def network_of(n: int) -> Model:
     return Model("Rod", "a rod", (Signal("hot", "degC", "ends", nominal=100.0, start=20.0),), outputs, (effect,))
 
 
-def seconds_of_export() -> None:
+def seconds_of_export(host: Path | None) -> None:
     print("\n| model | size | export, s: Python | native | FMI 3.0 | native step, us |\n|---|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
         for make, sizes in ((table_of, (100, 1000, 10_000)), (network_of, (10, 50, 100, 200, 500))):
@@ -246,8 +238,7 @@ def seconds_of_export() -> None:
                     if maker is native_fmu:
                         path = Path(folder, f"{model.name}{n}.fmu")
                         path.write_bytes(content)
-                inputs, outputs = {u.name: 0.5 * u.nominal for u in model.inputs}, [model.outputs[0].name]
-                cells.append(f"{microseconds(path, inputs, outputs, 0.5, 2000):.1f}")
+                cells.append(f"{microseconds(host, path, 0.5, 2000, False):.2f}" if host else "")
                 print(f"| {model.name} | {n} | {' | '.join(cells)} |", flush=True)
 
 
@@ -296,11 +287,15 @@ def main() -> None:
                 path = folder / f"{model.name}.{flavour}.{version}.fmu"
                 path.write_bytes(make(model))
                 fmus[case_name, flavour, version] = path
-        checked_and_hosted(folder, fmus)
+        try:
+            host: Path | None = hosts.built(folder)
+        except CompilerMissing:
+            host = None
+        checked_and_hosted(folder, host, fmus)
         errors()
-        beside_pythonfmu(folder, fmus)
+        beside_pythonfmu(folder, host, fmus)
         memory(fmus)
-    seconds_of_export()
+        seconds_of_export(host)
     print(f"\nfmpy {fmpy.__version__}; the Python flavour has no FMI 3.0: pythonfmu's binary has none")
 
 

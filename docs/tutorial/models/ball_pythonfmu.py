@@ -15,7 +15,7 @@ class BallTwin(Fmi2Slave):
             self.register_variable(Real(name, causality=Fmi2Causality.parameter, variability=Fmi2Variability.tunable))
         for name in ("h", "v"):
             self.register_variable(Real(name, causality=Fmi2Causality.output))
-        self.register_variable(Integer("bounces", causality=Fmi2Causality.output))
+        self.register_variable(Integer("bounces", causality=Fmi2Causality.output, variability=Fmi2Variability.discrete))
 
     def do_step(self, current_time, step_size):
         n = max(1, round(step_size / self.largest_step + 0.499999))

@@ -1,7 +1,7 @@
 from collections import deque
 from math import exp
 
-from pythonfmu import Fmi2Causality, Fmi2Slave, Real
+from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
 
 VALUES = {"period": 0.05, "delay": 0.12, "kp": 0.05, "ki": 0.1, "tau": 2.0, "gain": 80.0}
 
@@ -15,7 +15,7 @@ class DelayedTwin(Fmi2Slave):
         self.time, self.changes, self.latest = 0.0, deque(), 0.0
         for name, value in VALUES.items():
             setattr(self, name, value)
-            self.register_variable(Real(name, causality=Fmi2Causality.parameter))
+            self.register_variable(Real(name, causality=Fmi2Causality.parameter, variability=Fmi2Variability.tunable))
         for name in ("wanted", "reading"):
             self.register_variable(Real(name, causality=Fmi2Causality.input))
         for name in ("u", "T"):

@@ -4,7 +4,7 @@ from vpp_fmu import Effect, Model, Parameter, Signal, State
 
 
 def derivative(ops, s, x, p):
-    return {"x": x.v, "v": p.mu * (1.0 - x.x**2) * x.v - x.x + s.force}
+    return {"x": x.v, "v": p.mu * (1.0 - x.x * x.x) * x.v - x.x + s.force}
 
 
 OSCILLATOR = Effect(

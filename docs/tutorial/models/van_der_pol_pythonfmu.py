@@ -15,7 +15,7 @@ class VanDerPolTwin(Fmi2Slave):
         self.register_variable(Real("v", causality=Fmi2Causality.output))
 
     def derivative(self, x, v):
-        return v, self.mu * (1.0 - x**2) * v - x + self.force
+        return v, self.mu * (1.0 - x * x) * v - x + self.force
 
     def do_step(self, current_time, step_size):
         n = max(1, round(step_size / self.largest_step + 0.499999))
