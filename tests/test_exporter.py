@@ -1,6 +1,7 @@
 """The models of the tutorial in every flavour, and what the kernel offers them: derivatives, tables, vectors, instances."""
 
 import contextlib
+import re
 from dataclasses import replace
 
 import fmpy
@@ -342,3 +343,10 @@ def test_a_chain_of_choices_has_no_deep_brackets(tmp_path):
 def test_a_model_is_found_by_its_file(tmp_path):
     assert find_model(f"{FOLDER / 'ball.py'}:MODEL").name == "Ball"
     assert "path/file.py:NAME" in refusal(find_model, f"{tmp_path / 'none.py'}:MODEL")
+
+
+def test_the_readme_lists_every_operation():
+    page = (FOLDER.parents[2] / "fmu_src" / "README.md").read_text()
+    table = page.split("| operation | what it is |")[1].split("\n\n")[0]
+    public = {name for name in dir(NUMBERS) if not name.startswith(("_", "look_up"))}
+    assert public == public & set(re.findall(r"[a-z_0-9]+", " ".join(re.findall(r"`([^`]*)`", table))))
