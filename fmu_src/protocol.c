@@ -251,6 +251,7 @@ static Status do_step(Slave *s, const char *call, double time, double size) {
     return refuse(s, MODEL_NAME ": start of the step: found %s s, expected the instance's time, %s s", number(one, time),
                   number(other, s->time));
   memcpy(kept, s->m.v, sizeof kept);
+  begin_inputs(s);
 #if EXACT
   take_step(&s->m, size, NULL); /* one step of the chain is one communication step */
 #elif SAMPLED
@@ -266,6 +267,7 @@ static Status do_step(Slave *s, const char *call, double time, double size) {
     return REFUSED;
   }
   s->time = time + size;
+  s->last = size;
   return OK;
 }
 
@@ -334,9 +336,9 @@ static Status none_such(Slave *s, const char *call, int states, const unsigned r
 /* The directional derivative of outputs and states (unknowns) with respect to knowns.
  *
  * In initialization mode the knowns are inputs and parameters, as listed under InitialUnknowns. At a communication point the
- * standard has inputs only, and no output depends on them there: held inputs act over the next step. Beyond the standard, a
- * known may also be a parameter there: the result is the derivative since the start. It requires a query for any parameter in
- * initialization mode, from which on the instance carries these derivatives along. */
+ * standard has inputs only, and no output depends on them there: held inputs act over the next step. Beyond the standard, after
+ * a query for any parameter in initialization mode, the instance carries derivatives along: those in parameters since the start,
+ * those in inputs over the last communication step. */
 static Status derivative(Slave *s, const char *call, const unsigned unknowns[], size_t n_unknown, const unsigned knowns[],
                          size_t n_known, const double moved[], double found[]) {
   double along[N_VALUES] = {0};
@@ -350,6 +352,11 @@ static Status derivative(Slave *s, const char *call, const unsigned unknowns[], 
     if (r >= N_VALUES && unknown(s, r)) return REFUSED;
     if (r < N_INPUTS) {
       if (starting) along[r] += moved[j];
+      for (int k = 0; k < N_DELAYED; k++)
+        if (s->carried && !starting && DELAYED_INPUT[k] == (int)r && s->m.v[DELAY_PARAMETER[k]] < s->last - NOW)
+          return refuse(s, MODEL_NAME ": %s: found the known %s, which acts within the step, expected one without a delay", call, NAMES[r]);
+      for (int i = N_INPUTS; i < N_VALUES && s->carried && !starting; i++)
+        if (i < FIRST_PARAMETER || i >= FIRST_STATE) along[i] += moved[j] * s->carried[N_PARAMETERS + r][i];
       continue;
     }
     if (r < FIRST_PARAMETER || r >= FIRST_STATE)

@@ -23,6 +23,7 @@ from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.native.compiler import compiler
+from vpp_fmu.tracer import c_source, trace
 
 try:
     compiler()
@@ -338,6 +339,62 @@ def test_a_chain_of_choices_has_no_deep_brackets(tmp_path):
     model = gain_model(step)
     for make in MAKERS:
         try_fmu("chain", model, {}, Experiment(), make(model), "2.0")
+
+
+@pytest.mark.skipif(len(MAKERS) < 2, reason="no compiler")
+def test_a_long_function_is_cut_into_parts_with_the_same_bits():
+    """With choices whose conditions and values stand in other parts than their users."""
+    n = 250
+
+    def step(ops, s, x, p, dt):
+        mean = sum(x.T) / n
+        warm = [mean < T for T in x.T]
+        moved = [
+            ops.where(warm[k - 1] & (s.u > T), ops.exp(-0.01 * (T - s.u)), T + dt * (x.T[k - 1] - 2.0 * T + x.T[(k + 1) % n]))
+            for k, T in enumerate(x.T)
+        ]
+        return {"T": [ops.where(warm[-1 - k], T, 0.5 * (T + moved[-1 - k])) for k, T in enumerate(moved)]}
+
+    states = (vpp.State("T", "V", "T", tuple(float(k % 7) for k in range(n)), size=n),)
+    effect = vpp.Effect("long", "long", step, states=states, largest_step=0.01)
+    model = vpp.Model(
+        "Long", "long", (vpp.Signal("u", "V", "u", nominal=9.0),), (vpp.Signal("T", "V", "T", size=n),), (effect,)
+    )
+    text = c_source(trace(model))
+    assert "step_100(" in text
+    for version in ("2.0", "3.0"):
+        try_fmu("long", model, {}, Experiment(), native_fmu(model, version=version), version)
+
+
+@pytest.mark.skipif(len(MAKERS) < 2, reason="no compiler")
+@pytest.mark.parametrize("name", ["ODE", "PI", "table"])
+def test_derivatives_in_inputs_over_a_step_are_central_differences(name, tmp_path):
+    case = CASES[name]
+    model, path = case.model(), tmp_path / "model.fmu"
+    path.write_bytes(native_fmu(model))
+    slave = Slave(Fmu(path), initialised=False)
+    names, r = [y.name for y in model.outputs], slave.references
+    known = [r[u.name] for u in model.inputs]
+    slave.fmi.enterInitializationMode()
+    slave.fmi.setReal(known, list(case.inputs(0.0).values()))
+    slave.fmi.getDirectionalDerivative([r[names[0]]], [r[model.parameters[0].name]], [1.0])  # carries them from now on
+    slave.fmi.exitInitializationMode()
+    for dt in (0.3, 0.05, 0.3):
+        before = {x.name: slave.get(f"state.{x.name}")[0] for x in model.states}
+        slave.step(case.inputs(0.0), dt)
+        for u in model.inputs:
+            ends, change = [], 1e-4 * u.nominal
+            for sign in (-1.0, 1.0):
+                kernel = Simulation(model)
+                kernel.start(case.inputs(0.0), before)
+                moved = case.inputs(0.0)[u.name] + sign * change
+                ends.append(kernel.advance(case.inputs(0.0) | {u.name: moved}, dt))
+            exact = [(ends[1][y] - ends[0][y]) / (2.0 * change) for y in names]
+            found = slave.fmi.getDirectionalDerivative([r[y] for y in names], [r[u.name]], [1.0])
+            assert list(found) == pytest.approx(exact, rel=1e-5, abs=1e-9)
+    plain = Slave(Fmu(path))  # without the query at the start: as the standard has it, none depends on an input here
+    plain.step(case.inputs(0.0), 0.3)
+    assert list(plain.fmi.getDirectionalDerivative([r[names[0]]], known, [1.0] * len(known))) == [0.0]
 
 
 def test_a_model_is_found_by_its_file(tmp_path):

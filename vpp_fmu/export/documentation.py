@@ -45,9 +45,10 @@ A call that can't be carried out is refused after one message that says why. Val
 saved state brings the instance back. Natively that is fmi2Error; pythonfmu's binary makes it fmi2Fatal.
 
 In the native flavour, directional derivatives of outputs and states are given with respect to inputs and parameters in
-initialisation mode. At a communication point those with respect to inputs are zero. Those with respect to parameters are how
-far outputs depend on them since the start, provided that a derivative with respect to any parameter was asked for in
-initialisation mode: they cost time at each step, and only then are they carried along."""
+initialisation mode. At a communication point those with respect to inputs are zero, as outputs depend on them in the next step
+only. If a derivative with respect to any parameter was asked for in initialisation mode, they are carried along from then on,
+which costs time at each step: those with respect to parameters since the start, those with respect to inputs over the last
+communication step. There is no early return, event mode, intermediate update or adjoint derivative."""
 
 
 def documents(

@@ -7,7 +7,6 @@ FMU that has tables.
 """
 
 from bisect import bisect_right
-from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -28,24 +27,47 @@ class Surface(NamedTuple):
     grid: tuple
 
 
+KNOWN: dict = {}
+"""Tables by their content: a step asks for the same ones again and again."""
+
+
 def curve(xs, ys, method) -> Curve:
     """The points as a Curve. ValueError: invalid points or method."""
-    return _curve(tuple(map(float, xs)), tuple(map(float, ys)), _is_cubic(method))
+    return _known((_content(xs), _content(ys), method), lambda: _curve(_floats(xs), _floats(ys), _is_cubic(method)))
 
 
 def surface(xs, ys, zs, method) -> Surface:
     """The grid as a Surface. ValueError: an invalid grid or method."""
-    rows = tuple(tuple(map(float, row)) for row in zs)
-    return _surface(tuple(map(float, xs)), tuple(map(float, ys)), rows, _is_cubic(method))
+    content = (_content(xs), _content(ys), tuple(map(_content, zs)), method)
+    return _known(content, lambda: _surface(_floats(xs), _floats(ys), tuple(map(_floats, zs)), _is_cubic(method)))
 
 
-@lru_cache(maxsize=256)
+def _known(content, make):
+    if content not in KNOWN:
+        if len(KNOWN) > 256:
+            KNOWN.clear()
+        KNOWN[content] = make()
+    return KNOWN[content]
+
+
+def _content(values):
+    """What tells the values from others, at little cost for arrays of other libraries."""
+    try:
+        view = memoryview(values)
+    except TypeError:
+        return tuple(values)
+    return view.format, view.tobytes()
+
+
+def _floats(values):
+    return tuple(map(float, values))
+
+
 def _curve(xs, ys, cubic) -> Curve:
     _check(xs, len(ys), "ys")
     return Curve(xs, ys, _slopes(xs, ys) if cubic else None)
 
 
-@lru_cache(maxsize=64)
 def _surface(xs, ys, rows, cubic) -> Surface:
     _check(xs, len(rows), "rows of zs")
     for row in rows:

@@ -1,10 +1,12 @@
 """A traced program as text: Python (for the Python FMU, and where there is no compiler) and C."""
 
+import re
 from collections import Counter
-from collections.abc import Callable, Container, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from hashlib import sha256
 from importlib.resources import files
 from math import isinf
+from types import MappingProxyType
 
 from vpp_fmu.kernel.ops import WHOLE
 from vpp_fmu.tracer.graph import CALLS, COMPARE, TABLES, Node, needed
@@ -17,8 +19,13 @@ ONCE = """#if defined(__clang__)
 #else
 #define ONCE
 #endif
+#ifdef __GNUC__
+#define APART __attribute__((noinline))
+#else
+#define APART
+#endif
 """
-"""Marks functions that run once per simulation: optimising them takes longer than it saves."""
+"""Marks functions that run once per simulation: optimising them takes longer than it saves; and parts of a long function."""
 
 
 def python_source(program: Program) -> str:
@@ -125,7 +132,8 @@ def c_lanes(program: Program) -> str:
         return ""
     writes = tuple((target, value) for target, value in program.step if target[0] != "d")
     loops, arrays, last = _loops(writes)
-    statements, stores = _c_statements(writes, lambda target: f"{target[0]}[{target[1]}][k]", arrays)
+    places = {n: f"t{n.number}[k]" for n in arrays}
+    statements, stores = _c_statements(writes, lambda target: f"{target[0]}[{target[1]}][k]", places)
     head = "static inline void step_lanes(double (*restrict v)[LANES], const double (*restrict c)[LANES])"
     code = [f"\n#define LANES {LANES}\n__attribute__((always_inline)) {head} {{\n"]
     code += [f"  double t{number}[LANES];\n" for number in sorted(n.number for n in arrays)]
@@ -138,6 +146,8 @@ def c_lanes(program: Program) -> str:
 def c_function(head: str, writes: tuple[Write, ...], name: Callable) -> str:
     """A static C function that does `writes`; `name(target or leaf)` is its C expression."""
     statements, stores = _c_statements(writes, name)
+    if len(statements) > LONG:
+        return _c_parts(head, writes, name)
     lines = [line for _, own in statements for line in own] + stores
     return "".join([f"\nstatic {head} {{\n", *(f"  {line}\n" for line in lines), "}\n"])
 
@@ -163,6 +173,49 @@ def _c_library(blocks: Sequence[tuple[Write, ...]]) -> str:
             if numbers:
                 parts.append(f"static const double {name}_{k}[] = {{{', '.join(map(repr, numbers))}}};\n")
     return "".join(parts)
+
+
+LONG, PART = 3000, 100
+"""Statements from which on a function is cut into parts, and those of a part: the time to compile a function without branches
+grows faster than its length."""
+
+
+def _c_parts(head: str, writes: tuple[Write, ...], name: Callable) -> str:
+    """The same in functions of PART statements, which leave in an array `m` what later ones need."""
+    order = needed(value for _, value in writes)
+    homes, outer = _homes(order, writes), {}
+    for n in order:
+        outer[n] = _outermost(n, homes[n])
+    alone = [n for n in order if not homes[n].depth]
+    part = {n.number: k // PART for k, n in enumerate(alone)}
+    later = {value for _, value in writes if isinstance(value, Node)}  # the last function stores them
+    reads: dict[Node, set[Node]] = {}
+    for n in order:  # a comparison is computed where it is used
+        reads[n] = set().union(*(reads[a] if a.op in COMPARE else {a} for a in n.nodes))
+        later |= {a for a in reads[n] if part[outer[a]] != part[outer[n]]}
+    later |= set().union(*(reads[value] for value in later if value.op in COMPARE))
+    places = {n: f"m[{k}]" for k, n in enumerate(n for n in alone if n in later and n.op not in COMPARE)}
+    statements, stores = _c_statements(writes, name, places)
+    once, kind, function, arguments = re.fullmatch(r"(ONCE |)(\w+) (\w+)\((.*)\)", head).groups()
+    passed = ", ".join(re.split(r"\W+", argument)[-1] for argument in arguments.split(", "))
+    text, calls = [], []
+    for k in range(0, len(statements), PART):
+        lines = [line for _, own in statements[k : k + PART] for line in own]
+        text += [
+            f"\nAPART {once}static void {function}_{k}({arguments}, double *m) {{\n",
+            *(f"  {line}\n" for line in lines),
+            "}\n",
+        ]
+        calls.append(f"{function}_{k}({passed}, m);")
+    lines = [f"double m[{max(1, len(places))}];", *calls, *stores]
+    return "".join([*text, f"\nstatic {kind} {function}({arguments}) {{\n", *(f"  {line}\n" for line in lines), "}\n"])
+
+
+def _outermost(n: Node, place: "Place") -> int:
+    """The number of the node at the outermost place within whose statement a node at this place is."""
+    while place.depth > 1:
+        place = place.outer
+    return place.choice if place.depth else n.number
 
 
 HEAVY = frozenset((*CALLS, *TABLES)) - {"sqrt"}
@@ -194,10 +247,7 @@ def _loops(writes: tuple[Write, ...]) -> tuple[dict[Node, int], set[Node], int]:
     order = needed(value for _, value in writes)
     homes, outer = _homes(order, writes), {}
     for n in order:
-        place = homes[n]
-        while place.depth > 1:
-            place = place.outer
-        outer[n] = place.choice if place.depth else n.number
+        outer[n] = _outermost(n, homes[n])
     heavy = {outer[n] for n in order if n.op in HEAVY}
     ready: dict[Node, int] = {}  # the even loop from which a value can be used
     loops: dict[Node, int] = {}
@@ -218,10 +268,10 @@ def _loops(writes: tuple[Write, ...]) -> tuple[dict[Node, int], set[Node], int]:
 
 
 def _c_statements(
-    writes: tuple[Write, ...], name: Callable, arrays: Container[Node] = ()
+    writes: tuple[Write, ...], name: Callable, places: Mapping[Node, str] = MappingProxyType({})
 ) -> tuple[list[tuple[Node, list[str]]], list[str]]:
-    """(for each node at the outermost place the lines that compute it, lines that store or return the values). `arrays`: nodes
-    whose values are elements k of an array."""
+    """(for each node at the outermost place the lines that compute it, lines that store or return the values). `places`:
+    elements of arrays that hold the values of nodes."""
     order, form = needed(value for _, value in writes), "const double {0} = {1};"
     outermost = Place()
     homes, text = _homes(order, writes, outermost), {}
@@ -236,15 +286,15 @@ def _c_statements(
         if n.op in COMPARE:
             text[n] = f"({_operation(n, [said(a) for a in n.args], True)})"
             return []
-        text[n] = f"t{n.number}[k]" if n in arrays else f"t{n.number}"
+        text[n] = places.get(n, f"t{n.number}")
         sides = [homes[n].within(n.number, side) for side in (1, 2)] if n.op == "where" else []
         if any(side in inside for side in sides):
-            lines = [f"double {text[n]};"] * (n not in arrays)
+            lines = [f"double {text[n]};"] * (n not in places)
             for head, side, value in zip((f"if ({said(n.args[0])}) {{", "} else {"), sides, n.args[1:], strict=True):
                 lines += [head, *(f"  {line}" for line in block(side)), f"  {text[n]} = {said(value)};"]
             return [*lines, "}"]
         code = _operation(n, [said(a) for a in n.args], True) if n.nodes else name((n.op, *n.args))
-        return [f"{text[n]} = {code};" if n in arrays else form.format(text[n], code)]
+        return [f"{text[n]} = {code};" if n in places else form.format(text[n], code)]
 
     def block(path: Place) -> list[str]:
         return [line for n in inside.get(path, ()) for line in statement(n)]
