@@ -19,6 +19,7 @@ import ctypes
 import glob
 import json
 import os
+import pickle
 import weakref
 import zlib
 from contextlib import suppress
@@ -435,6 +436,36 @@ class Exact:
         total = self.total(v)
         if total - total != 0.0 and not self._has_numbers():
             raise self._no_numbers(time)
+
+
+class BlackBox:
+    """Steps of a function that keeps what it likes in `memory`, a dictionary."""
+
+    black_box = None
+
+    def _retune(self):
+        self.longest = LONGEST_EXACT
+
+    def _schedule(self):
+        super()._schedule()
+        self.memory = {}
+
+    def _advance(self, step_size):
+        v, first = self.v, self.N_INPUTS
+        inputs = dict(zip(self.VARIABLES, v, strict=True))
+        for name in self.VARIABLES[first : self.first_parameter]:
+            del inputs[name]
+        outputs = self.black_box(self.memory, inputs, step_size)
+        v[first : self.first_parameter] = [float(outputs[name]) for name in self.VARIABLES[first : self.first_parameter]]
+
+    @call
+    def _get_fmu_state(self):
+        return {**super()._get_fmu_state(), "memory": pickle.dumps(self.memory).hex()}
+
+    @call
+    def _set_fmu_state(self, state):
+        super()._set_fmu_state(state)
+        self.memory = pickle.loads(bytes.fromhex(state["memory"]))
 
 
 class Scheduled:

@@ -1,7 +1,9 @@
 """The models of the tutorial in every flavour, and what the kernel offers them: derivatives, tables, vectors, instances."""
 
 import contextlib
+import importlib
 import re
+import sys
 from dataclasses import replace
 
 import fmpy
@@ -407,3 +409,40 @@ def test_the_readme_lists_every_operation():
     table = page.split("| operation | what it is |")[1].split("\n\n")[0]
     public = {name for name in dir(NUMBERS) if not name.startswith(("_", "look_up"))}
     assert public == public & set(re.findall(r"[a-z_0-9]+", " ".join(re.findall(r"`([^`]*)`", table))))
+
+
+BOX = """
+import numpy as np
+
+
+def step(state, inputs, dt):
+    "A running mean by numpy."
+    kept = np.append(state.get("kept", []), inputs["gain"] * inputs["u"])[-3:]
+    state["kept"] = kept
+    return {"mean": np.mean(kept)}
+"""
+
+
+def test_a_black_box_is_packed_in_the_python_flavour_only(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "running_mean.py").write_text(BOX)
+    (tmp_path / "with_ours.py").write_text("import vpp_fmu\n" + BOX)
+    gain = vpp.Parameter("gain", "1", 2.0, 0.0, 10.0, "gain")
+
+    def model(module):
+        box = importlib.import_module(module).step
+        effects = (vpp.Effect("box", "parameters", parameters=(gain,)),)
+        shown = (vpp.Signal("mean", "V", "mean"),)
+        return vpp.Model("Mean", "a mean", (vpp.Signal("u", "V", "in"),), shown, effects, black_box=box)
+
+    path = vpp.export_fmu(model("running_mean"), tmp_path / "fmus", values={"gain": 3.0})["Mean.fmu"]
+    monkeypatch.delitem(sys.modules, "running_mean")
+    slave = Slave(Fmu(path))
+    shown = [slave.step({"u": u}, 0.1, "mean")[0] for u in (1.0, 2.0, 6.0)]
+    kept = slave.kept()
+    shown += slave.step({"u": 7.0}, 0.1, "mean")
+    slave.restore(kept)
+    assert slave.step({"u": 7.0}, 0.1, "mean") == shown[-1:]
+    assert shown == [3.0, 4.5, 9.0, 15.0]
+    assert "python, which alone can pack it" in refusal(native_fmu, model("running_mean"))
+    assert "which imports vpp_fmu" in refusal(check_model, "here", model("with_ours"))

@@ -120,6 +120,9 @@ class _Check:
         for effect in model.effects:
             self.effect(effect)
         self.schedule()
+        if model.black_box is not None:
+            self.black_box(model.black_box)
+            return
         for graph in (False, True):
             self.chain(graph)
 
@@ -230,6 +233,25 @@ class _Check:
             if self.model.sample_time is not None:
                 self.refuse(f"{field}, sample_time", "one of the model as well", "only one of them")
             self.period(effect.full(effect.sample_time), by_name[effect.sample_time])
+
+    def black_box(self, function: Callable) -> None:
+        """A function in a file of its own, which runs where this project is not installed."""
+        file = inspect.getsourcefile(function) if inspect.isfunction(function) else None
+        if file is None or "." in function.__qualname__ or function.__name__ == "<lambda>":
+            self.refuse("black_box", repr(function), "a function at the top of a Python file")
+        nodes = [*ast.walk(ast.parse(Path(file).read_text(encoding="utf-8")))]
+        modules = [a.name for node in nodes if isinstance(node, ast.Import) for a in node.names]
+        modules += [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)]
+        if any(module.split(".")[0] == "vpp_fmu" for module in modules):
+            self.refuse("black_box", f"{Path(file).name}, which imports vpp_fmu", "a file of its own, as the FMU has it alone")
+        if any(e.step is not no_step or e.derivative or e.output or e.states for e in self.model.effects):
+            self.refuse("black_box", "effects with steps as well", "effects with parameters only")
+        inputs = {u.name: u.start for u in self.model.inputs} | self.model.values()
+        arguments = ({}, inputs, TRY_STEP)
+        shown = self.call("black_box", function, arguments, function, *arguments)
+        missing = [y.name for y in self.model.outputs if not isinstance(shown, Mapping) or y.name not in shown]
+        if missing:
+            self.refuse("black_box", f"no {', '.join(missing)} returned", "all outputs by name")
 
     def period(self, name: str, p: Parameter) -> None:
         if not p.minimum > 0.0:

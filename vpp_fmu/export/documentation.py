@@ -120,6 +120,8 @@ def _origin(model: Model, parameter, values: Mapping[str, float], origins: Mappi
 def _equations(model: Model) -> list[str]:
     """One part for each file that defines effects, with its docstring."""
     parts: dict[str, list[str]] = {}
+    if model.black_box is not None:
+        parts[inspect.getdoc(model.black_box) or model.description] = [model.black_box.__name__]
     for effect in model.effects:
         parts.setdefault(_theory(effect), []).append(effect.name)
     return [f"<h3>{escape(', '.join(names))}</h3>{_prose(text)}" for text, names in parts.items()]

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
+from vpp_fmu.errors import BadInput
 from vpp_fmu.export.archive import archive
 from vpp_fmu.export.c_text import c_text
 from vpp_fmu.export.description import TEN_SECONDS, Experiment, Flavour, guid, model_description
@@ -25,6 +26,8 @@ def native_fmu(
     `parameters`, `origins`: as in `python_fmu`. `platforms`: "host" for this machine, "all" or names
     of `toolchain.TARGETS` with Zig's compiler. `version`: of FMI, 2.0 or 3.0. CompilerMissing where there is no compiler.
     """
+    if model.black_box is not None:
+        raise BadInput(model.name, "flavour", "native with a black box", "python, which alone can pack it")
     values = model.values(parameters)
     source = f"{model.name}.c"
     flavour = Flavour("C", {"needsExecutionTool": False, "providesDirectionalDerivative": True}, (source,))

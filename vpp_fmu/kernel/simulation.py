@@ -33,6 +33,9 @@ class Simulation:
             None if delay is None else DelayLine(u) for delay, u in zip(self._delays, self.inputs.values(), strict=True)
         ]
         self._wait = 0.0
+        if self.model.black_box is not None:
+            self.signals, self.states, self._memory = {y.name: y.start for y in self.model.outputs}, {}, {}
+            return self.outputs
         self.signals, self.states = start(self.model, NUMBERS, self.inputs, self.parameters)
         if states:
             self.states |= states
@@ -44,7 +47,9 @@ class Simulation:
         """Hold `inputs` for one communication step of dt seconds; returns the outputs at its end."""
         self.inputs = self._complete(inputs)
         values = list(self.inputs.values())
-        if self.model.sample_time is None:
+        if self.model.black_box is not None:
+            self.signals = self.model.black_box(self._memory, {**self.inputs, **self.parameters}, dt)
+        elif self.model.sample_time is None:
             run_held(self._lines, self._delays, values, dt, self._largest, self._step, due=self._due)
         else:
             period = self.parameters[self.model.sample_time]

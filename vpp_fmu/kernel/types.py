@@ -266,7 +266,9 @@ class Model:
     `sample_time` names the parameter that holds the period [s] of a sampled law; None: the model runs in continuous time.
     `sets` are named sets of parameter values, such as the paper's. `author`, `version`, `license`, `copyright`: of the model,
     as its FMU tells them. `icon`: path of a PNG, or "propeller". `stop_time`, `step_size` [s] and `tolerance` of the default
-    experiment; None: the exporter's.
+    experiment; None: the exporter's. `black_box(state, inputs, dt)`: in place of all steps, a function that changes `state`, a
+    dictionary that is empty at first, and returns the outputs after dt s by name; `inputs` has the parameters, too. It may do
+    anything; only the Python flavour can pack it, with its file.
     """
 
     name: str
@@ -284,6 +286,7 @@ class Model:
     stop_time: float | None = None
     step_size: float | None = None
     tolerance: float | None = None
+    black_box: Callable | None = None
 
     def __post_init__(self) -> None:
         for name in ("inputs", "outputs"):
