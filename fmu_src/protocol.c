@@ -120,19 +120,6 @@ static void begin(Slave *s) {
   start_schedule(s);
 }
 
-/* Compute the outputs for states that the importer has set, by a step of NOW seconds that leaves the states unchanged. A
- * sampled law has not run yet: its outputs keep their start values. */
-static void show_chosen(Slave *s) {
-  static const double no_tangent[N_DELAYED_OR_1] = {0};
-  double kept[N_STATES_OR_1];
-  if (SAMPLED) return;
-  memcpy(kept, s->m.v + FIRST_STATE, N_STATES * sizeof *kept);
-  prepare(s->m.v, NOW, no_tangent, s->m.c);
-  step(s->m.v, s->m.c, s->m.d);
-  memcpy(s->m.v + FIRST_STATE, kept, N_STATES * sizeof *kept);
-  s->m.dt = NAN;
-}
-
 /* Two partial sums are faster: in a single sum each addition waits for the last one. */
 static double sum(const double *v, int first, int last) {
   double even = 0.0, odd = 0.0;
@@ -167,7 +154,7 @@ static bool settle(Slave *s) {
   start(s->m.v, s->m.d);
   for (int i = FIRST_STATE; i < N_VALUES; i++)
     if (s->chosen[i - FIRST_STATE]) s->m.v[i] = kept[i], any = true;
-  if (any) show_chosen(s);
+  if (any && !SAMPLED) show(s->m.v); /* a sampled law has not run yet: its outputs keep their start values */
   s->settled = has_numbers(s);
   if (s->settled) return true;
   no_numbers(s, s->time);
@@ -181,12 +168,7 @@ static void settle_along(Slave *s, double *along) {
   start_along(s->m.v, along);
   for (int i = 0; i < N_STATES; i++)
     if (s->chosen[i]) along[FIRST_STATE + i] = 0.0, any = true;
-  if (any && !SAMPLED) {
-    double kept[N_STATES_OR_1];
-    memcpy(kept, along + FIRST_STATE, N_STATES * sizeof *kept);
-    step_along(s->m.v, NOW, 0.0, along);
-    memcpy(along + FIRST_STATE, kept, N_STATES * sizeof *kept);
-  }
+  if (any && !SAMPLED) show_along(s->m.v, along);
 }
 
 /* Set the start time [s]. */

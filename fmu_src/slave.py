@@ -117,7 +117,7 @@ class TracedSlave(Fmi2Slave):
     SAMPLES = ()  # (position of the time to its next sample, position of its period) of each sampled effect
     DELAYS = ()  # (position of the input, position of its delay)
     SAMPLE_TIME = None  # position of the period of a sampled model
-    start = prepare = step = largest_step = total = None  # see vpp_fmu.tracer.emit.python_source
+    start = prepare = step = largest_step = show = total = None  # see vpp_fmu.tracer.emit.python_source
 
     log_categories = LOG_CATEGORIES
 
@@ -368,15 +368,12 @@ class TracedSlave(Fmi2Slave):
             raise self._no_numbers(self.time)
 
     def _show_chosen(self):
-        """Compute the outputs for states that the importer has set, by a step of NOW seconds. A sampled law has not run yet:
-        its outputs keep their start values."""
-        v, first = self.v, self.first_state
+        """Compute the outputs for states that the importer has set. A sampled law has not run yet: its outputs keep their start
+        values."""
         for vr, value in self.chosen.items():
-            v[vr] = value
+            self.v[vr] = value
         if self.chosen and self.SAMPLE_TIME is None:
-            states = v[first:]
-            self.step(v, self.prepare(v, NOW, ()), None)
-            v[first:] = states
+            self.show(self.v)
 
     def _has_numbers(self):
         outputs, states = self.v[self.N_INPUTS : self.first_parameter], self.v[self.first_state :]

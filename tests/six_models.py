@@ -59,30 +59,37 @@ def linear(A, b, start, times) -> np.ndarray:
 
 
 def van_der_pol(times):
+    """solve_ivp, rtol 1e-12"""
     x, v = integrated(lambda y: (y[1], (1.0 - y[0] ** 2) * y[1] - y[0] + 0.5), (2.0, 0.0), times).T
     return {"x": x, "v": v}
 
 
 def motor_pi(times):
+    """matrix exponential"""
     R, L, K, J, b, kp, ki, wanted, load = 1.0, 0.01, 0.1, 0.001, 0.001, 0.5, 5.0, 50.0, 0.02
     A = [[-R / L, -(K + kp) / L, ki / L], [K / J, -b / J, 0.0], [0.0, -1.0, 0.0]]
     return {"w": linear(A, [kp * wanted / L, -load / J, wanted], (0.0, 0.0, 0.0), times)[:, 1]}
 
 
 def network(times, n=10):
+    """matrix exponential"""
     A = 0.2 * (np.eye(n, k=1) + np.eye(n, k=-1) - 2.0 * np.eye(n))
     T = linear(A, 0.2 * np.r_[90.0, np.zeros(n - 2), 10.0], np.full(n, 20.0), times)
     return {f"T[{k + 1}]": T[:, k] for k in range(n)}
 
 
 def battery(times, i=5.0):
+    """closed form, with scipy's PchipInterpolator"""
     charge = 0.9 - i * times / (3600.0 * 2.5)
     ocv = PchipInterpolator((0.0, 0.05, 0.1, 0.3, 0.6, 0.9, 1.0), (3.0, 3.35, 3.5, 3.65, 3.8, 4.05, 4.2))
     return {"charge": charge, "voltage": ocv(charge) - 0.02 * i - 0.02 * i * (1.0 - np.exp(-times / 20.0))}
 
 
 def ball(times, g=9.81, e=0.8, h=1.0):
-    """Impact n at sqrt(2 h / g) (1 + 2 e + 2 e^2 + ... 2 e^n); then it rises at e^(n + 1) sqrt(2 g h)."""
+    """closed form
+
+    Impact n at sqrt(2 h / g) (1 + 2 e + 2 e^2 + ... 2 e^n); then it rises at e^(n + 1) sqrt(2 g h).
+    """
     first, speed = np.sqrt(2.0 * h / g), np.sqrt(2.0 * g * h)
     impacts = first * (1.0 + 2.0 * np.r_[0.0, np.cumsum(e ** np.arange(1.0, 40.0))])
     n = np.searchsorted(impacts, times, side="right")
@@ -96,7 +103,10 @@ def ball(times, g=9.81, e=0.8, h=1.0):
 
 
 def delayed(times):
-    """Sample by sample: the reading steps to 10 K at 1 s and is seen 0.12 s later."""
+    """sample by sample
+
+    The reading steps to 10 K at 1 s and is seen 0.12 s later.
+    """
     total, u, T, at, shown = 0.0, 0.0, 0.0, 0.0, []
     events = sorted({round(t, 9) for t in (*times, *np.arange(0.0, times[-1] + 0.05, 0.05))})
     asked = {round(t, 9) for t in times}
@@ -114,7 +124,10 @@ def delayed(times):
 
 
 def vehicle(times, tau=0.1, m=4.0, drag=0.8):
-    """Each force is F (1 - exp(-t / tau)); the sum of them moves the body."""
+    """closed form
+
+    Each force is F (1 - exp(-t / tau)); the sum of them moves the body.
+    """
     F = 3.0 + 4.0 + 5.0 + 6.0
     rate = drag / m
     lag = (np.exp(-times / tau) - np.exp(-rate * times)) / (rate - 1.0 / tau)

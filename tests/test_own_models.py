@@ -190,7 +190,7 @@ SPELLED = {
     "not": ("v2 = ops.where(not f > 0.0, 1.0, 0.0)", "ops.where(condition, yes, no)"),
     "while": ("\n    while f > 0.0:\n        f = f - 1.0\n    v2 = f", "ops.where(condition, yes, no)"),
     "a chain of comparisons": ("v2 = ops.where(0.0 < f < 1.0, 1.0, 0.0)", "ops.where(condition, yes, no)"),
-    "max()": ("v2 = max(f, 0.0)", "ops.where(condition, yes, no)"),
+    "max()": ("v2 = max(f, 0.0)", "ops.maximum(x, y)"),
     "float()": ("v2 = float(f)", "the value as it is"),
     "math.exp()": ("import math; v2 = math.exp(-f * f)", "ops.exp"),
     "int()": ("v2 = int(f)", "ops.whole(x)"),

@@ -1,17 +1,20 @@
 """python -m tests.interop exporter: the models of the tutorial as FMUs, in every host, beside pythonfmu.
 
 Prints tables: hosts and checkers; errors and bits; lines and speed beside the pythonfmu twin; seconds of export against size;
-memory of instances. A host that is not installed is listed as such (`make interop` installs them).
+memory of instances; each fault that it had, before and now. A host that is not installed is listed as such (`make interop` installs them).
 """
 
 import contextlib
+import io
 import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
+import zipfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -21,8 +24,13 @@ import numpy as np
 from fmpy.validation import validate_fmu
 
 from tests.interop import hosts
-from vpp_fmu.errors import CompilerMissing
+from vpp_fmu import export_fmu
+from vpp_fmu.errors import CompilerMissing, VppError
 from vpp_fmu.export import native_fmu, python_fmu
+from vpp_fmu.export.checks import check_model
+from vpp_fmu.export.description import Experiment
+from vpp_fmu.export.own_model import find_model
+from vpp_fmu.export.trial import try_fmu
 from vpp_fmu.fmu import Fmu, FmuInstance, steps_in_fmi_3
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.kernel.types import Effect, Model, Parameter, Signal, State
@@ -168,7 +176,7 @@ def errors() -> None:
             right = case.solution(times)
             shown = {output: np.array([row[output] for row in rows[every - 1 :: every]]) for output in right}
             cells.append(f"{max(np.abs(shown[y] - right[y]).max() / np.abs(right[y]).max() for y in right):.0e}")
-        how = (case.solution.__doc__ or "solve_ivp or a matrix exponential").splitlines()[0]
+        how = case.solution.__doc__.splitlines()[0]
         print(f"| {name} | {' | '.join(cells)} | {how} |", flush=True)
 
 
@@ -276,6 +284,109 @@ def memory(fmus: Mapping[tuple[str, str, str], Path]) -> None:
             print(f"| {name}, {flavour} | {said} |", flush=True)
 
 
+def _model(step, unit="V", minimum=-1e9, **more) -> Model:
+    effect = Effect("part", "a part", step, **more)
+    return Model("Part", "a part", (Signal("u", unit, "in"),), (Signal("y", "V", "out", minimum, 1e9),), (effect,))
+
+
+def _counted(ops, s, x, p, dt):
+    return {"y": x.y + 1.0}
+
+
+def _chained(n: int) -> Model:
+    def step(ops, s, x, p, dt):
+        y = 0.0
+        for k in range(n):
+            y = ops.where(s.u > float(k), 0.5 * k + 0.1 * s.u, y)
+        return {"y": y}, {}
+
+    return _model(step)
+
+
+def _said(doing) -> str:
+    """What a call returns, or its message."""
+    try:
+        return str(doing())
+    except VppError as error:
+        return f"refused: {error}"
+    except Exception as error:
+        return f"TRACEBACK: {type(error).__name__}: {error}"
+
+
+def _tried(model: Model, make=python_fmu, fmi: str = "2.0") -> str:
+    check_model("model", model)
+    try_fmu("model", model, model.values(), Experiment(), make(model), fmi)
+    return "exported, tried"
+
+
+def _read(model: Model, wanted: str) -> str:
+    """The beginning of the lines of its description that have this text."""
+    with zipfile.ZipFile(io.BytesIO(python_fmu(model))) as packed:
+        lines = packed.read("modelDescription.xml").decode().splitlines()
+    return " ".join(line.strip() for line in lines if wanted in line)[:150]
+
+
+def faults() -> None:
+    """Each fault that the exporter had, in commit ffeb0d7 and now."""
+    double = _model(lambda ops, s, x, p, dt: ({"y": 2.0 * s.u}, {}))
+    cell = _model(lambda ops, s, x, p, dt: {"y": x.y}, states=(State("y", "V", "y", 80.0),), minimum=1.0, largest_step=1.0)
+    counter = _model(_counted, states=(State("y", "V", "y", 0.0),), largest_step=1.0)
+    text = _model(lambda ops, s, x, p, dt: ({"y": s.u}, {}), parameters=(Parameter("a", "1", "left", 0.0, 1.0, "a"),))
+    unknown = _model(lambda ops, s, x, p, dt: ({"y": ops.cosh(s.u)}, {}))
+    rows = (
+        (
+            "1",
+            'refused: The unit "s" of variable "time" is not defined',
+            lambda: _tried(double, partial(native_fmu, version="3.0"), "3.0"),
+        ),
+        ("2, 200 choices", "SyntaxError: too many nested parentheses", lambda: _tried(_chained(200))),
+        ("2, 1000 choices", "77 s", lambda: _timed(partial(_tried, _chained(1000)))),
+        ("2, 500 nodes", "over 150 s", lambda: _timed(partial(native_fmu, network_of(500)))),
+        ("3, a state", "min and max of a signal in its unit", lambda: _read(cell, 'start="80.0"')),
+        ("3, an output", "refused: signal y, start: found 0.0, expected 1.0", lambda: _tried(cell)),
+        ("4, a counter at 0, 1, 2 s", "1, 1, 2", lambda: [_run_to(counter, k) for k in range(3)]),
+        (
+            "5",
+            'author="vpp-fmu" version="0.2.0" license="MIT"',
+            lambda: _read(replace(double, license="0BSD", author="A. Body"), "author"),
+        ),
+        ("6, a text", "TypeError: must be real number, not str", lambda: _tried(text)),
+        ("6, the unit -", "AssertionError", lambda: _tried(_model(lambda ops, s, x, p, dt: ({"y": s.u}, {}), unit="-"))),
+        ("6, an operation", "AttributeError: 'Numbers' object has no attribute", lambda: _tried(unknown)),
+        ("6, a file", "No module named", lambda: find_model(f"{CASES['event'].source}:MODEL").name),
+        ("7", "refused: found a Model, expected a ParameterSet", lambda: list(_exported(double))),
+    )
+    print("\n| fault | before | now |\n|---|---|---|")
+    for what, before, now in rows:
+        print(f"| {what} | {before} | {_said(now).replace('|', ' ')[:220]} |", flush=True)
+    with tempfile.TemporaryDirectory() as folder:
+        for version in ("2.0", "3.0"):
+            words = ["export", "--model", f"{CASES['event'].source}:MODEL", "--flavour", "native", "--fmi", version]
+            command = [sys.executable, "-m", "vpp_fmu", *words, "-o", folder]
+            subprocess.run(command, check=True, capture_output=True)
+        there = ", ".join(sorted(path.name for path in Path(folder).glob("*.fmu")))
+    print(f"| 6, FMI 2.0, then 3.0 in one folder | the second removes the first | {there} |")
+
+
+def _timed(doing) -> str:
+    began = time.perf_counter()
+    doing()
+    return f"{time.perf_counter() - began:.1f} s"
+
+
+def _run_to(model: Model, steps: int) -> float:
+    simulation = Simulation(model)
+    shown = simulation.start({"u": 1.0})
+    for _ in range(steps):
+        shown = simulation.advance({"u": 1.0}, 1.0)
+    return shown["y"]
+
+
+def _exported(model: Model) -> list[str]:
+    with tempfile.TemporaryDirectory() as folder:
+        return list(export_fmu(model, folder))
+
+
 def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder, fmus = Path(name), {}
@@ -296,6 +407,7 @@ def main() -> None:
         beside_pythonfmu(folder, host, fmus)
         memory(fmus)
         seconds_of_export(host)
+    faults()
     print(f"\nfmpy {fmpy.__version__}; the Python flavour has no FMI 3.0: pythonfmu's binary has none")
 
 

@@ -7,7 +7,7 @@ from math import isinf
 
 from vpp_fmu.export.description import allowed, in_unit, start_values, variable_names, variable_types
 from vpp_fmu.kernel import calls
-from vpp_fmu.kernel.types import Model, start, step
+from vpp_fmu.kernel.types import Model, show, start, step
 from vpp_fmu.tracer import Layout, c_source, trace
 from vpp_fmu.tracer.emit import c_function
 from vpp_fmu.tracer.graph import Graph, needed
@@ -55,7 +55,8 @@ def c_text(model: Model, values: Mapping[str, float], guid: str, version: str = 
 
 
 def tangent_source(model: Model) -> str:
-    """`start_along(v, a)` and `step_along(v, dt, dt_along, a)`: directional derivatives of outputs and states.
+    """`start_along(v, a)`, `step_along(v, dt, dt_along, a)`: directional derivatives of outputs and states; and
+    `show_along(v, a)`: those of the outputs at given states.
 
     `a` has the layout of the values and holds the direction in inputs, parameters and, before a step, states; the derivatives
     of outputs and states are filled in. `v` holds the values before the step.
@@ -82,8 +83,11 @@ def tangent_source(model: Model) -> str:
 
     begun = writes(*start(model, graph, inputs, parameters), from_start)
     moved = writes(*step(model, graph, inputs, states, parameters, dt), from_step)
-    return c_function("void start_along(const double *v, double *a)", begun, name) + c_function(
-        "void step_along(const double *v, double dt, double dt_along, double *a)", moved, name
+    seen = writes(show(model, graph, inputs, states, parameters), states, leaves)[: len(layout.outputs)]
+    return (
+        c_function("void start_along(const double *v, double *a)", begun, name)
+        + c_function("void step_along(const double *v, double dt, double dt_along, double *a)", moved, name)
+        + c_function("void show_along(const double *v, double *a)", seen, name)
     )
 
 

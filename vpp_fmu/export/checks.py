@@ -344,9 +344,9 @@ class _Check:
         except AttributeError as error:
             raise self.missing(field, error, given) from error
         except Unseen as error:
-            raise BadInput(
-                self.where, at_line(field, error), f"{_spelled(error)}, which can't be traced", error.instead
-            ) from error
+            spelled = _spelled(error)
+            instead = {"max()": "ops.maximum(x, y)", "min()": "ops.minimum(x, y)"}.get(spelled, error.instead)
+            raise BadInput(self.where, at_line(field, error), f"{spelled}, which can't be traced", instead) from error
         except TypeError as error:
             found = f"what can't be traced ({' '.join(str(error).split())[:120]})"
             allowed = "operators, ops.where, ops.exp ... instead of if, and, max, math or numpy"

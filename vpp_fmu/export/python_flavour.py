@@ -98,10 +98,12 @@ def module_source(model: Model, values: Mapping[str, float]) -> str:
     generated = _black_box(model) if model.black_box else python_source(trace(model))
     generated += f"\n\ndef total(v):\n    return {' + '.join(f'v[{i}]' for i in layout.moving)}\n"
     declared["TAG"] = sha256(repr((declared, generated)).encode()).hexdigest()[:16]
-    functions = ("start", "black_box", "total") if model.black_box else ("start", "prepare", "step", "largest_step", "total")
+    functions = (
+        ("start", "black_box", "total") if model.black_box else ("start", "prepare", "step", "largest_step", "show", "total")
+    )
     lines = [f"class GeneratedSlave({way}, TracedSlave):", f"    {model.description!r}", ""]
     lines += [f"    {name} = {value!r}" for name, value in declared.items()]
-    lines += [f"    {name} = staticmethod({name})" for name in functions]
+    lines += [f"    {name} = staticmethod({name})" for name in ("start", *functions, "total")]
     return "\n\n".join(
         (
             _text("vpp_fmu.kernel", "schedule.py"),

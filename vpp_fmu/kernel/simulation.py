@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.kernel.schedule import DelayLine, next_sample, run_held, run_sampled
-from vpp_fmu.kernel.types import INSTANT, Model, largest_step, start, step
+from vpp_fmu.kernel.types import Model, largest_step, show, start, step
 
 
 class Simulation:
@@ -26,7 +26,7 @@ class Simulation:
     def start(self, inputs: Mapping[str, float], states: Mapping[str, float] | None = None) -> dict[str, float]:
         """Settle on `inputs`, by name; measured ones may be missing. Returns the outputs.
 
-        `states`: initial values that replace settled ones, by full name; the outputs are then those after a step of INSTANT.
+        `states`: initial values that replace settled ones, by full name; the outputs are then those at these states.
         """
         self.inputs = self._complete(inputs)
         self._lines = [
@@ -40,7 +40,7 @@ class Simulation:
         if states:
             self.states |= states
             if self.model.sample_time is None:
-                self.signals, _ = step(self.model, NUMBERS, self.inputs, self.states, self.parameters, INSTANT)
+                self.signals = show(self.model, NUMBERS, self.inputs, self.states, self.parameters)
         return self.outputs
 
     def advance(self, inputs: Mapping[str, float], dt: float) -> dict[str, float]:

@@ -558,6 +558,13 @@ def _started(model: Model, ops: Any, inputs: Mapping, ahead: Mapping, parameters
     return flat(model, s), states
 
 
+def show(model: Model, ops: Any, inputs: Mapping, states: Mapping, parameters: Mapping) -> dict:
+    """The signals at given states, without a step, as at the start; states and parameters by full names."""
+    s = input_signals(model, inputs)
+    _passed(model, ops, s, states, parameters, None, {}, None)
+    return flat(model, s)
+
+
 def started(x: State, ops: Any, s: Any, p: Any) -> Any:
     """A state's value at the start; of a vector, an element or all of them may be given."""
     value = x.start(ops, s, p) if callable(x.start) else x.start

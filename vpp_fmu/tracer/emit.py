@@ -29,7 +29,7 @@ ONCE = """#if defined(__clang__)
 
 
 def python_source(program: Program) -> str:
-    """Functions `start(v, d)`, `prepare(v, dt, dt_tangent) -> c`, `step(v, c, d)` and `largest_step(v)`.
+    """Functions `start(v, d)`, `prepare(v, dt, dt_tangent) -> c`, `step(v, c, d)`, `largest_step(v)` and `show(v)`.
 
     `v` is the list of values by `Layout.index`; `d` the tangents of `Layout.moving`, flat, `len(wrt)` for each value.
     """
@@ -50,7 +50,7 @@ def python_source(program: Program) -> str:
             ]
         return [*lines, f"return {', '.join(values[t] for t, _ in writes)}" + ("," if writes[0][0][0] == "c" else "")]
 
-    blocks = (program.start, program.prepare, program.step)
+    blocks = (program.start, program.prepare, program.step, program.show)
     tables = [f"{name} = {', '.join(map(repr, parts))}\n" for name, parts in _tables(blocks).items()]
     constants = "".join(f"c{i}, " for i in range(len(program.prepare)))
     functions = (
@@ -58,6 +58,7 @@ def python_source(program: Program) -> str:
         ("prepare(v, dt, dt_tangent)", body(program.prepare) if program.prepare else ["return ()"]),
         ("step(v, c, d)", ([f"{constants}= c"] if constants else []) + body(program.step)),
         ("largest_step(v)", body(program.largest_step)),
+        ("show(v)", body(program.show)),
     )
     defined = [f"def {head}:\n" + "\n".join("    " + line for line in lines) + "\n" for head, lines in functions]
     imports = [
@@ -97,7 +98,7 @@ def c_source(program: Program) -> str:
         "SAMPLE_TIME": sample_time,
     }
     parts = ["#include <math.h>\n", ONCE, *(f"#define {k} {n}\n" for k, n in sizes.items())]
-    parts.append(_c_library((program.start, program.prepare, program.step)))
+    parts.append(_c_library((program.start, program.prepare, program.step, program.show)))
     parts.append(f"static const int DELAYED_INPUT[] = {{{', '.join(map(str, delayed))}}};\n")
     parts.append(f"static const int DELAY_PARAMETER[] = {{{', '.join(map(str, delays))}}};\n")
     for array, positions in (
@@ -114,6 +115,7 @@ def c_source(program: Program) -> str:
         ("void step(double *v, const double *c, double *d)", program.step),
         *([("void step_values(double *v, const double *c)", plain)] if width else []),
         ("double largest_step(const double *v)", program.largest_step),
+        ("ONCE void show(double *v)", program.show),
     ):
         parts.append(c_function(head, writes, name))
     return "".join(parts)
