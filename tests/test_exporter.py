@@ -293,7 +293,7 @@ REFUSED = {
     "a unit that is none": (gain_model(unit="-"), "signal u, unit: found '-' is no unit"),
     "an operation that is none": (
         gain_model(lambda ops, s, x, p, dt: ({"y": ops.cosh(s.u)}, {})),
-        "found no ops.cosh, expected there are abs, atan2",
+        "found no ops.cosh, expected one of abs, atan2",
     ),
     "signals of a step at the start": (
         gain_model(counting, states=(vpp.State("n", "1", "n", 0.0),)),

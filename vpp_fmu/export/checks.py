@@ -168,7 +168,7 @@ class _Check:
         """A quantity's unit, range and start value, if it has one."""
         for name, number in (("minimum", q.minimum), ("maximum", q.maximum), ("nominal", q.nominal), (what, value)):
             if not isinstance(number, float | int | None):
-                texts = f"a number, or with kind=STRING or ENUMERATION one of its items {', '.join(q.items)}".rstrip()
+                texts = "a number; a text is one of the `items` of a kind STRING or ENUMERATION"
                 self.refuse(f"{field}, {name}", repr(number), texts)
         check_unit(self.where, f"{field}, unit", q.unit)
         if q.kind not in (kinds := (REAL, INTEGER, BOOLEAN, ENUMERATION, STRING)):

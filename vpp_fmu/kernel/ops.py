@@ -71,8 +71,8 @@ class Ops:
     look_up look_up_2`."""
 
     def __getattr__(self, name):
-        known = ", ".join(n for n in dir(self) if not n.startswith("_") and callable(getattr(type(self), n, None)))
-        raise AttributeError(f"no ops.{name}; there are {known}", name=name, obj=self)
+        known = [n for n in dir(self) if not n.startswith(("_", "look_up")) and callable(getattr(type(self), n, None))]
+        raise AttributeError(f"no ops.{name}; one of {', '.join(known)}", name=name, obj=self)
 
     def abs(self, x):
         """|x|, same unit."""

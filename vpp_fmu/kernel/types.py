@@ -53,7 +53,7 @@ class Signal:
     minimum: float = -inf
     maximum: float = inf
     nominal: float = 1.0
-    start: Any = 0.0
+    start: float = 0.0
     scale: str = ""
     kind: str = REAL
     clock: bool = False
@@ -83,7 +83,7 @@ class Parameter:
 
     name: str
     unit: str
-    default: Any
+    default: float
     minimum: float
     maximum: float
     description: str

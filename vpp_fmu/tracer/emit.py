@@ -148,7 +148,7 @@ def c_lanes(program: Program) -> str:
 def c_function(head: str, writes: tuple[Write, ...], name: Callable) -> str:
     """A static C function that does `writes`; `name(target or leaf)` is its C expression."""
     statements, stores = _c_statements(writes, name)
-    if len(statements) > LONG:
+    if len(statements) > LONG and all(kind != "d" for (kind, *_), _ in writes):
         return _c_parts(head, writes, name)
     lines = [line for _, own in statements for line in own] + stores
     return "".join([f"\nstatic {head} {{\n", *(f"  {line}\n" for line in lines), "}\n"])
