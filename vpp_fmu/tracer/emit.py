@@ -156,7 +156,14 @@ def c_function(head: str, writes: tuple[Write, ...], name: Callable) -> str:
 
 def _tables(blocks: Iterable[tuple[Write, ...]]) -> dict[str, tuple]:
     """The tables that these blocks read, by name."""
+    if not _library(blocks) & set(TABLES):
+        return {}
     return {_table_name(n): tuple(n.table[0]) for n in needed(v for writes in blocks for _, v in writes) if n.op in TABLES}
+
+
+def _library(blocks: Iterable[tuple[Write, ...]]) -> set[str]:
+    """The operations of the blocks' graph that need the library."""
+    return next((value.graph.library for writes in blocks for _, value in writes if isinstance(value, Node)), set())
 
 
 def _table_name(n: Node) -> str:
@@ -165,7 +172,7 @@ def _table_name(n: Node) -> str:
 
 def _c_library(blocks: Sequence[tuple[Write, ...]]) -> str:
     """What these blocks call beside C's library: tables with their functions, and a power that no compiler replaces."""
-    parts, used = [], {n.op for n in needed(v for writes in blocks for _, v in writes)}
+    parts, used = [], _library(blocks)
     if "pow" in used:  # compilers replace pow(x, 2.0) by x * x, which Python does not
         parts.append("static double (*const volatile power)(double, double) = pow;\n")
     if used & set(TABLES):
@@ -238,7 +245,10 @@ class Place:
 
     def within(self, choice: int, side: int) -> "Place":
         """The place of one side of a choice that is here; each exists once."""
-        return self.known.setdefault((choice, side), Place(self, choice, side))
+        key = (choice, side)
+        if key not in self.known:
+            self.known[key] = Place(self, choice, side)
+        return self.known[key]
 
 
 def _loops(writes: tuple[Write, ...]) -> tuple[dict[Node, int], set[Node], int]:
@@ -363,8 +373,13 @@ def _number(x: float, form: str) -> str:
     return f"({float(x)!r})" if x < 0 else repr(float(x))
 
 
+INFIX = frozenset(("+", "-", "*", "/", *COMPARE)) - {"&", "|"}
+
+
 def _operation(n: Node, x: list[str], in_c: bool) -> str:
     """The operation of a node on its arguments `x`, in C or in Python."""
+    if n.op in INFIX:
+        return f"{x[0]} {n.op} {x[1]}"
     match n.op:
         case "where":
             return f"{x[0]} ? {x[1]} : {x[2]}" if in_c else f"{x[1]} if {x[0]} else {x[2]}"
@@ -380,7 +395,7 @@ def _operation(n: Node, x: list[str], in_c: bool) -> str:
             return f"power({x[0]}, {x[1]})"
         case "look_up" | "look_up_2":
             return f"{n.op}({', '.join([*x, *_table_arguments(n, in_c), *map(str, n.table[1:])])})"
-    return f"{n.op}({', '.join(x)})" if n.op in CALLS else f"{x[0]} {n.op} {x[1]}"
+    return f"{n.op}({', '.join(x)})"
 
 
 def _table_arguments(n: Node, in_c: bool) -> list[str]:

@@ -56,6 +56,8 @@ class Graph(Ops):
 
     def __init__(self):
         self._known: dict[tuple, Node] = {}
+        self.library: set[str] = set()
+        """Recorded operations that the languages do not have as Python has them: powers and tables."""
 
     def node(self, op: str, *args, table: tuple = ()) -> Node:
         """The node for `op` on `args`: a new one, or the existing one."""
@@ -64,6 +66,8 @@ class Graph(Ops):
             key += (id(table[0]), *table[1:])  # a node keeps its table, so no other has this id
         if key not in self._known:
             self._known[key] = Node(self, op, args, len(self._known), table)
+            if table or op == "pow":
+                self.library.add(op)
         return self._known[key]
 
     def rebuilt(self, n: Node, args: Iterable) -> Node:
