@@ -54,7 +54,7 @@ static void save(const Slave *s, Saved *saved) {
     }
     at += 2 * line->count;
   }
-  if (s->carried) memcpy(at, s->carried, sizeof(double[N_CARRIED][N_VALUES]));
+  if (s->carried) memcpy(at, s->carried, N_CARRIED * sizeof *s->carried);
   saved->data[CHECKSUM] = checksum(saved->data, saved->count);
 }
 
@@ -88,6 +88,6 @@ static bool restore(Slave *s, const Saved *saved) {
     memcpy(line->values, at + line->count, line->count * sizeof *at);
     at += 2 * line->count;
   }
-  if (s->carried) memcpy(s->carried, at, sizeof(double[N_CARRIED][N_VALUES]));
+  if (s->carried) memcpy(s->carried, at, N_CARRIED * sizeof *s->carried);
   return true;
 }

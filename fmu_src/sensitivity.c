@@ -15,7 +15,7 @@ static void settle_along(Slave *s, double *along);
 
 /* The tangents at the start, for the settled values. */
 static void start_sensitivities(Slave *s) {
-  memset(s->carried, 0, sizeof(double[N_CARRIED_OR_1][N_VALUES]));
+  memset(s->carried, 0, N_CARRIED * sizeof *s->carried);
   for (int j = 0; j < N_PARAMETERS; j++) {
     s->carried[j][FIRST_PARAMETER + j] = 1.0;
     settle_along(s, s->carried[j]);
@@ -25,7 +25,7 @@ static void start_sensitivities(Slave *s) {
 /* Before a communication step: nothing depends on the inputs of this step yet. */
 static void begin_inputs(Slave *s) {
   if (!s->carried) return;
-  memset(s->carried[N_PARAMETERS], 0, sizeof(double[N_INPUTS][N_VALUES]));
+  memset(s->carried + N_PARAMETERS, 0, N_INPUTS * sizeof *s->carried);
   for (int j = 0; j < N_INPUTS; j++) s->carried[N_PARAMETERS + j][j] = 1.0;
   for (int k = 0; k < N_DELAYED; k++) s->carried[N_PARAMETERS + DELAYED_INPUT[k]][DELAYED_INPUT[k]] = 0.0; /* it acts later */
 }

@@ -24,6 +24,7 @@ from vpp_fmu.export.trial import try_fmu
 from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.kernel.simulation import Simulation
+from vpp_fmu.native import Simulator
 from vpp_fmu.native.compiler import compiler
 from vpp_fmu.tracer import c_source, trace
 
@@ -461,3 +462,32 @@ def test_outputs_of_a_set_state_need_no_step(make, tmp_path):
     assert slave.get("n") == [5.0]
     slave.fmi.exitInitializationMode()
     assert [slave.get("n"), slave.step({}, 1.0, "n")] == [[5.0], [6.0]]
+
+
+def test_parts_within_parts():
+    """Two vehicles of four motors each: the motors are wired through both levels."""
+    single = CASES["instances"].model()
+    commands = {u.name: "command" for u in single.inputs}
+    effects = [e for name in ("first", "second") for e in vpp.instance(name, single.effects, **commands)]
+    outputs = tuple(vpp.Signal(f"{name}.v", "m/s", "speed") for name in ("first", "second"))
+    model = vpp.Model("Fleet", "two", (vpp.Signal("command", "N", "wanted force"),), outputs, tuple(effects))
+    check_model("fleet", model)
+    assert "second.rear_left.tau" in {p.name for p in model.parameters}
+    alone, both = Simulation(single), Simulation(model, {"second.m": 8.0, "second.drag": 1.6})
+    for _ in range(5):
+        v = alone.advance(dict.fromkeys(commands, 4.0), 0.3)["v"]
+        assert both.advance({"command": 4.0}, 0.3) == {"first.v": v, "second.v": pytest.approx(0.5 * v)}
+    wrong = replace(model, effects=vpp.instance("first", single.effects, **(commands | {"front_left_command": "none"})))
+    assert "effect first.front_left.motor, wired: found no signal none" in refusal(check_model, "here", wrong)
+
+
+def test_parallel_runs_of_tables_and_derivatives_are_single_ones():
+    for name in ("table", "ODE", "network"):
+        model = CASES[name].model()
+        inputs = {u.name: np.linspace(0.0, u.nominal, 40) for u in model.inputs}
+        first = model.parameters[0]
+        points = [{first.name: first.default * (1.0 + 0.1 * k)} for k in range(8)]
+        simulator = Simulator(model)
+        together = simulator.simulate_all(points, inputs, np.full(39, 0.05))
+        for k, point in enumerate(points):
+            np.testing.assert_array_equal(together[:, :, k], simulator.simulate(point, inputs, np.full(39, 0.05)))

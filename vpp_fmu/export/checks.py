@@ -295,11 +295,12 @@ class _Check:
         for starting in (True, False):
             s = types.input_signals(model, signals)
             for e, _, _, its_parameters, _, vectors in model.links:
-                for inner, outer in e.wired.items():
-                    if outer not in vars(s):
-                        known = f"one of the signals that are known there: {', '.join(vars(s))}"
-                        self.refuse(f"effect {e.name}, {inner}", f"a signal {outer}", known)
-                seen, p = types.view(e, s), types.own_values(given, its_parameters, vectors)
+                try:
+                    seen = types.view(e, s)
+                except KeyError as missing:
+                    known = f"one of the signals that are known there: {', '.join(vars(s))}"
+                    self.refuse(f"effect {e.name}, wired", f"no signal {missing.args[0]}", known)
+                p = types.own_values(given, its_parameters, vectors)
                 own = {
                     q.name: self.call(f"state {e.full(q.name)}, start", q.start, (ops, seen, p), types.started, q, ops, seen, p)
                     for q in e.states

@@ -256,7 +256,12 @@ def instance(name: str, effects: Iterable[Effect], **wired: str) -> tuple[Effect
     >>> [effect.name for effect in hall]
     ['left.heater', 'right.heater']
     """
-    return tuple(replace(e, name=f"{name}.{e.name}", prefix=f"{name}.{e.prefix}", wired=wired) for e in effects)
+
+    def wires(e: Effect) -> dict[str, str]:
+        """Also those of parts within the part."""
+        return wired | {inner: wired.get(outer, outer) for inner, outer in e.wired.items()}
+
+    return tuple(replace(e, name=f"{name}.{e.name}", prefix=f"{name}.{e.prefix}", wired=wires(e)) for e in effects)
 
 
 @dataclass(frozen=True)
@@ -413,11 +418,18 @@ def input_signals(model: Model, inputs: Mapping) -> SimpleNamespace:
 
 
 def view(e: Effect, s: SimpleNamespace) -> SimpleNamespace:
-    """The signals as an effect reads them: an instance's own ones first, then those of the whole."""
+    """The signals as an effect reads them: an instance's own ones first, then those of the whole. KeyError: a wired signal."""
     if not e.prefix:
         return s
-    own = {name[len(e.prefix) :]: value for name, value in vars(s).items() if name.startswith(e.prefix)}
-    return SimpleNamespace(**vars(s) | own | {inner: vars(s)[outer] for inner, outer in e.wired.items()})
+    seen, scopes, inner = dict(vars(s)), [""], s
+    for part in e.prefix[:-1].split("."):  # from the whole inwards: the innermost name is taken
+        inner = getattr(inner, part, SimpleNamespace())
+        seen.update(vars(inner))
+        scopes.append(f"{scopes[-1]}{part}.")
+    for name, outer in e.wired.items():
+        found = [scope + outer for scope in scopes[:-1] if scope + outer in vars(s)]
+        seen[name] = vars(s)[found[-1] if found else outer]
+    return SimpleNamespace(**seen)
 
 
 def set_signals(e: Effect, s: SimpleNamespace, signals: Mapping) -> None:
