@@ -217,7 +217,10 @@ static Status reset(Slave *s, const char *call) {
 /* The longest allowed communication step, s. */
 static double longest(const Slave *s) {
   if (EXACT) return LONGEST_EXACT;
-  return PIECES * (SAMPLED ? s->m.v[SAMPLE_TIME] : largest_step(s->m.v));
+  double own = SAMPLED ? s->m.v[SAMPLE_TIME] : largest_step(s->m.v);
+  for (int k = 0; k < N_SAMPLED; k++)
+    if (s->m.v[SAMPLE_PERIOD[k]] < own) own = s->m.v[SAMPLE_PERIOD[k]];
+  return PIECES * own;
 }
 
 static Status do_step(Slave *s, const char *call, double time, double size) {

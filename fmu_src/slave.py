@@ -24,7 +24,7 @@ import weakref
 import zlib
 from contextlib import suppress
 from functools import wraps
-from math import isfinite
+from math import inf, isfinite
 
 from pythonfmu.enums import Fmi2Status
 from pythonfmu.fmi2slave import Fmi2Slave
@@ -479,7 +479,7 @@ class Scheduled:
 
     def _retune(self):
         self.largest = self.largest_step(self.v)
-        self.longest = PIECES * self.largest
+        self.longest = PIECES * min(self.largest, *(self.v[period] for _, period in self.SAMPLES), inf)
 
     def _advance(self, step_size):
         n = self.N_INPUTS

@@ -491,3 +491,13 @@ def test_parallel_runs_of_tables_and_derivatives_are_single_ones():
         together = simulator.simulate_all(points, inputs, np.full(39, 0.05))
         for k, point in enumerate(points):
             np.testing.assert_array_equal(together[:, :, k], simulator.simulate(point, inputs, np.full(39, 0.05)))
+
+
+@pytest.mark.parametrize("make", MAKERS)
+def test_a_step_holds_a_limited_number_of_samples(make, tmp_path):
+    path = tmp_path / "Delayed.fmu"
+    path.write_bytes(make(CASES["delay"].model()))
+    slave = Slave(Fmu(path))
+    with pytest.raises(Exception, match="fmi2DoStep"):
+        slave.step({}, 1e30)
+    assert slave.messages[-1].strip().endswith("found 1e+30 s, expected up to 5000.0 s")
