@@ -300,6 +300,8 @@ REFUSED = {
         gain_model(counting, states=(vpp.State("n", "1", "n", 0.0),)),
         "while n moves by 1 at the start",
     ),
+    "a stop time below 0": (replace(gain_model(), stop_time=-1.0), "stop_time: found -1.0, expected a number above 0"),
+    "an icon that is not there": (replace(gain_model(), icon="none.png"), "icon: found none.png"),
     "no largest step": (
         gain_model(
             vpp.Effect("a", "a").step, derivative=lambda ops, s, x, p: {"y": s.u}, states=(vpp.State("y", "V", "y", 0.0),)

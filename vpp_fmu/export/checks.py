@@ -143,6 +143,15 @@ class _Check:
             self.refuse("name", repr(model.name), "letters, digits and _, not beginning with a digit, no word of Python")
         if not model.outputs:
             self.refuse("outputs", "none", "a Signal at least")
+        for name in ("description", "author", "version", "license", "copyright", "icon"):
+            if not isinstance(text := getattr(model, name), str):
+                self.refuse(name, repr(text), "a text")
+        if model.icon not in ("", "propeller") and not Path(model.icon).is_file():
+            self.refuse("icon", model.icon, "the path of a PNG, or propeller")
+        for name in ("stop_time", "step_size", "tolerance"):
+            number = getattr(model, name)
+            if number is not None and not (isinstance(number, float | int) and 0.0 < number < math.inf):
+                self.refuse(name, repr(number), "a number above 0, or None")
         kinds = [("input", model.inputs), ("output", model.outputs), ("effect", model.effects)]
         kinds += [(f"parameter of effect {e.name}", e.parameters) for e in model.effects]
         kinds += [(f"state of effect {e.name}", e.states) for e in model.effects]
