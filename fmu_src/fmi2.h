@@ -52,6 +52,8 @@ typedef struct {
 
 typedef fmi2CallbackLogger Logger;
 
+#define ENUMERATIONS_AS INTEGER /* they have no calls of their own */
+
 /* Send one message to the importer. `%` is doubled, because the logger reads the message as a format. */
 static void deliver(Logger logger, void *environment, const char *name, int status, const char *category, const char *text) {
   char safe[2 * 512], *at = safe;

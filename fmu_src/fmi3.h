@@ -44,6 +44,8 @@ typedef void (*fmi3LogMessageCallback)(void *environment, fmi3Status status, fmi
 
 typedef fmi3LogMessageCallback Logger;
 
+#define ENUMERATIONS_AS ENUMERATION /* they have the calls of 64-bit integers */
+
 /* Send one message to the importer. FMI 3.0 passes no instance name: the environment identifies the instance. */
 static void deliver(Logger logger, void *environment, const char *name, int status, const char *category, const char *text) {
   (void)name;

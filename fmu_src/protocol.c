@@ -60,9 +60,19 @@ static bool unknown(Slave *s, unsigned r) {
 /* Whether the reference is that of a variable of this type. */
 static bool is_of(Slave *s, const char *call, unsigned r, int type) {
   if (r >= N_VALUES) return !unknown(s, r);
-  if (TYPES[r] == type) return true;
+  if (TYPES[r] == type || (TYPES[r] == ENUMERATION && type == ENUMERATIONS_AS)) return true;
   refuse(s, MODEL_NAME ": %s: found %s of type %s, expected the call's own type", call, NAMES[r], TYPE_NAMES[TYPES[r]]);
   return false;
+}
+
+/* Whether x is the number of one of the variable's items, if it has any. */
+static bool is_item(Slave *s, unsigned r, double x) {
+  char text[32];
+  int n = 0;
+  if (!ITEMS[r]) return true;
+  while (ITEMS[r][n]) n++;
+  if (1.0 <= x && x <= n && x == (int)x) return true;
+  return refuse(s, MODEL_NAME ": %s: found item %s, expected 1 to %d", NAMES[r], number(text, x), n), false;
 }
 
 static bool in_range(Slave *s, int parameter) {
@@ -86,7 +96,7 @@ static bool set_value(Slave *s, const char *call, unsigned r, int type, double x
     refuse(s, MODEL_NAME ": %s: found a value after initialisation, expected it before: it is fixed", NAMES[r]);
   else if (!is_finite(x))
     refuse(s, MODEL_NAME ": %s: found %s, expected a finite number", NAMES[r], number(text, x));
-  else {
+  else if (is_item(s, r, x)) {
     s->m.v[r] = x;
     if (is_state) s->chosen[r - FIRST_STATE] = true;
     if (is_parameter && s->state == STEPPING) {
@@ -108,19 +118,6 @@ static void begin(Slave *s) {
   s->time = 0.0;
   s->state = INSTANTIATED;
   start_schedule(s);
-}
-
-/* Compute the outputs for states that the importer has set, by a step of NOW seconds that leaves the states unchanged. A
- * sampled law has not run yet: its outputs keep their start values. */
-static void show_chosen(Slave *s) {
-  static const double no_tangent[N_DELAYED_OR_1] = {0};
-  double kept[N_STATES_OR_1];
-  if (SAMPLED) return;
-  memcpy(kept, s->m.v + FIRST_STATE, N_STATES * sizeof *kept);
-  prepare(s->m.v, NOW, no_tangent, s->m.c);
-  step(s->m.v, s->m.c, s->m.d);
-  memcpy(s->m.v + FIRST_STATE, kept, N_STATES * sizeof *kept);
-  s->m.dt = NAN;
 }
 
 /* Two partial sums are faster: in a single sum each addition waits for the last one. */
@@ -157,7 +154,7 @@ static bool settle(Slave *s) {
   start(s->m.v, s->m.d);
   for (int i = FIRST_STATE; i < N_VALUES; i++)
     if (s->chosen[i - FIRST_STATE]) s->m.v[i] = kept[i], any = true;
-  if (any) show_chosen(s);
+  if (any && !SAMPLED) show(s->m.v); /* a sampled law has not run yet: its outputs keep their start values */
   s->settled = has_numbers(s);
   if (s->settled) return true;
   no_numbers(s, s->time);
@@ -171,12 +168,7 @@ static void settle_along(Slave *s, double *along) {
   start_along(s->m.v, along);
   for (int i = 0; i < N_STATES; i++)
     if (s->chosen[i]) along[FIRST_STATE + i] = 0.0, any = true;
-  if (any && !SAMPLED) {
-    double kept[N_STATES_OR_1];
-    memcpy(kept, along + FIRST_STATE, N_STATES * sizeof *kept);
-    step_along(s->m.v, NOW, 0.0, along);
-    memcpy(along + FIRST_STATE, kept, N_STATES * sizeof *kept);
-  }
+  if (any && !SAMPLED) show_along(s->m.v, along);
 }
 
 /* Set the start time [s]. */
@@ -225,7 +217,10 @@ static Status reset(Slave *s, const char *call) {
 /* The longest allowed communication step, s. */
 static double longest(const Slave *s) {
   if (EXACT) return LONGEST_EXACT;
-  return PIECES * (SAMPLED ? s->m.v[SAMPLE_TIME] : largest_step(s->m.v));
+  double own = SAMPLED ? s->m.v[SAMPLE_TIME] : largest_step(s->m.v);
+  for (int k = 0; k < N_SAMPLED; k++)
+    if (s->m.v[SAMPLE_PERIOD[k]] < own) own = s->m.v[SAMPLE_PERIOD[k]];
+  return PIECES * own;
 }
 
 static Status do_step(Slave *s, const char *call, double time, double size) {
@@ -241,6 +236,7 @@ static Status do_step(Slave *s, const char *call, double time, double size) {
     return refuse(s, MODEL_NAME ": start of the step: found %s s, expected the instance's time, %s s", number(one, time),
                   number(other, s->time));
   memcpy(kept, s->m.v, sizeof kept);
+  begin_inputs(s);
 #if EXACT
   take_step(&s->m, size, NULL); /* one step of the chain is one communication step */
 #elif SAMPLED
@@ -256,6 +252,7 @@ static Status do_step(Slave *s, const char *call, double time, double size) {
     return REFUSED;
   }
   s->time = time + size;
+  s->last = size;
   return OK;
 }
 
@@ -288,6 +285,30 @@ SETTER(set_reals, double, REAL, value[i])
 GETTER(get_integers, int, INTEGER)
 SETTER(set_integers, int, INTEGER, value[i])
 
+/* A string is one of its variable's items; the model has its number. */
+static Status get_strings(Slave *s, const char *call, const unsigned r[], size_t n, const char *value[]) {
+  if (get_values(s, call, r, n, value) != OK) return REFUSED;
+  for (size_t i = 0; i < n; i++) {
+    if (!is_of(s, call, r[i], STRING) || !is_item(s, r[i], s->m.v[r[i]])) return REFUSED;
+    value[i] = ITEMS[r[i]][(int)s->m.v[r[i]] - 1];
+  }
+  return OK;
+}
+
+static Status set_strings(Slave *s, const char *call, const unsigned r[], size_t n, const char *const value[]) {
+  if (!allowed(s, call, SET_STATES) || !given(s, call, n, r, value)) return REFUSED;
+  for (size_t i = 0; i < n; i++) {
+    int k = 0;
+    if (!is_of(s, call, r[i], STRING)) return REFUSED;
+    if (!value[i]) return refuse(s, MODEL_NAME ": %s: found a null pointer, expected data", call);
+    while (ITEMS[r[i]][k] && strcmp(ITEMS[r[i]][k], value[i]) != 0) k++;
+    if (!ITEMS[r[i]][k]) return refuse(s, MODEL_NAME ": %s: found %s, expected one of its items", NAMES[r[i]], value[i]);
+    if (!set_value(s, call, r[i], STRING, k + 1.0)) return REFUSED;
+  }
+  s->settled = false;
+  return OK;
+}
+
 /* For types without variables: only a call without references is accepted. */
 static Status none_such(Slave *s, const char *call, int states, const unsigned r[], size_t n) {
   if (!allowed(s, call, states) || !given(s, call, n, r, r)) return REFUSED;
@@ -300,9 +321,9 @@ static Status none_such(Slave *s, const char *call, int states, const unsigned r
 /* The directional derivative of outputs and states (unknowns) with respect to knowns.
  *
  * In initialization mode the knowns are inputs and parameters, as listed under InitialUnknowns. At a communication point the
- * standard has inputs only, and no output depends on them there: held inputs act over the next step. Beyond the standard, a
- * known may also be a parameter there: the result is the derivative since the start. It requires a query for any parameter in
- * initialization mode, from which on the instance carries these derivatives along. */
+ * standard has inputs only, and no output depends on them there: held inputs act over the next step. Beyond the standard, after
+ * a query for any parameter in initialization mode, the instance carries derivatives along: those in parameters since the start,
+ * those in inputs over the last communication step. */
 static Status derivative(Slave *s, const char *call, const unsigned unknowns[], size_t n_unknown, const unsigned knowns[],
                          size_t n_known, const double moved[], double found[]) {
   double along[N_VALUES] = {0};
@@ -316,6 +337,11 @@ static Status derivative(Slave *s, const char *call, const unsigned unknowns[], 
     if (r >= N_VALUES && unknown(s, r)) return REFUSED;
     if (r < N_INPUTS) {
       if (starting) along[r] += moved[j];
+      for (int k = 0; k < N_DELAYED; k++)
+        if (s->carried && !starting && DELAYED_INPUT[k] == (int)r && s->m.v[DELAY_PARAMETER[k]] < s->last - NOW)
+          return refuse(s, MODEL_NAME ": %s: found the known %s, which acts within the step, expected one without a delay", call, NAMES[r]);
+      for (int i = N_INPUTS; i < N_VALUES && s->carried && !starting; i++)
+        if (i < FIRST_PARAMETER || i >= FIRST_STATE) along[i] += moved[j] * s->carried[N_PARAMETERS + r][i];
       continue;
     }
     if (r < FIRST_PARAMETER || r >= FIRST_STATE)

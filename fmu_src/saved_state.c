@@ -13,7 +13,7 @@ typedef struct {
 } Saved;
 
 static size_t saved_count(const Slave *s) {
-  size_t count = HEAD + N_STATES + N_VALUES + (s->carried ? N_PARAMETERS * N_VALUES : 0);
+  size_t count = HEAD + N_STATES + N_VALUES + (s->carried ? N_CARRIED * N_VALUES : 0);
   for (int k = 0; k < N_DELAYED; k++) count += 4 + 2 * (size_t)s->m.lines[k].count;
   return count;
 }
@@ -54,7 +54,7 @@ static void save(const Slave *s, Saved *saved) {
     }
     at += 2 * line->count;
   }
-  if (s->carried) memcpy(at, s->carried, sizeof(double[N_PARAMETERS_OR_1][N_VALUES]));
+  if (s->carried) memcpy(at, s->carried, N_CARRIED * sizeof *s->carried);
   saved->data[CHECKSUM] = checksum(saved->data, saved->count);
 }
 
@@ -88,6 +88,6 @@ static bool restore(Slave *s, const Saved *saved) {
     memcpy(line->values, at + line->count, line->count * sizeof *at);
     at += 2 * line->count;
   }
-  if (s->carried) memcpy(s->carried, at, sizeof(double[N_PARAMETERS_OR_1][N_VALUES]));
+  if (s->carried) memcpy(s->carried, at, N_CARRIED * sizeof *s->carried);
   return true;
 }

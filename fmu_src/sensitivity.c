@@ -2,11 +2,12 @@
  *
  * A tangent `a` has the shape of the values `v`. It holds a direction in inputs and parameters; the generated start_along()
  * and step_along() fill in the derivatives of outputs and states along it. One direction costs about as much as the model
- * itself. The tangents of all parameters, one each, are carried only if an importer has queried one of them. */
+ * itself. The tangents of all parameters and inputs, one each, are carried only if an importer has queried a parameter's. Those of
+ * parameters are since the start, those of inputs over the last communication step, whose input they hold. */
 
-/* Allocates, if not there yet, a tangent for each parameter. */
+/* Allocates, if not there yet, a tangent for each parameter and input. */
 static bool carry_sensitivities(Slave *s) {
-  if (!s->carried) s->carried = calloc(N_PARAMETERS_OR_1, sizeof *s->carried);
+  if (!s->carried) s->carried = calloc(N_CARRIED_OR_1, sizeof *s->carried);
   return s->carried != NULL;
 }
 
@@ -14,11 +15,19 @@ static void settle_along(Slave *s, double *along);
 
 /* The tangents at the start, for the settled values. */
 static void start_sensitivities(Slave *s) {
-  memset(s->carried, 0, sizeof(double[N_PARAMETERS_OR_1][N_VALUES]));
+  memset(s->carried, 0, N_CARRIED * sizeof *s->carried);
   for (int j = 0; j < N_PARAMETERS; j++) {
     s->carried[j][FIRST_PARAMETER + j] = 1.0;
     settle_along(s, s->carried[j]);
   }
+}
+
+/* Before a communication step: nothing depends on the inputs of this step yet. */
+static void begin_inputs(Slave *s) {
+  if (!s->carried) return;
+  memset(s->carried + N_PARAMETERS, 0, N_INPUTS * sizeof *s->carried);
+  for (int j = 0; j < N_INPUTS; j++) s->carried[N_PARAMETERS + j][j] = 1.0;
+  for (int k = 0; k < N_DELAYED; k++) s->carried[N_PARAMETERS + DELAYED_INPUT[k]][DELAYED_INPUT[k]] = 0.0; /* it acts later */
 }
 
 static int is_observed(const Instance *m) { return ((const Slave *)m)->carried != NULL; }
@@ -42,6 +51,6 @@ static void before_step(Instance *m, double dt, const double *dt_tangent) {
     nudge_sensitivities(s, dt, dt_tangent);
     return;
   }
-  for (int j = 0; j < N_PARAMETERS; j++)
+  for (int j = 0; j < N_CARRIED; j++)
     step_along(m->v, dt, SAMPLED && SAMPLE_TIME == FIRST_PARAMETER + j ? 1.0 : 0.0, s->carried[j]);
 }

@@ -58,13 +58,11 @@ VALUES(GetBoolean, get_booleans, fmi2Boolean)
 VALUES(SetBoolean, set_booleans, const fmi2Boolean)
 
 FMI(fmi2Status, GetString)(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2String value[]) {
-  (void)value;
-  return (fmi2Status)none_such(c, "fmi2GetString", GET_STATES, vr, n);
+  return (fmi2Status)get_strings(c, "fmi2GetString", vr, n, value);
 }
 
 FMI(fmi2Status, SetString)(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2String value[]) {
-  (void)value;
-  return (fmi2Status)none_such(c, "fmi2SetString", SET_STATES, vr, n);
+  return (fmi2Status)set_strings(c, "fmi2SetString", vr, n, value);
 }
 
 FMI(fmi2Status, GetDirectionalDerivative)

@@ -65,43 +65,72 @@ FMI(fmi3Status, DoStep)
   return (fmi3Status)status;
 }
 
-/* All variables are scalar: as many values as references. */
-static bool scalar(Slave *s, const char *call, size_t n, size_t n_values) {
-  if (!s) return false;
-  if (n == n_values) return true;
-  refuse(s, MODEL_NAME ": %s: found %zu references and %zu values, expected as many", call, n, n_values);
-  return false;
+/* The references of all elements of these variables, to be freed; NULL after a message, or without any. An array has the
+ * reference of its first element, and as many values as elements. */
+static unsigned *expanded(Slave *s, const char *call, const fmi3ValueReference vr[], size_t n, size_t n_values, bool *good) {
+  size_t count = 0;
+  *good = false;
+  if (!s || !given(s, call, n, vr, vr)) return NULL;
+  for (size_t i = 0; i < n; i++) count += vr[i] < N_VALUES && SIZES[vr[i]] ? SIZES[vr[i]] : 1;
+  if (count != n_values) {
+    refuse(s, MODEL_NAME ": %s: found %zu references of %zu values and room for %zu, expected as many", call, n, count, n_values);
+    return NULL;
+  }
+  unsigned *all = malloc((count ? count : 1) * sizeof *all);
+  if (!all) return refuse(s, MODEL_NAME ": out of memory"), NULL;
+  count = 0;
+  for (size_t i = 0; i < n; i++) {
+    const int size = vr[i] < N_VALUES && SIZES[vr[i]] ? SIZES[vr[i]] : 1;
+    for (int k = 0; k < size; k++) all[count++] = vr[i] + k;
+  }
+  *good = true;
+  return all;
 }
 
+#define EXPANDED(call, vr, n, n_values, doing)                                                                                \
+  bool good;                                                                                                                  \
+  unsigned *all = expanded(c, call, vr, n, n_values, &good);                                                                  \
+  const fmi3Status status = good ? (fmi3Status)(doing) : fmi3Error;                                                           \
+  free(all);                                                                                                                  \
+  return status;
+
 /* Time may be read alone or with other variables. */
+static Status get_float64(Slave *s, const unsigned r[], size_t n, double value[]) {
+  static const char call[] = "fmi3GetFloat64";
+  if (get_values(s, call, r, n, value) != OK) return REFUSED;
+  for (size_t i = 0; i < n; i++) {
+    if (r[i] == TIME_REFERENCE)
+      value[i] = s->time;
+    else if (get_reals(s, call, r + i, 1, value + i) != OK)
+      return REFUSED;
+  }
+  return OK;
+}
+
 FMI(fmi3Status, GetFloat64)
 (fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Float64 value[], size_t n_values) {
-  static const char call[] = "fmi3GetFloat64";
-  Slave *s = c;
-  if (!scalar(s, call, n, n_values) || get_values(s, call, vr, n, value) != OK) return fmi3Error;
-  for (size_t i = 0; i < n; i++) {
-    if (vr[i] == TIME_REFERENCE)
-      value[i] = s->time;
-    else if (get_reals(s, call, vr + i, 1, value + i) != OK)
-      return fmi3Error;
-  }
-  return fmi3OK;
+  EXPANDED("fmi3GetFloat64", vr, n, n_values, get_float64(c, all, n_values, value))
 }
 
 SETTER(set_booleans, fmi3Boolean, BOOLEAN, value[i])
 GETTER(get_booleans, fmi3Boolean, BOOLEAN)
+SETTER(set_enumerations, int64_t, ENUMERATION, (double)value[i])
+GETTER(get_enumerations, int64_t, ENUMERATION)
 
 #define VALUES(call, function, type)                                                                                          \
   FMI(fmi3Status, call)(fmi3Instance c, const fmi3ValueReference vr[], size_t n, type value[], size_t n_values) {             \
-    if (!scalar(c, "fmi3" #call, n, n_values)) return fmi3Error;                                                              \
-    return (fmi3Status)function(c, "fmi3" #call, vr, n, value);                                                               \
+    EXPANDED("fmi3" #call, vr, n, n_values, function(c, "fmi3" #call, all, n_values, value))                                  \
   }
 
 VALUES(SetFloat64, set_reals, const fmi3Float64)
 VALUES(GetInt32, get_integers, fmi3Int32)
 VALUES(SetInt32, set_integers, const fmi3Int32)
+VALUES(GetInt64, get_enumerations, int64_t)
+VALUES(SetInt64, set_enumerations, const int64_t)
 VALUES(GetBoolean, get_booleans, fmi3Boolean)
 VALUES(SetBoolean, set_booleans, const fmi3Boolean)
+VALUES(GetString, get_strings, fmi3String)
+VALUES(SetString, set_strings, const fmi3String)
 
 #define NO_VALUES(kind, type)                                                                                                 \
   FMI(fmi3Status, Get##kind)(fmi3Instance c, const fmi3ValueReference vr[], size_t n, type value[], size_t n_values) {        \
@@ -119,9 +148,7 @@ NO_VALUES(UInt8, uint8_t)
 NO_VALUES(Int16, int16_t)
 NO_VALUES(UInt16, uint16_t)
 NO_VALUES(UInt32, uint32_t)
-NO_VALUES(Int64, int64_t)
 NO_VALUES(UInt64, uint64_t)
-NO_VALUES(String, fmi3String)
 
 FMI(fmi3Status, GetBinary)
 (fmi3Instance c, const fmi3ValueReference vr[], size_t n, size_t sizes[], fmi3Binary value[], size_t n_values) {
@@ -149,8 +176,14 @@ FMI(fmi3Status, GetDirectionalDerivative)
 (fmi3Instance c, const fmi3ValueReference unknowns[], size_t n_unknown, const fmi3ValueReference knowns[], size_t n_known,
  const fmi3Float64 seed[], size_t n_seed, fmi3Float64 found[], size_t n_found) {
   static const char call[] = "fmi3GetDirectionalDerivative";
-  if (!scalar(c, call, n_known, n_seed) || !scalar(c, call, n_unknown, n_found)) return fmi3Error;
-  return (fmi3Status)derivative(c, call, unknowns, n_unknown, knowns, n_known, seed, found);
+  bool first, second;
+  unsigned *of = expanded(c, call, unknowns, n_unknown, n_found, &first);
+  unsigned *in = first ? expanded(c, call, knowns, n_known, n_seed, &second) : NULL;
+  const fmi3Status status =
+      first && second ? (fmi3Status)derivative(c, call, of, n_found, in, n_seed, seed, found) : fmi3Error;
+  free(of);
+  free(in);
+  return status;
 }
 
 FMI(fmi3Status, GetFMUState)(fmi3Instance c, fmi3FMUState *state) {

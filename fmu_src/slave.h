@@ -6,6 +6,8 @@
 
 #define FIRST_PARAMETER (N_INPUTS + N_OUTPUTS)
 #define FIRST_STATE (FIRST_PARAMETER + N_PARAMETERS)
+#define N_CARRIED (N_PARAMETERS + N_INPUTS)
+#define N_CARRIED_OR_1 (N_CARRIED ? N_CARRIED : 1)
 #define MESSAGE 512
 
 /* Instances share no data and each can be reset, so there is no fatal state. */
@@ -16,8 +18,8 @@ typedef struct {
   int state;
   bool settled;                  /* outputs and states correspond to the present inputs and parameters */
   bool chosen[N_STATES_OR_1];    /* the importer has set this state; it is not settled on the inputs */
-  double time;                   /* the communication point reached, s */
-  double (*carried)[N_VALUES];   /* the tangent of each parameter, or NULL */
+  double time, last;             /* the communication point reached, the step to it, s */
+  double (*carried)[N_VALUES];   /* the tangent of each parameter, then of each input, or NULL */
   Logger logger;
   void *environment;
   bool tells[N_CATEGORIES];

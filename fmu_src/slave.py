@@ -19,11 +19,12 @@ import ctypes
 import glob
 import json
 import os
+import pickle
 import weakref
 import zlib
 from contextlib import suppress
 from functools import wraps
-from math import isfinite
+from math import inf, isfinite
 
 from pythonfmu.enums import Fmi2Status
 from pythonfmu.fmi2slave import Fmi2Slave
@@ -44,10 +45,10 @@ from vpp_fmu.kernel.calls import (
     TERMINATE_STATES,
     TERMINATED,
 )
-from vpp_fmu.kernel.schedule import LONGEST_EXACT, NOW, PIECES, DelayFull, DelayLine, run_held, run_sampled
+from vpp_fmu.kernel.schedule import LONGEST_EXACT, NOW, PIECES, DelayFull, DelayLine, next_sample, run_held, run_sampled
 
-TYPE_NAMES = ("Real", "Integer", "Boolean")
-REAL, INTEGER, BOOLEAN = TYPE_NAMES
+TYPE_NAMES = ("Real", "Integer", "Boolean", "Enumeration", "String")
+REAL, INTEGER, BOOLEAN, ENUMERATION, STRING = TYPE_NAMES
 SAVED = ("time", "state", "settled", "scheduled", "wait")
 
 
@@ -108,13 +109,15 @@ class TracedSlave(Fmi2Slave):
     TAG = ""  # hash of the content: saved states of other FMUs are refused
     VARIABLES = ()  # name of each value
     TYPES = ()  # type of each value
+    ITEMS = ()  # texts of each value that is an Enumeration or a String
     START = ()  # each value at instantiation
     RANGES = ()  # (minimum, maximum, unit for messages, range in words) of each parameter
     TUNABLE = ()  # which parameters may change while the model runs
     N_INPUTS = N_OUTPUTS = N_PARAMETERS = 0
+    SAMPLES = ()  # (position of the time to its next sample, position of its period) of each sampled effect
     DELAYS = ()  # (position of the input, position of its delay)
     SAMPLE_TIME = None  # position of the period of a sampled model
-    start = prepare = step = largest_step = total = None  # see vpp_fmu.tracer.emit.python_source
+    start = prepare = step = largest_step = show = total = None  # see vpp_fmu.tracer.emit.python_source
 
     log_categories = LOG_CATEGORIES
 
@@ -221,7 +224,13 @@ class TracedSlave(Fmi2Slave):
 
     @call
     def set_string(self, vrs, values):
-        self._set_all("fmi2SetString", "String", vrs, values)
+        self._allow("fmi2SetString", SET_STATES)
+        for vr, text in zip(vrs, values, strict=True):
+            self._check_type("fmi2SetString", STRING, vr)
+            if text not in self.ITEMS[vr]:
+                raise Refused(f"{self.NAME}: {self.VARIABLES[vr]}: found {text}, expected one of its items")
+            self._set("fmi2SetString", STRING, vr, 1.0 + self.ITEMS[vr].index(text))
+        self.settled = False
 
     @call
     def get_integer(self, vrs):
@@ -233,7 +242,10 @@ class TracedSlave(Fmi2Slave):
 
     @call
     def get_string(self, vrs):
-        return self._get_all("fmi2GetString", "String", vrs)
+        numbers = self._get_all("fmi2GetString", STRING, vrs)
+        for vr, x in zip(vrs, numbers, strict=True):
+            self._check_item(vr, x)
+        return [self.ITEMS[vr][int(x) - 1] for vr, x in zip(vrs, numbers, strict=True)]
 
     @call
     def _get_fmu_state(self):
@@ -302,7 +314,7 @@ class TracedSlave(Fmi2Slave):
         if not 0 <= vr < len(self.v):  # pythonfmu passes references as signed numbers
             reference = vr % 2**32
             raise Refused(f"{self.NAME}: value reference: found {reference}, expected 0 to {len(self.v) - 1}")
-        if self.TYPES[vr] != kind:
+        if self.TYPES[vr] != kind and (self.TYPES[vr], kind) != (ENUMERATION, INTEGER):
             found = f"{self.VARIABLES[vr]} of type {self.TYPES[vr]}"
             raise Refused(f"{self.NAME}: {name}: found {found}, expected the call's own type")
 
@@ -319,6 +331,7 @@ class TracedSlave(Fmi2Slave):
         value = float(value)
         if not isfinite(value):
             raise Refused(f"{self.NAME}: {variable}: found {value}, expected a finite number")
+        self._check_item(vr, value)
         self.v[vr] = value
         if is_state:
             self.chosen[vr] = value
@@ -327,6 +340,11 @@ class TracedSlave(Fmi2Slave):
             self.prepared_for = None
             self._retune()
             self._report(f"{variable} set to {value}")
+
+    def _check_item(self, vr, x):
+        n = len(self.ITEMS[vr])
+        if n and not (1.0 <= x <= n and x == int(x)):
+            raise Refused(f"{self.NAME}: {self.VARIABLES[vr]}: found item {x}, expected 1 to {n}")
 
     def _check_range(self, k):
         (low, high, unit, words), value = self.RANGES[k], self.v[self.first_parameter + k]
@@ -350,15 +368,12 @@ class TracedSlave(Fmi2Slave):
             raise self._no_numbers(self.time)
 
     def _show_chosen(self):
-        """Compute the outputs for states that the importer has set, by a step of NOW seconds. A sampled law has not run yet:
-        its outputs keep their start values."""
-        v, first = self.v, self.first_state
+        """Compute the outputs for states that the importer has set. A sampled law has not run yet: its outputs keep their start
+        values."""
         for vr, value in self.chosen.items():
-            v[vr] = value
+            self.v[vr] = value
         if self.chosen and self.SAMPLE_TIME is None:
-            states = v[first:]
-            self.step(v, self.prepare(v, NOW, ()), None)
-            v[first:] = states
+            self.show(self.v)
 
     def _has_numbers(self):
         outputs, states = self.v[self.N_INPUTS : self.first_parameter], self.v[self.first_state :]
@@ -420,6 +435,36 @@ class Exact:
             raise self._no_numbers(time)
 
 
+class BlackBox:
+    """Steps of a function that keeps what it likes in `memory`, a dictionary."""
+
+    black_box = None
+
+    def _retune(self):
+        self.longest = LONGEST_EXACT
+
+    def _schedule(self):
+        super()._schedule()
+        self.memory = {}
+
+    def _advance(self, step_size):
+        v, first = self.v, self.N_INPUTS
+        inputs = dict(zip(self.VARIABLES, v, strict=True))
+        for name in self.VARIABLES[first : self.first_parameter]:
+            del inputs[name]
+        outputs = self.black_box(self.memory, inputs, step_size)
+        v[first : self.first_parameter] = [float(outputs[name]) for name in self.VARIABLES[first : self.first_parameter]]
+
+    @call
+    def _get_fmu_state(self):
+        return {**super()._get_fmu_state(), "memory": pickle.dumps(self.memory).hex()}
+
+    @call
+    def _set_fmu_state(self, state):
+        super()._set_fmu_state(state)
+        self.memory = pickle.loads(bytes.fromhex(state["memory"]))
+
+
 class Scheduled:
     """Steps of a model with delays, or with a largest step."""
 
@@ -434,15 +479,18 @@ class Scheduled:
 
     def _retune(self):
         self.largest = self.largest_step(self.v)
-        self.longest = PIECES * self.largest
+        self.longest = PIECES * min(self.largest, *(self.v[period] for _, period in self.SAMPLES), inf)
 
     def _advance(self, step_size):
         n = self.N_INPUTS
         held = self.v[:n]
         try:
-            run_held(self.lines, self.delays, held, step_size, self.largest, self._piece)
+            run_held(self.lines, self.delays, held, step_size, self.largest, self._piece, None, self._due)
         finally:
             self.v[:n] = held
+
+    def _due(self):
+        return [next_sample(self.v[wait], self.v[period]) for wait, period in self.SAMPLES]
 
     def _piece(self, acting, dt):
         if dt != self.prepared_for:

@@ -82,7 +82,11 @@ def every_operation():
     """A model whose step uses every operation, on prepared constants and on varying values."""
 
     def step(ops, s, x, p, dt):
-        y = 0.3 * x.y + sum(getattr(ops, name)(0.4 + p.a * p.b) + getattr(ops, name)(0.5 + 0.1 * s.u * x.y) for name in CALLS)
+        y = 0.3 * x.y + sum(
+            getattr(ops, name)(*[0.4 + p.a * p.b, 0.5 + 0.1 * s.u * x.y][: 2 if name in ("pow", "atan2") else 1])
+            + getattr(ops, name)(*[0.5 + 0.1 * s.u * x.y, p.a][: 2 if name in ("pow", "atan2") else 1])
+            for name in CALLS
+        )
         y = ops.where(s.u > 0.0, p.a * y, y / p.b) - ops.clip(y, -p.b, p.a) + ops.where(p.a < p.b, p.a, -p.b) * (2.0 - s.u)
         y = ops.tanh(0.1 * y) + dt * p.b
         return {"y": y * y}, {"y": y}

@@ -19,7 +19,7 @@ from vpp_fmu.app.cli import main
 from vpp_fmu.errors import BadInput, ExtraMissing
 from vpp_fmu.record import Record
 
-CLASSES_OF_DATA = ("Effect", "Parameter", "State", "Rig", "BadInput", "VppError")
+CLASSES_OF_DATA = ("Effect", "Model", "Parameter", "Signal", "State", "Rig", "BadInput", "VppError")
 """Documented by the functions that take them; every other name has an example."""
 
 EXAMPLES = [name for name in vpp.__all__ if name not in CLASSES_OF_DATA]

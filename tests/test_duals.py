@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from builders import ALL_ON, OPTIONAL, PROBES, named, random_steps
+from test_tracer import FORMULAS, INPUT, STEPS, VALUES, toy
 
 from vpp_fmu.kernel.duals import Dual, Duals
 from vpp_fmu.kernel.ops import NUMBERS
@@ -56,7 +57,20 @@ def test_structural_zeros_are_not_computed():
     assert Duals(NUMBERS, 2).exp(y).tangents == (None, None)
 
 
-@pytest.mark.parametrize("call", [bool, float, lambda x: x**2, lambda x: x == 1.0])
+@pytest.mark.parametrize("formula", FORMULAS)
+def test_every_operation_has_the_tracers_tangents(formula):
+    """At each row from rest: a dual state would need its tangents carried."""
+    duals, u = Duals(NUMBERS, 2), INPUT["u"]
+    rows = Simulator(toy(lambda ops, a, b, u, y: FORMULAS[formula](ops, a, b, u, 0.3)), ("a", "b"))
+    shown, tangents = rows.sensitivities(VALUES, INPUT, STEPS)
+    a, b = duals.seeded(VALUES["a"], 0), duals.seeded(VALUES["b"], 1)
+    for k, value in enumerate(u[:-1]):
+        found = duals.constant(FORMULAS[formula](duals, a, b, duals.constant(float(value)), duals.constant(0.3)))
+        assert found.value == shown[k + 1, 0]
+        assert [d or 0.0 for d in found.tangents] == pytest.approx(tangents[k + 1, 0].tolist(), rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("call", [bool, float, lambda x: x**x, lambda x: x % 1.0])
 def test_operations_without_a_derivative_are_refused(call):
     with pytest.raises(TypeError, match="can't be traced or differentiated"):
         call(Dual(1.0, (1.0,)))

@@ -119,7 +119,7 @@ def test_calls_out_of_order_and_bad_values_are_refused(slave):
         ("fmi3ExitInitializationMode", (), "found a call before the initialization mode"),
         ("fmi3GetFloat64", (one, size, value, size), "found a call before the initialization mode"),
         ("fmi3SetFloat64", (one, size, value, size), "thrust_set: found nan"),
-        ("fmi3SetFloat64", (one, size, value, ctypes.c_size_t(2)), "1 references and 2 values"),
+        ("fmi3SetFloat64", (one, size, value, ctypes.c_size_t(2)), "1 references of 1 values and room for 2"),
         ("fmi3SetInt32", (one, size, (ctypes.c_int32 * 1)(), size), "found thrust_set of type Real"),
         ("fmi3GetInt8", (one, size, (ctypes.c_int8 * 1)(), size), "found a call before"),
         ("fmi3EnterEventMode", (), "fmi3EnterEventMode is not provided"),

@@ -221,7 +221,6 @@ def test_derivatives_at_communication_points_are_the_simulators(fmus, name):
     for row in range(400):
         found = np.array([derivative(slave, OUTPUTS, [p], [1.0]) for p in wrt]).T
         assert (np.abs(found - exact[row]) <= 1e-9 * size).all()
-        assert derivative(slave, OUTPUTS, list(inputs), [1.0] * len(inputs)) == [0.0] * 3
         if row % 50 == 20:  # sensitivities are part of the state
             slave.fmi.setFMUstate(slave.fmi.deSerializeFMUstate(slave.fmi.serializeFMUstate(slave.fmi.getFMUstate())))
         if row < 399:

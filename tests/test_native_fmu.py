@@ -112,7 +112,7 @@ def test_the_archive_holds_all_that_an_fmu_should(fmu_files):
         with zipfile.ZipFile(data) as packed:
             page = packed.read("documentation/index.html").decode()
             assert packed.read("model.png").startswith(b"\x89PNG\r\n\x1a\n")
-            assert b"MIT License" in packed.read("documentation/licenses/license.txt")
+            assert b"MIT License" in packed.read("documentation/licenses/vpp-fmu.txt")
         for wanted in ("c20 w^2 + c11 w b", "half_width", "tau_2 dx/dt = u_ref - x", "0.001 to 3", "state.omega_inner"):
             assert wanted in page
     assert "measured twice" in page

@@ -168,7 +168,7 @@ BROKEN = {
         "def _watch(ops, s, x, p)",
         ["effect gate, step", "(ops, s, x, p, dt)"],
     ),
-    "step that returns no pair": ("return seen, seen", "return seen", ["effect gate, step", "a dict returned", "a pair"]),
+    "step that returns no pair": ("return seen, seen", "return seen, 1.0", ["effect gate, step", "a tuple returned", "a pair"]),
     "division by zero": ("dt * f / p.m2", "dt * f / (x.x1 - x.x2)", ["effect masses, step", "ZeroDivisionError", "line 24"]),
     "a Boolean that is no truth value": (
         "ops.where(s.x2 > p.gate, 1.0, 0.0)",
@@ -190,16 +190,13 @@ SPELLED = {
     "not": ("v2 = ops.where(not f > 0.0, 1.0, 0.0)", "ops.where(condition, yes, no)"),
     "while": ("\n    while f > 0.0:\n        f = f - 1.0\n    v2 = f", "ops.where(condition, yes, no)"),
     "a chain of comparisons": ("v2 = ops.where(0.0 < f < 1.0, 1.0, 0.0)", "ops.where(condition, yes, no)"),
-    "max()": ("v2 = max(f, 0.0)", "ops.where(condition, yes, no)"),
-    ">=": ("v2 = ops.where(f >= 0.0, 1.0, 0.0)", "ops.where(x < y, no, yes)"),
-    "<=": ("v2 = ops.where(f <= 0.0, 1.0, 0.0)", "ops.where(x > y, no, yes)"),
-    "==": ("v2 = ops.where(f == 0.0, 1.0, 0.0)", "< or >"),
-    "**": ("v2 = f**2", "x * x"),
+    "max()": ("v2 = max(f, 0.0)", "ops.maximum(x, y)"),
     "float()": ("v2 = float(f)", "the value as it is"),
     "math.exp()": ("import math; v2 = math.exp(-f * f)", "ops.exp"),
     "int()": ("v2 = int(f)", "ops.whole(x)"),
     "abs()": ("v2 = abs(f)", "ops.abs(x)"),
-    "%": ("v2 = f % 2.0", "ops.whole"),
+    "%": ("v2 = f % 2.0", "ops.mod(x, y)"),
+    "//": ("v2 = f // 2.0", "ops.floor(x / y)"),
 }
 
 

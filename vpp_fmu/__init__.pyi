@@ -17,9 +17,13 @@ from vpp_fmu.app.api.verbs import write_report as write_report
 from vpp_fmu.campaign import Campaign as Campaign
 from vpp_fmu.errors import BadInput as BadInput
 from vpp_fmu.errors import VppError as VppError
+from vpp_fmu.kernel.slave import Slave as Slave
 from vpp_fmu.kernel.types import Effect as Effect
+from vpp_fmu.kernel.types import Model as Model
 from vpp_fmu.kernel.types import Parameter as Parameter
+from vpp_fmu.kernel.types import Signal as Signal
 from vpp_fmu.kernel.types import State as State
+from vpp_fmu.kernel.types import instance as instance
 from vpp_fmu.parameters import ParameterSet as ParameterSet
 from vpp_fmu.record import Record as Record
 from vpp_fmu.rig import Rig as Rig

@@ -22,6 +22,7 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackAllocateMemoryTYPE, fmi2CallbackFreeMemoryTYPE, fmi2CallbackFunctions
 from fmpy.fmi2 import fmi2CallbackLoggerTYPE as Logger
+from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 
 from vpp_fmu.archive import DESCRIPTION, unpacked
@@ -29,10 +30,12 @@ from vpp_fmu.errors import BadInput, SimulationFailed, VppError
 from vpp_fmu.first_step import ALIVE
 from vpp_fmu.native.master import Entry
 from vpp_fmu.record import Record
+from vpp_fmu.scratch import Scratch
 from vpp_fmu.stopping import act, foreign
 
 WARNING = 1
 TYPES = {"Real": (ctypes.c_double, float), "Integer": (ctypes.c_int, round), "Boolean": (ctypes.c_int, bool)}
+TYPES["Enumeration"] = TYPES["Integer"]
 NAMES_MODULE = "slavemodule.txt"
 """The file by which pythonfmu's library finds the module to import."""
 
@@ -138,7 +141,7 @@ class _Block:
 
     def __init__(self, kind: str, references: Mapping[int, int]):
         c_type, self._convert = TYPES[kind]
-        self.kind, self.positions, n = kind, tuple(references), len(references)
+        self.kind, self.positions, n = "Integer" if kind == "Enumeration" else kind, tuple(references), len(references)
         self.values = (c_type * n)()
         self.arguments = (ctypes.c_uint * n)(*references.values()), ctypes.c_size_t(n), self.values
 
@@ -331,17 +334,51 @@ def problems(path: str | Path) -> list[str]:
     return validate_fmu(str(path))
 
 
+CALLS_3 = {"Float64": "Float64", "Int32": "Int32", "Boolean": "Boolean", "Enumeration": "Int64"}
+"""The calls of FMI 3.0 for a type."""
+
+
 @foreign
-def steps_in_fmpy(path: str | Path, held: Sequence[Mapping[str, float]], step: float, outputs: Sequence[str]) -> np.ndarray:
-    """Outputs (points, outputs) of an FMU of any version by fmpy's own simulation. `held`: inputs by name, each for one
-    communication step of `step` seconds; the last one only for the last point. SimulationFailed."""
-    names = list(held[0])
-    rows = [(k * step, *(inputs[name] for name in names)) for k, inputs in enumerate(held)]
-    table = np.array(rows, dtype=[(name, float) for name in ("time", *names)]) if names else None
-    stop = (len(held) - 1) * step
-    with _fmpys(lambda said: SimulationFailed(f"{path}: {said}")):
-        result = fmpy.simulate_fmu(str(path), input=table, stop_time=stop, output_interval=step, output=list(outputs))
-    return np.column_stack([np.asarray(result[name], float) for name in outputs])
+def steps_in_fmi_3(path: str | Path, held: Sequence[Mapping[str, float]], step: float, outputs: Sequence[str]) -> np.ndarray:
+    """Outputs (points, elements) of an FMI 3.0 FMU. `held`: inputs by name, each for one communication step of `step` seconds;
+    the last one only for the last point. A vector is one input or output, with all its elements. SimulationFailed.
+
+    fmpy's own simulation can't change a discrete input that is a vector.
+    """
+    with contextlib.closing(Scratch()) as scratch, _fmpys(lambda said: SimulationFailed(f"{path}: {said}")):
+        fmpy.extract(str(path), str(scratch.path))
+        description = fmpy.read_model_description(str(scratch.path))
+        by_name = {v.name: v for v in description.modelVariables}
+        identifier = description.coSimulation.modelIdentifier
+        slave = FMU3Slave(
+            guid=description.guid, unzipDirectory=str(scratch.path), modelIdentifier=identifier, instanceName=identifier
+        )
+
+        def put(values: Mapping) -> None:
+            for name, value in values.items():
+                numbers = np.atleast_1d(value).tolist()
+                whole = numbers if by_name[name].type == "Float64" else [round(x) for x in numbers]
+                getattr(slave, f"set{CALLS_3[by_name[name].type]}")([by_name[name].valueReference], whole)
+
+        def got() -> list[float]:
+            row: list[float] = []
+            for v in map(by_name.__getitem__, outputs):
+                count = int(np.prod([int(d.start) for d in v.dimensions], dtype=int))
+                row += map(float, getattr(slave, f"get{CALLS_3[v.type]}")([v.valueReference], count))
+            return row
+
+        slave.instantiate()
+        slave.enterInitializationMode()
+        put(held[0])
+        slave.exitInitializationMode()
+        rows = [got()]
+        for k, inputs in enumerate(held[:-1]):
+            put(inputs)
+            slave.doStep(k * step, step)
+            rows.append(got())
+        slave.terminate()
+        slave.freeInstance()
+    return np.array(rows)
 
 
 @foreign

@@ -71,7 +71,8 @@ class OutputSet(OutputFolder):
         self.removed = tuple(name for name in stale if name not in self.kept)
         rest = {name: entry for name, entry in old.items() if name not in stale}
         if identity is not None:
-            self.others = {name: entry.by for name, entry in rest.items() if entry.parameters != identity}
+            models = {name: entry for name, entry in rest.items() if "--model" not in entry.by + self._verb}  # of our own
+            self.others = {name: entry.by for name, entry in models.items() if entry.parameters != identity}
             rest |= {name: _Entry(self._verb, sha256, identity) for name, sha256 in new.items()}
         if rest or made:
             entries = {name: vars(entry) for name, entry in sorted(rest.items())}

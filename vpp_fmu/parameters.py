@@ -16,7 +16,7 @@ from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.kernel.power import NAMES as POWER
 from vpp_fmu.kernel.scales import PAPER, Scales
-from vpp_fmu.kernel.types import BOOLEAN, INTEGER, REAL, Model, Parameter
+from vpp_fmu.kernel.types import BOOLEAN, REAL, Model, Parameter
 from vpp_fmu.notebook import table_html
 from vpp_fmu.rig import Rig, rig_of
 from vpp_fmu.structured import as_json, read_object, shown
@@ -319,4 +319,6 @@ def to_ssv(parameters: ParameterSet, name: str) -> str:
 def _typed(value: float, parameter: Parameter) -> dict[str, str]:
     if parameter.kind == BOOLEAN:
         return {"value": str(value != 0.0).lower()}
-    return {"value": str(round(value))} if parameter.kind == INTEGER else {"value": repr(value), "unit": parameter.unit}
+    if parameter.kind == REAL:
+        return {"value": repr(value), "unit": parameter.unit}
+    return {"value": parameter.items[round(value) - 1] if parameter.items else str(round(value))}

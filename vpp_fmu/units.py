@@ -58,12 +58,16 @@ def display_units(unit: str) -> dict[str, dict[str, str]]:
     return {shown: {"factor": repr(factor / _in_base_units(shown)[0])} for shown in SHOWN.get(unit, ())}
 
 
+PINTS_ERRORS = (AttributeError, AssertionError, ValueError, TypeError, SyntaxError, ArithmeticError, TokenError)
+"""What pint raises for a text that is no unit; its own exceptions are among them."""
+
+
 @cache
 def _in_base_units(unit: str) -> tuple[float, float, dict[str, int]]:
     text, units = _pints(unit), registry()
     try:
         quantities = [units.Quantity(x, text).to_base_units() for x in (0.0, 1.0, 2.0)]
-    except (AttributeError, ValueError, TypeError, SyntaxError, ArithmeticError, TokenError) as error:  # pint's are among them
+    except PINTS_ERRORS as error:
         raise UnknownUnit(f"{unit!r} is no unit that pint knows") from error
     zero, one, two = (float(quantity.magnitude) for quantity in quantities)
     if abs((two - one) - (one - zero)) > 1e-9 * abs(one - zero):

@@ -9,7 +9,8 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 
 INCLUDE = re.compile(r"^<!-- include (?P<file>\S+?)(?: # (?P<title>.+?))? -->$", re.M)
-"""A line that is replaced by a file without its title, or by the section of that title without its heading."""
+"""A line that is replaced by a file without its title, or by the section of that title without its heading; Python
+is a block of code under the file's name."""
 
 _HEADING = re.compile(r"(#+) (.*)")
 _LINK = re.compile(r"(!?)\[([^]]*)\]\((?!https?:)([^)#\s]+)(#[^)]*)?\)")
@@ -43,6 +44,8 @@ def section(file: str, title: str | None, level: int) -> str:
     if not (ROOT / file).is_file():
         raise Missing(f"{file}: no such file")
     lines = (ROOT / file).read_text(encoding="utf-8").splitlines()
+    if file.endswith(".py"):
+        return "\n".join([f'```python title="{PurePosixPath(file).name}"', *lines, "```"])
     heads = [(k, *_HEADING.match(lines[k]).groups()) for k in _outside_fences(lines) if _HEADING.match(lines[k])]
     if title is None:
         begin, depth, end = heads[0][0], len(heads[0][1]), len(lines)

@@ -5,8 +5,8 @@ import pytest
 
 from hil.physics import rig_model
 from hil.physics.rig_model import FULL_RIG
-from vpp_fmu.app.cli import export as export_verb
 from vpp_fmu.export import native_fmu, python_fmu
+from vpp_fmu.export.own_model import find_model
 from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.loop import run
@@ -63,5 +63,5 @@ def test_it_has_the_plant_fmus_interface(flavour, files):
 
 
 def test_the_command_line_finds_the_model():
-    assert export_verb.find_model("hil.physics.rig_model:FULL_RIG") is FULL_RIG
-    assert export_verb.find_model("hil.physics.rig_model:POWERTRAIN") is rig_model.POWERTRAIN
+    assert find_model("hil.physics.rig_model:FULL_RIG") is FULL_RIG
+    assert find_model("hil.physics.rig_model:POWERTRAIN") is rig_model.POWERTRAIN

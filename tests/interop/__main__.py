@@ -1,4 +1,5 @@
 """python -m tests.interop: both flavours in every installed importer; prints a table of results and of reasons for failures.
+`python -m tests.interop exporter`: users' models in the same hosts, beside pythonfmu (`exporter.py`).
 
 A missing importer is skipped; `make interop` installs those that are available. An importer whose dependencies conflict with
 this project's has its own environment, in a folder of its package's name beside this one's `bin`.
@@ -21,7 +22,7 @@ import numpy as np
 
 from hil.twin.adaptive import adaptable, adaptive
 from hil.twin.band import Band
-from tests.interop import hosts
+from tests.interop import exporter, hosts
 from tests.interop.trials import BEFORE, COMMANDS, IMPORTERS, LOOP_STEPS, NOT_RUN, STEP, STEPS, WANTED
 from vpp_fmu.app.cli.export import exported
 from vpp_fmu.errors import CompilerMissing
@@ -205,4 +206,7 @@ def main():
         print(f"not run: {importer}: {why}")
 
 
-main()
+if sys.argv[1:] == ["exporter"]:
+    exporter.main()
+else:
+    main()

@@ -55,13 +55,13 @@ def started(command: Sequence[str | Path], lines: str = "", folder: Path | None 
     )
 
 
-def in_c(host: Path, fmu: Fmu, lines: str = "") -> subprocess.CompletedProcess:
+def in_c(host: Path, fmu: Fmu, lines: str = "", steps: int = STEPS, step: float = STEP) -> subprocess.CompletedProcess:
     """Run an FMU in the C host; it prints the Real outputs, one a line."""
-    given = next(v for v in fmu.variables.values() if v.causality == "input")
+    given = next((v for v in fmu.variables.values() if v.causality == "input"), None)
     shown = [v.valueReference for v in fmu.variables.values() if v.causality == "output" and v.type == "Real"]
-    value = SHARE * float(given.nominal or 1.0)
+    value = SHARE * float(given.nominal or 1.0) if given else "nan"
     resources = Path(fmu.folder, "resources").as_uri()
-    return started([host, fmu.library, fmu.description.guid, resources, value, STEPS, STEP, *shown], lines)
+    return started([host, fmu.library, fmu.description.guid, resources, value, steps, step, *shown], lines)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from math import isinf
 
 from vpp_fmu.export.description import allowed, in_unit, start_values, variable_names, variable_types
 from vpp_fmu.kernel import calls
-from vpp_fmu.kernel.types import Model, start, step
+from vpp_fmu.kernel.types import Model, show, start, step
 from vpp_fmu.tracer import Layout, c_source, trace
 from vpp_fmu.tracer.emit import c_function
 from vpp_fmu.tracer.graph import Graph, needed
@@ -34,7 +34,7 @@ COMPILERS = """\
 SHELLS = {"2.0": ("fmi2.h", "shell2.c"), "3.0": ("fmi3.h", "shell3.c")}
 """Declarations and functions of each version of the standard; the parts between them are common."""
 
-TYPES = {"Real": "REAL", "Integer": "INTEGER", "Boolean": "BOOLEAN"}
+TYPES = {kind: kind.upper() for kind in ("Real", "Integer", "Boolean", "Enumeration", "String")}
 
 
 def c_text(model: Model, values: Mapping[str, float], guid: str, version: str = "2.0") -> str:
@@ -55,7 +55,8 @@ def c_text(model: Model, values: Mapping[str, float], guid: str, version: str = 
 
 
 def tangent_source(model: Model) -> str:
-    """`start_along(v, a)` and `step_along(v, dt, dt_along, a)`: directional derivatives of outputs and states.
+    """`start_along(v, a)`, `step_along(v, dt, dt_along, a)`: directional derivatives of outputs and states; and
+    `show_along(v, a)`: those of the outputs at given states.
 
     `a` has the layout of the values and holds the direction in inputs, parameters and, before a step, states; the derivatives
     of outputs and states are filled in. `v` holds the values before the step.
@@ -82,8 +83,11 @@ def tangent_source(model: Model) -> str:
 
     begun = writes(*start(model, graph, inputs, parameters), from_start)
     moved = writes(*step(model, graph, inputs, states, parameters, dt), from_step)
-    return c_function("void start_along(const double *v, double *a)", begun, name) + c_function(
-        "void step_along(const double *v, double dt, double dt_along, double *a)", moved, name
+    seen = writes(show(model, graph, inputs, states, parameters), states, leaves)[: len(layout.outputs)]
+    return (
+        c_function("void start_along(const double *v, double *a)", begun, name)
+        + c_function("void step_along(const double *v, double dt, double dt_along, double *a)", moved, name)
+        + c_function("void show_along(const double *v, double *a)", seen, name)
     )
 
 
@@ -102,6 +106,9 @@ def _tables(model: Model, values: Mapping[str, float], guid: str) -> str:
         "N_STATES_OR_1": max(1, len(model.states)),
         "SLACK": calls.SLACK,
     }
+    quantities = (*model.inputs, *model.outputs, *model.parameters)
+    items = {r: q.items for r, q in enumerate(quantities) if q.items}
+    sizes = [0 if q.place > 1 else max(1, q.size) for q in (*quantities, *model.states)]
     types = ", ".join(TYPES[kind] for kind in variable_types(model))
     tunable = ", ".join(str(int(p.tunable)) for p in model.parameters)
     return "".join(
@@ -111,6 +118,12 @@ def _tables(model: Model, values: Mapping[str, float], guid: str) -> str:
             f"static const char *const TYPE_NAMES[] = {{{', '.join(map(_string, TYPES))}}};\n",
             f"static const char *const NAMES[] = {{{', '.join(map(_string, variable_names(model)))}}};\n",
             f"static const unsigned char TYPES[] = {{{types}}};\n",
+            *(
+                f"static const char *const ITEMS_{r}[] = {{{', '.join(map(_string, texts))}, 0}};\n"
+                for r, texts in items.items()
+            ),
+            f"static const char *const *const ITEMS[N_VALUES] = {{{', '.join(f'[{r}] = ITEMS_{r}' for r in items) or 0}}};\n",
+            f"static const int SIZES[] = {{{', '.join(map(str, sizes))}}}; /* elements from here; 0: inside a vector */\n",
             f"static const unsigned char TUNABLE[] = {{{tunable or 0}}};\n",
             f"static const double START[] = {{{', '.join(map(_number, start_values(model, values)))}}};\n",
             "static const struct {\n  double minimum, maximum;\n  const char *unit, *text;\n} RANGES[] = {\n",
@@ -138,7 +151,7 @@ def _calls() -> str:
 
 def is_exact(model: Model) -> bool:
     """Whether one communication step is one step of the chain."""
-    return not (model.sample_time or model.delays or any(e.largest_step is not None for e in model.effects))
+    return not (model.sample_time or model.delays or model.sampled or any(e.largest_step is not None for e in model.effects))
 
 
 def _string(text: str) -> str:

@@ -8,14 +8,17 @@ import math
 import re
 import sysconfig
 import traceback
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 
 import vpp_fmu
 from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel import types
+from vpp_fmu.kernel.integration import LARGEST_EXACT, METHODS
 from vpp_fmu.kernel.ops import NUMBERS, Unseen
-from vpp_fmu.kernel.types import BOOLEAN, INSTANT, INTEGER, REAL, Effect, Model, Parameter, Signal, State, no_step
+from vpp_fmu.kernel.types import BOOLEAN, ENUMERATION, INTEGER, REAL, STRING, Effect, Model, Parameter, Signal, State, no_step
+from vpp_fmu.kernel.vector import Vector
 from vpp_fmu.tracer.graph import Graph
 from vpp_fmu.units import check_unit
 
@@ -97,24 +100,6 @@ def _holds(place: ast.AST, frame: traceback.FrameSummary) -> bool:
     return at is None or (place.lineno, place.col_offset) <= (frame.lineno, at) <= (place.end_lineno, place.end_col_offset)
 
 
-class _Missing(AttributeError):
-    """A function used an unknown name."""
-
-
-class _Given(SimpleNamespace):
-    """Arguments of an effect's function, with their description for the message about an unknown name."""
-
-    __slots__ = ("_what",)
-
-    def __init__(self, what: str, **values):
-        super().__init__(**values)
-        self._what = what
-
-    def __getattr__(self, name):
-        known = list(vars(self))
-        raise _Missing(f"{self._what} {name}", f"{self._what}s that are known there: {', '.join(known) or 'none'}")
-
-
 class _Check:
     def __init__(self, where: str, model: Model):
         self.where, self.model = where, model
@@ -130,10 +115,14 @@ class _Check:
                 self.tuples(f"effect {effect.name}, ", effect, ("parameters", "states", "inputs"))
         self.names()
         for signal in (*model.inputs, *model.outputs):
-            self.number(f"signal {signal.name}", signal, "start", signal.start)
+            computed = signal not in model.inputs and model.sample_time is None  # its start value is never used
+            self.number(f"signal {signal.name}", signal, "start", None if computed else signal.start)
         for effect in model.effects:
             self.effect(effect)
         self.schedule()
+        if model.black_box is not None:
+            self.black_box(model.black_box)
+            return
         for graph in (False, True):
             self.chain(graph)
 
@@ -154,6 +143,15 @@ class _Check:
             self.refuse("name", repr(model.name), "letters, digits and _, not beginning with a digit, no word of Python")
         if not model.outputs:
             self.refuse("outputs", "none", "a Signal at least")
+        for name in ("description", "author", "version", "license", "copyright", "icon"):
+            if not isinstance(text := getattr(model, name), str):
+                self.refuse(name, repr(text), "a text")
+        if model.icon not in ("", "propeller") and not Path(model.icon).is_file():
+            self.refuse("icon", model.icon, "the path of a PNG, or propeller")
+        for name in ("stop_time", "step_size", "tolerance"):
+            number = getattr(model, name)
+            if number is not None and not (isinstance(number, float | int) and 0.0 < number < math.inf):
+                self.refuse(name, repr(number), "a number above 0, or None")
         kinds = [("input", model.inputs), ("output", model.outputs), ("effect", model.effects)]
         kinds += [(f"parameter of effect {e.name}", e.parameters) for e in model.effects]
         kinds += [(f"state of effect {e.name}", e.states) for e in model.effects]
@@ -161,7 +159,8 @@ class _Check:
             for one in declared:
                 if not isinstance(one, Signal | Effect | Parameter | State):
                     self.refuse(kind, f"a {type(one).__name__}", f"a {kind.split()[0].capitalize()}")
-                if not NAME.fullmatch(one.name) or keyword.iskeyword(one.name):
+                dotted = one.name.removesuffix(f"[{one.place}]" if getattr(one, "place", 0) else "").split(".")
+                if not all(NAME.fullmatch(part) and not keyword.iskeyword(part) for part in dotted):
                     self.refuse(f"{kind} {one.name!r}", "no identifier", "letters, digits and _, not beginning with a digit")
         self.once("variable", [q.name for q in (*model.inputs, *model.outputs, *model.parameters)])
         self.once("state", [x.name for x in model.states])
@@ -174,11 +173,19 @@ class _Check:
                 self.refuse(f"{what} {name}", "declared twice", "each name once")
             seen.add(name)
 
-    def number(self, field: str, q: Signal | Parameter, what: str, value: float) -> None:
-        """A quantity's unit, range and start value."""
+    def number(self, field: str, q: Signal | Parameter, what: str, value: float | None) -> None:
+        """A quantity's unit, range and start value, if it has one."""
+        for name, number in (("minimum", q.minimum), ("maximum", q.maximum), ("nominal", q.nominal), (what, value)):
+            if not isinstance(number, float | int | None):
+                texts = "a number; a text is one of the `items` of a kind STRING or ENUMERATION"
+                self.refuse(f"{field}, {name}", repr(number), texts)
         check_unit(self.where, f"{field}, unit", q.unit)
-        if q.kind not in (REAL, INTEGER, BOOLEAN):
-            self.refuse(f"{field}, kind", repr(q.kind), f"{REAL}, {INTEGER} or {BOOLEAN}")
+        if q.kind not in (kinds := (REAL, INTEGER, BOOLEAN, ENUMERATION, STRING)):
+            self.refuse(f"{field}, kind", repr(q.kind), f"one of {', '.join(kinds)}")
+        if (q.kind in (ENUMERATION, STRING)) != bool(q.items) or len(set(q.items)) < len(q.items):
+            self.refuse(
+                f"{field}, items", ", ".join(q.items) or "none", f"different texts, of an {ENUMERATION} or a {STRING} only"
+            )
         if not q.description:
             self.refuse(f"{field}, description", "nothing", "what it is, in words")
         if not (math.isfinite(q.nominal) and q.nominal > 0.0):
@@ -187,18 +194,25 @@ class _Check:
             self.refuse(f"{field}, range", f"{q.minimum} to {q.maximum}", "a minimum below its maximum")
         if q.kind == BOOLEAN and (q.minimum, q.maximum) != (0.0, 1.0):
             self.refuse(f"{field}, range", f"{q.minimum} to {q.maximum}", "0 to 1, since it is a Boolean")
-        if not (math.isfinite(value) and q.minimum <= value <= q.maximum):
+        if value is not None and not (math.isfinite(value) and q.minimum <= value <= q.maximum):
             self.refuse(f"{field}, {what}", str(value), f"{q.minimum} to {q.maximum}")
-        if q.kind != REAL and value != round(value):
+        if value is not None and q.kind != REAL and value != round(value):
             self.refuse(f"{field}, {what}", str(value), "0 or 1" if q.kind == BOOLEAN else "a whole number")
 
     def effect(self, effect: Effect) -> None:
-        for p in effect.parameters:
+        for q in (*effect.parameters, *effect.states):
+            value = q.default if isinstance(q, Parameter) else q.start
+            if q.size and isinstance(value, Sequence) and len(value) != q.size:
+                self.refuse(
+                    f"{type(q).__name__.lower()} {effect.full(q.name)}, size", str(len(value)), f"{q.size} values, or one"
+                )
+        for p in types.scalars(effect.parameters):
             self.number(f"parameter {effect.full(p.name)}", p, "default", p.default)
-        for x in effect.states:
+        for x in types.scalars(effect.states):
             check_unit(self.where, f"state {effect.full(x.name)}, unit", x.unit)
-            if not callable(x.start):
-                self.refuse(f"state {effect.full(x.name)}, start", repr(x.start), "a function of (ops, s, p)")
+            if not callable(x.start) and not isinstance(x.start, float | int):
+                self.refuse(f"state {effect.full(x.name)}, start", repr(x.start), "a function of (ops, s, p), or a number")
+        self.forms(effect)
         known = [p.name for p in effect.parameters]
         for what, names in (("off", effect.off or {}), ("probe", effect.probe), ("delays", effect.delays.values())):
             for name in names:
@@ -207,14 +221,60 @@ class _Check:
         if effect.largest_step is not None and not effect.largest_step > 0.0:
             self.refuse(f"effect {effect.name}, largest_step", str(effect.largest_step), "seconds above 0, or None")
 
+    def forms(self, effect: Effect) -> None:
+        """Step or derivative, and what each needs."""
+        field, moves = f"effect {effect.name}", [x for x in effect.states if x.closed_by is None and x.name != effect.wait]
+        if effect.derivative is not None:
+            if effect.step is not no_step or effect.sample_time:
+                self.refuse(f"{field}, derivative", "a step or a sample_time as well", "only one of them")
+            if effect.method not in METHODS:
+                self.refuse(f"{field}, method", repr(effect.method), f"one of {', '.join(METHODS)}")
+            if effect.method == "exact" and sum(x.size or 1 for x in moves) > LARGEST_EXACT:
+                self.refuse(f"{field}, method", f"exact with {len(moves)} states", f"rk4, or {LARGEST_EXACT} states at most")
+            if effect.method != "exact" and effect.largest_step is None:
+                self.refuse(f"{field}, largest_step", "None", f"the longest step [s] of {effect.method}")
+        if effect.step is no_step and effect.derivative is None and effect.states and effect.output is None:
+            self.refuse(field, "states without a step", "a step or a derivative")
+        if effect.sample_time:
+            if effect.sample_time not in (by_name := {p.name: p for p in effect.parameters}):
+                allowed = f"one of {', '.join(by_name) or 'none'}"
+                self.refuse(f"{field}, sample_time", f"a parameter {effect.sample_time}", allowed)
+            if self.model.sample_time is not None:
+                self.refuse(f"{field}, sample_time", "one of the model as well", "only one of them")
+            self.period(effect.full(effect.sample_time), by_name[effect.sample_time])
+
+    def black_box(self, function: Callable) -> None:
+        """A function in a file of its own, which runs where this project is not installed."""
+        file = inspect.getsourcefile(function) if inspect.isfunction(function) else None
+        if file is None or "." in function.__qualname__ or function.__name__ == "<lambda>":
+            self.refuse("black_box", repr(function), "a function at the top of a Python file")
+        nodes = [*ast.walk(ast.parse(Path(file).read_text(encoding="utf-8")))]
+        modules = [a.name for node in nodes if isinstance(node, ast.Import) for a in node.names]
+        modules += [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)]
+        if any(module.split(".")[0] == "vpp_fmu" for module in modules):
+            self.refuse("black_box", f"{Path(file).name}, which imports vpp_fmu", "a file of its own, as the FMU has it alone")
+        if any(e.step is not no_step or e.derivative or e.output or e.states for e in self.model.effects):
+            self.refuse("black_box", "effects with steps as well", "effects with parameters only")
+        inputs = {u.name: u.start for u in self.model.inputs} | self.model.values()
+        arguments = ({}, inputs, TRY_STEP)
+        shown = self.call("black_box", function, arguments, function, *arguments)
+        missing = [y.name for y in self.model.outputs if not isinstance(shown, Mapping) or y.name not in shown]
+        if missing:
+            self.refuse("black_box", f"no {', '.join(missing)} returned", "all outputs by name")
+
+    def period(self, name: str, p: Parameter) -> None:
+        if not p.minimum > 0.0:
+            self.refuse(f"parameter {name}, minimum", "0 or less", "above 0, since it is a period")
+        if p.tunable:
+            self.refuse(f"parameter {name}", "tunable", "fixed: the schedule is made from it once")
+
     def schedule(self) -> None:
         model = self.model
         by_name, inputs = {p.name: p for p in model.parameters}, [u.name for u in model.inputs]
         if model.sample_time is not None:
             if model.sample_time not in by_name:
                 self.refuse("sample_time", f"a parameter {model.sample_time}", f"one of {', '.join(by_name) or 'none'}")
-            if not by_name[model.sample_time].minimum > 0.0:
-                self.refuse(f"parameter {model.sample_time}, minimum", "0 or less", "above 0, since it is a period")
+            self.period(model.sample_time, by_name[model.sample_time])
         for name, delay in model.delays:
             if name not in inputs:
                 self.refuse(f"delay {delay}", f"an input {name}", f"one of {', '.join(inputs) or 'none'}")
@@ -222,9 +282,8 @@ class _Check:
                 self.refuse(f"delay {delay}", "a delay in a sampled model", "delays in models without a sample time")
             if by_name[delay].minimum < 0.0:
                 self.refuse(f"parameter {delay}, minimum", "below 0", "0 or more, since it is a delay")
-        for name in (model.sample_time, *(delay for _, delay in model.delays)):
-            if name is not None and by_name[name].tunable:
-                self.refuse(f"parameter {name}", "tunable", "fixed: the schedule is made from it once")
+            if by_name[delay].tunable:
+                self.refuse(f"parameter {delay}", "tunable", "fixed: the schedule is made from it once")
 
     def chain(self, graph: bool) -> None:
         """Start and step of each effect in turn, on numbers or on symbols."""
@@ -240,71 +299,133 @@ class _Check:
                 if guess and guess not in signals:
                     self.refuse(f"effect {e.name}, ahead", repr(guess), f"an input, of {', '.join(signals)}, or ''")
                 signals[f"settled_{name}"] = signals[guess] if guess else 0.0
+        given = {p.name: value(len(model.inputs) + k, p.default) for k, p in enumerate(model.parameters)}
         dt = ops.node("dt") if graph else TRY_STEP
         for starting in (True, False):
-            s, count = _Given("signal", **signals), len(model.inputs)
-            for e in model.effects:
-                p = _Given("parameter", **{q.name: value(count + k, q.default) for k, q in enumerate(e.parameters)})
-                count += len(e.parameters)
-                states = {q.name: self.call(f"state {e.full(q.name)}, start", q.start, ops, s, p) for q in e.states}
+            s = types.input_signals(model, signals)
+            for e, _, _, its_parameters, _, vectors in model.links:
+                try:
+                    seen = types.view(e, s)
+                except KeyError as missing:
+                    known = f"one of the signals that are known there: {', '.join(vars(s))}"
+                    self.refuse(f"effect {e.name}, wired", f"no signal {missing.args[0]}", known)
+                p = types.own_values(given, its_parameters, vectors)
+                own = {
+                    q.name: self.call(f"state {e.full(q.name)}, start", q.start, (ops, seen, p), types.started, q, ops, seen, p)
+                    for q in e.states
+                }
                 if graph and not starting:
-                    states = {name: ops.node("v", next(unused)) for name in states}
-                x = _Given("state", **states)
-                arguments = (ops, s, x, p, INSTANT if starting else dt)
-                returned = self.call(f"effect {e.name}, step", e.step, *arguments)
-                self.returned(e, returned, s)
-                vars(s).update(returned[0])
+                    own = {
+                        n: Vector(ops.node("v", next(unused)) for _ in x)
+                        if isinstance(x, Vector)
+                        else ops.node("v", next(unused))
+                        for n, x in own.items()
+                    }
+                field, main, more = f"effect {e.name}, step", e.step, (types.INSTANT if starting else dt,)
+                if e.derivative is not None:
+                    field, main, more = f"effect {e.name}, derivative", e.derivative, ()
+                x = SimpleNamespace(**own)
+                returned = self.call(field, main, (ops, seen, x, p, *more), main, ops, seen, x, p, *more)
+                self.returned(e, field, returned)
+                if starting and not graph and isinstance(returned, tuple) and model.sample_time is None and e.output is None:
+                    self.at_rest(e, own, returned[1])
+                if starting:
+                    set_ = self.call(f"effect {e.name}, output", e.output, (ops, seen, x, p), types.begun, e, ops, seen, x, p)
+                elif types.is_integrated(e):
+                    set_ = self.call(f"effect {e.name}, output", e.output, (ops, seen, x, p), types.shown, e, ops, seen, x, p)
+                else:
+                    set_, _ = self.call(
+                        f"effect {e.name}, output", e.output, (ops, seen, x, p), types.moved, e, ops, seen, x, p, dt
+                    )
+                self.numbers(f"effect {e.name}, {'output' if e.output else 'step'}", set_)
+                types.set_signals(e, s, set_)
             self.end(s)
 
-    def call(self, field: str, function: Callable, *arguments):
-        """The result of a model's function; an exception becomes a message that names the function."""
+    def call(self, field: str, function: Callable | None, given: tuple, doing: Callable, *arguments):
+        """The result of `doing`, which calls a model's `function` with what is `given`; an exception becomes a message."""
         try:
-            inspect.signature(function).bind(*arguments)
+            if callable(function):
+                inspect.signature(function).bind(*given)
         except TypeError as error:
-            wanted = "(ops, s, p)" if len(arguments) == len("osp") else "(ops, s, x, p, dt)"
+            wanted = {3: "(ops, s, p)", 4: "(ops, s, x, p)"}.get(len(given), "(ops, s, x, p, dt)")
             raise BadInput(self.where, field, f"{error}", f"a function of {wanted}") from error
         try:
-            return function(*arguments)
-        except _Missing as missing:
-            raise BadInput(self.where, at_line(field, missing), f"no {missing.args[0]}", missing.args[1]) from missing
+            return doing(*arguments)
+        except AttributeError as error:
+            raise self.missing(field, error, given) from error
         except Unseen as error:
-            raise BadInput(
-                self.where, at_line(field, error), f"{_spelled(error)}, which can't be traced", error.instead
-            ) from error
+            spelled = _spelled(error)
+            instead = {"max()": "ops.maximum(x, y)", "min()": "ops.minimum(x, y)"}.get(spelled, error.instead)
+            raise BadInput(self.where, at_line(field, error), f"{spelled}, which can't be traced", instead) from error
         except TypeError as error:
             found = f"what can't be traced ({' '.join(str(error).split())[:120]})"
-            allowed = "+ - * / < > and ops.where, ops.exp ... instead of if, and, ==, max, math or numpy"
+            allowed = "operators, ops.where, ops.exp ... instead of if, and, max, math or numpy"
             raise BadInput(self.where, at_line(field, error), found, allowed) from error
         except Exception as error:  # user code may raise any exception
             found = f"{type(error).__name__}: {error}"
             raise BadInput(self.where, at_line(field, error), found, "a function that works on start values") from error
 
-    def returned(self, effect: Effect, returned: object, s: _Given) -> None:
-        field = f"effect {effect.name}, step"
-        good = isinstance(returned, tuple) and len(returned) == 2 and all(isinstance(part, Mapping) for part in returned)
-        if not good:
-            self.refuse(field, f"a {type(returned).__name__} returned", "a pair: signals by name, next states by name")
-        for name, number in (*returned[0].items(), *returned[1].items()):
-            if isinstance(number, _Given):  # an effect may pass its own parameters to later effects
-                continue
-            if not isinstance(number, float | int) and type(number).__name__ != "Node":
-                self.refuse(field, f"{name} is a {type(number).__name__}", "numbers")
-        own = [x.name for x in effect.states]
-        for name in returned[1]:
+    def missing(self, field: str, error: AttributeError, given: tuple) -> BadInput:
+        """The message for an unknown name in one of a function's arguments."""
+        kinds = ("signal", "parameter") if len(given) == len("osp") else ("signal", "state", "parameter")
+        for kind, namespace in zip(kinds, given[1:], strict=False):
+            if error.obj is namespace:
+                known = f"{kind}s that are known there: {', '.join(vars(namespace)) or 'none'}"
+                return BadInput(self.where, at_line(field, error), f"no {kind} {error.name}", known)
+        said, _, allowed = str(error).partition("; ")
+        return BadInput(self.where, at_line(field, error), said, allowed or "an attribute that exists")
+
+    def returned(self, effect: Effect, field: str, returned: object) -> None:
+        pair = isinstance(returned, tuple) and len(returned) == 2 and all(isinstance(part, Mapping) for part in returned)
+        if not pair and not isinstance(returned, Mapping):
+            allowed = "next states by name, or a pair: signals by name, next states by name"
+            allowed = "derivatives by the names of their states" if effect.derivative else allowed
+            self.refuse(field, f"a {type(returned).__name__} returned", allowed)
+        if pair and returned != ({}, {}) and (effect.output is not None or effect.derivative or effect.sample_time):
+            self.refuse(field, "a pair returned", "states only: the signals come from `output`, or are the states")
+        states = returned[1] if pair else returned
+        for part in returned if pair else (returned,):
+            self.numbers(field, part)
+        own = {x.name: x for x in effect.states if x.name != effect.wait}
+        for name, value in states.items():
             if name not in own:
                 self.refuse(field, f"a state {name} returned", f"its declared states: {', '.join(own) or 'none'}")
-        for x in effect.states:
-            if x.name not in returned[1] and x.closed_by is None:
-                self.refuse(f"state {effect.full(x.name)}", "never returned by its step", "a next value, or closed_by a signal")
-        if effect.step is no_step and own:
-            self.refuse(f"effect {effect.name}", "states without a step", "a step that returns them")
+            size = len(value) if isinstance(value, tuple | list) else 0
+            if size != own[name].size:
+                self.refuse(field, f"{size or 'no'} elements of {name}", f"{own[name].size or 'a number'}, as declared")
+        for x in own.values():
+            if x.name not in states and x.closed_by is None:
+                what = "derivative" if effect.derivative else "step"
+                self.refuse(
+                    f"state {effect.full(x.name)}", f"never returned by its {what}", "a next value, or closed_by a signal"
+                )
 
-    def end(self, s: _Given) -> None:
-        known = list(vars(s))
+    def at_rest(self, effect: Effect, states: Mapping, moved: Mapping) -> None:
+        """Refuse signals at the start that would be those of a step which moves the states."""
+        for x in effect.states:
+            pairs = zip(*(v if x.size else (v,) for v in (states[x.name], moved.get(x.name, states[x.name]))), strict=True)
+            for before, after in pairs:
+                if abs(after - before) > 1e-6 * max(abs(before), x.nominal or 1.0):
+                    found = (
+                        f"signals and states together, while {x.name} moves by {abs(after - before):g} at the start, in 1e-9 s"
+                    )
+                    allowed = "next states alone, for a start without a step; `output`, if needed, gives the signals from them"
+                    self.refuse(f"effect {effect.name}, step", found, allowed)
+
+    def numbers(self, field: str, values: Mapping) -> None:
+        for name, value in values.items():
+            if isinstance(value, SimpleNamespace):  # an effect may pass its own parameters to later effects
+                continue
+            for number in value if isinstance(value, tuple | list) else (value,):
+                if not isinstance(number, float | int) and type(number).__name__ not in ("Node", "Dual"):
+                    self.refuse(field, f"{name} is a {type(number).__name__}", "numbers")
+
+    def end(self, s: SimpleNamespace) -> None:
+        known = list(types.flat(self.model, s))
         for output in self.model.outputs:
             if output.name not in known:
                 self.refuse(f"output {output.name}", "set by no effect", f"one of the signals {', '.join(known)}")
         for e in self.model.effects:
             for x in e.states:
-                if x.closed_by is not None and x.closed_by not in known:
+                if x.closed_by is not None and x.closed_by not in vars(types.view(e, s)):
                     self.refuse(f"state {e.full(x.name)}, closed_by", x.closed_by, f"one of the signals {', '.join(known)}")

@@ -2,9 +2,11 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 
+from vpp_fmu.errors import BadInput
 from vpp_fmu.export.description import Experiment
+from vpp_fmu.kernel.schedule import DelayFull
 from vpp_fmu.kernel.simulation import Simulation
-from vpp_fmu.kernel.types import BOOLEAN, INTEGER, REAL, Model, Signal
+from vpp_fmu.kernel.types import INTEGER, REAL, STRING, Model, Signal
 
 LEVELS = (0.6, 0.35, 0.8, 0.5)  # of an input's nominal value
 TOLERANCE = 1e-6
@@ -18,7 +20,13 @@ def reference_files(model: Model, values: Mapping[str, float], experiment: Exper
     """
     count = round(min(experiment.stop, LONGEST) / experiment.step)
     simulation, held = Simulation(model, values), course(model, count)
-    shown = [simulation.start(held[0]), *(simulation.advance(inputs, experiment.step) for inputs in held[:-1])]
+    shown = [simulation.start(held[0])]
+    for k, inputs in enumerate(held[:-1]):
+        try:
+            shown.append(simulation.advance(inputs, experiment.step))
+        except (ArithmeticError, ValueError, DelayFull) as error:
+            found = f"{type(error).__name__} ({error}) at {k * experiment.step:.6g} s"
+            raise BadInput(model.name, "the run for the reference outputs", found, "numbers") from error
     time = [i * experiment.step for i in range(count + 1)]
     options = {"StartTime": 0.0, "StopTime": time[-1], "StepSize": experiment.step, "RelTol": TOLERANCE}
     return {
@@ -66,12 +74,14 @@ def course(model: Model, count: int) -> list[dict[str, float]]:
 
 
 def _level(u: Signal, k: int, share: float) -> float:
-    """Input number `k` at a share of the time. A Boolean alternates, an Integer has whole numbers."""
+    """Input number `k` at a share of the time. A Boolean and the first items alternate, an Integer has whole numbers."""
+    if u.kind == STRING:
+        return u.start
     at = int(len(LEVELS) * share - 0.1 - 0.3 * k)
     if len(LEVELS) * share < 0.1 + 0.3 * k:
         return u.start
     level = LEVELS[(at + k) % len(LEVELS)]
-    wanted = {REAL: u.nominal * level, INTEGER: round(u.nominal * level), BOOLEAN: at % 2}[u.kind]
+    wanted = u.nominal * level if u.kind == REAL else round(u.nominal * level) if u.kind == INTEGER else at % 2 + bool(u.items)
     return float(min(max(wanted, u.minimum), u.maximum))
 
 

@@ -1,28 +1,26 @@
 """modelDescription.xml of a model, from its declarations: the part common to all FMI versions, and FMI 2.0."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from importlib.metadata import version
-from math import isfinite
+from math import inf, isfinite
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from vpp_fmu.kernel.calls import LOG_CATEGORIES
 from vpp_fmu.kernel.simulation import Simulation
-from vpp_fmu.kernel.types import BOOLEAN, REAL, Model, Parameter
+from vpp_fmu.kernel.types import BOOLEAN, ENUMERATION, REAL, STRING, Model, Parameter, State
 from vpp_fmu.tracer import Layout
 from vpp_fmu.units import base_unit, display_units
-
-AUTHOR = "vpp-fmu"
-"""Default author of the model."""
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """The default experiment: duration and step [s]."""
+    """The default experiment: duration and step [s], relative tolerance if there is one."""
 
     stop: float = 10.0
     step: float = 0.004
+    tolerance: float | None = None
 
 
 TEN_SECONDS = Experiment()
@@ -90,11 +88,19 @@ class Variable:
     maximum: float
     nominal: float
     start: float | None
+    items: tuple[str, ...]
+    size: int
+    place: int
 
     def typed(self) -> dict[str, str]:
         """The attributes of the type."""
         if self.kind == BOOLEAN:
             return {} if self.start is None else {"start": str(self.start != 0.0).lower()}
+        if self.kind == STRING:
+            return {} if self.start is None else {"start": self.items[round(self.start) - 1]}
+        if self.kind == ENUMERATION:
+            start = {} if self.start is None else {"start": str(round(self.start))}
+            return {"declaredType": type_name(self.items), **start}
         real = {"min": self.minimum, "max": self.maximum} | ({"nominal": self.nominal} if self.kind == REAL else {})
         numbers = {k: x for k, x in (*real.items(), ("start", self.start)) if x is not None and isfinite(x)}
         text = {k: repr(float(x)) if self.kind == REAL else str(round(x)) for k, x in numbers.items()}
@@ -125,10 +131,10 @@ def variables(model: Model, values: Mapping[str, float]) -> list[Variable]:
     for r, ((causality, variability, initial, q), name, kind) in enumerate(
         zip(kinds, variable_names(model), variable_types(model), strict=True)
     ):
-        low, high, nominal = _span(model, q.unit) if causality == "local" else (q.minimum, q.maximum, q.nominal)
+        low, high, nominal = (-inf, inf, _nominal(model, q)) if causality == "local" else (q.minimum, q.maximum, q.nominal)
         start = None if causality == "output" else starts[r]
         attributes = (causality, variability, initial, q.description, q.unit, low, high, nominal, start)
-        found.append(Variable(name, r, kind, *attributes))
+        found.append(Variable(name, r, kind, *attributes, getattr(q, "items", ()), q.size, q.place))
     return found
 
 
@@ -148,12 +154,30 @@ def unit_definitions(model: Model) -> Element:
     """UnitDefinitions, which both versions of the standard write alike."""
     root = Element("UnitDefinitions")
     real = [q for q in (*model.inputs, *model.outputs, *model.parameters) if q.kind == REAL]
-    for unit in sorted({q.unit for q in (*real, *model.states)}):
+    for unit in sorted({"s", *(q.unit for q in (*real, *model.states))}):  # time is in s
         element = SubElement(root, "Unit", name=unit)
         SubElement(element, "BaseUnit", base_unit(unit))
         for name, attributes in display_units(unit).items():
             SubElement(element, "DisplayUnit", {"name": name} | attributes)
     return root
+
+
+def type_name(items: Iterable[str]) -> str:
+    """The name of the enumeration of these items."""
+    return "_".join(items)
+
+
+def type_definitions(model: Model, tags: Sequence[str]) -> list[Element]:
+    """TypeDefinitions of the enumerations, if there are any. `tags`: the nested elements of a type in this version."""
+    listed = {q.items for q in (*model.inputs, *model.outputs, *model.parameters) if q.kind == ENUMERATION}
+    root = Element("TypeDefinitions")
+    for items in sorted(listed):
+        element, named = root, {"name": type_name(items)}
+        for tag in tags:
+            element, named = SubElement(element, tag, named), {}
+        for number, item in enumerate(items, 1):
+            SubElement(element, "Item", name=item, value=str(number))
+    return [root] if listed else []
 
 
 def log_categories() -> Element:
@@ -164,14 +188,13 @@ def log_categories() -> Element:
     return root
 
 
-def about(model: Model, flavour: Flavour, author: str) -> dict[str, str]:
-    """Attributes of the root (name, author, tool) in both versions of the standard."""
+def about(model: Model, flavour: Flavour) -> dict[str, str]:
+    """Attributes of the root (name, what its author says about it, tool) in both versions of the standard."""
+    said = {name: getattr(model, name) for name in ("author", "version", "copyright", "license")}
     return {
         "modelName": model.name,
         "description": model.description,
-        "author": author,
-        "version": version("vpp-fmu"),
-        "license": "MIT",
+        **{name: text for name, text in said.items() if text},
         "generationTool": f"vpp-fmu {version('vpp-fmu')}, {flavour.tool}",
         "variableNamingConvention": "structured",
     }
@@ -179,7 +202,9 @@ def about(model: Model, flavour: Flavour, author: str) -> dict[str, str]:
 
 def default_experiment(experiment: Experiment) -> Element:
     """DefaultExperiment, which both versions of the standard write alike."""
-    return Element("DefaultExperiment", startTime="0.0", stopTime=repr(experiment.stop), stepSize=repr(experiment.step))
+    more = {} if experiment.tolerance is None else {"tolerance": repr(experiment.tolerance)}
+    times = {"startTime": "0.0", "stopTime": repr(experiment.stop), "stepSize": repr(experiment.step)}
+    return Element("DefaultExperiment", times | more)
 
 
 def as_text(root: Element) -> bytes:
@@ -194,11 +219,10 @@ def model_description(
     content_guid: str,
     flavour: Flavour,
     experiment: Experiment,
-    author: str = AUTHOR,
 ) -> bytes:
     """FMI 2.0's XML text. `values`: every parameter's start value."""
     fixed = {"fmiVersion": "2.0", "guid": content_guid, "numberOfEventIndicators": "0"}
-    root = Element("fmiModelDescription", fixed | about(model, flavour, author))
+    root = Element("fmiModelDescription", fixed | about(model, flavour))
     can = {"canHandleVariableCommunicationStepSize", "canGetAndSetFMUstate", "canSerializeFMUstate"}
     capabilities = {**dict.fromkeys(sorted(can), True), "canNotUseMemoryManagementFunctions": True, **flavour.capabilities}
     kind = SubElement(root, "CoSimulation", modelIdentifier=model.name)
@@ -207,7 +231,8 @@ def model_description(
         listed = SubElement(kind, "SourceFiles")
         for name in flavour.sources:
             SubElement(listed, "File", name=name)
-    root.extend((unit_definitions(model), log_categories(), default_experiment(experiment)))
+    types = type_definitions(model, ("SimpleType", "Enumeration"))
+    root.extend((unit_definitions(model), *types, log_categories(), default_experiment(experiment)))
     listed = SubElement(root, "ModelVariables")
     for v in variables(model, values):
         attributes = {"name": v.name, "valueReference": str(v.reference), "description": v.description}
@@ -217,13 +242,13 @@ def model_description(
     return as_text(root)
 
 
-def _span(model: Model, unit: str) -> tuple[float, float, float]:
-    """(minimum, maximum, nominal) of a state: those of the signals in its unit, else a wide range around a parameter's size."""
-    like = [s for s in (*model.outputs, *model.inputs) if s.unit == unit]
-    if like:
-        return min(s.minimum for s in like), max(s.maximum for s in like), like[0].nominal
-    nominal = max((p.nominal for p in model.parameters if p.unit == unit), default=1.0)
-    return -1e6 * nominal, 1e6 * nominal, nominal
+def _nominal(model: Model, x: State) -> float:
+    """The nominal value of a state: as declared, else of a signal in its unit, else the largest of such parameters. It has no
+    range: a signal's is that of its own."""
+    if x.nominal is not None:
+        return x.nominal
+    like = next((s.nominal for s in (*model.outputs, *model.inputs) if s.unit == x.unit), None)
+    return like or max((p.nominal for p in model.parameters if p.unit == x.unit), default=1.0)
 
 
 def _structure(model: Model) -> Element:

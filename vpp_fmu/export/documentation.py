@@ -1,6 +1,7 @@
 """Documentation of an FMU: a page with equations and parameters, licences, an icon."""
 
 import importlib
+import inspect
 import struct
 import zlib
 from collections.abc import Iterable, Mapping
@@ -9,6 +10,7 @@ from html import escape
 from importlib.metadata import distribution
 from importlib.util import find_spec
 from math import cos, hypot, pi, sin
+from pathlib import Path
 from textwrap import dedent
 
 from vpp_fmu.files import as_bytes
@@ -43,9 +45,10 @@ A call that can't be carried out is refused after one message that says why. Val
 saved state brings the instance back. Natively that is fmi2Error; pythonfmu's binary makes it fmi2Fatal.
 
 In the native flavour, directional derivatives of outputs and states are given with respect to inputs and parameters in
-initialisation mode. At a communication point those with respect to inputs are zero. Those with respect to parameters are how
-far outputs depend on them since the start, provided that a derivative with respect to any parameter was asked for in
-initialisation mode: they cost time at each step, and only then are they carried along."""
+initialisation mode. At a communication point those with respect to inputs are zero, as outputs depend on them in the next step
+only. If a derivative with respect to any parameter was asked for in initialisation mode, they are carried along from then on,
+which costs time at each step: those with respect to parameters since the start, those with respect to inputs over the last
+communication step. There is no early return, event mode, intermediate update or adjoint derivative."""
 
 
 def documents(
@@ -54,14 +57,16 @@ def documents(
     """The files by their place in an FMU.
 
     `values`: every parameter's start value. `origins`: known sources of values, by name; the others are defaults, or were set
-    at the export. `packages`: other packages whose code is in the FMU.
+    at the export. `packages`: other packages whose code is in the FMU beside this one's, with their licences.
     """
-    licences = {f"documentation/licenses/{name}.txt": _licence(name).encode() for name in packages}
+    licences = {f"documentation/licenses/{name}.txt": _licence(name).encode() for name in ("vpp-fmu", *packages)}
+    pictures = {"model.png": icon() if model.icon == "propeller" else Path(model.icon).read_bytes()} if model.icon else {}
+    said = "\n\n".join(filter(None, (model.copyright, model.license and f"Licence: {model.license}")))
     return {
         "documentation/index.html": as_bytes(_page(model, values, origins or {})),
-        "documentation/licenses/license.txt": _licence("vpp-fmu").encode(),
+        **({"documentation/licenses/license.txt": as_bytes(said + "\n")} if said else {}),
         **licences,
-        "model.png": icon(),
+        **pictures,
     }
 
 
@@ -115,6 +120,8 @@ def _origin(model: Model, parameter, values: Mapping[str, float], origins: Mappi
 def _equations(model: Model) -> list[str]:
     """One part for each file that defines effects, with its docstring."""
     parts: dict[str, list[str]] = {}
+    if model.black_box is not None:
+        parts[inspect.getdoc(model.black_box) or model.description] = [model.black_box.__name__]
     for effect in model.effects:
         parts.setdefault(_theory(effect), []).append(effect.name)
     return [f"<h3>{escape(', '.join(names))}</h3>{_prose(text)}" for text, names in parts.items()]
@@ -122,8 +129,9 @@ def _equations(model: Model) -> list[str]:
 
 def _theory(effect: Effect) -> str:
     """The docstring of the file with an effect's equation, of the library or user-defined; a delay has no equation."""
-    if effect.step is not no_step:
-        return effect.step.__globals__.get("__doc__") or effect.description
+    function = effect.derivative or (effect.step if effect.step is not no_step else effect.output)
+    if function is not None:
+        return inspect.unwrap(function).__globals__.get("__doc__") or effect.description
     own = f"{EFFECTS}.{effect.name}"
     return (find_spec(own) and importlib.import_module(own).__doc__) or effect.description
 

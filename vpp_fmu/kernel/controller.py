@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from vpp_fmu.kernel.effects.dual_pid import DUAL_PID
 from vpp_fmu.kernel.effects.dual_pid import SPEED_ONLY as SPEED_MODE
-from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, THRUST
+from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, OURS, THRUST
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.kernel.types import Model, Signal
 
@@ -22,6 +22,7 @@ CONTROLLER = Model(
     effects=(DUAL_PID,),
     sample_time="sample_time",
     sets={"dual": DUAL, "speed_only": SPEED_ONLY},
+    **OURS,
 ).sized(PAPER)
 
 

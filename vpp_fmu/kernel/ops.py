@@ -1,11 +1,14 @@
 """The primitives of the physics, and functions built on them.
 
-An effect computes only through `+ - * /`, the comparisons `<` and `>`, and the methods below. On floats they are the
-maths library's (`Numbers`); on traced values they record the operations (`vpp_fmu.tracer`). Both inherit the functions
+An effect computes only through `+ - * / **`, the comparisons, `&` and `|` of conditions, and the methods below. On floats they
+are the maths library's (`Numbers`); on traced values they record the operations (`vpp_fmu.tracer`). Both inherit the functions
 built on the primitives, so a limit or a lag has one formula.
 """
 
 import math
+from functools import reduce
+
+from vpp_fmu.kernel.tables import Curve, Surface, curve, look_up, look_up_2, surface
 
 SERIES_BELOW = 0.3
 """Below this |x|, `relaxation` uses its series: the direct form loses digits, its derivative more."""
@@ -13,34 +16,32 @@ SERIES_BELOW = 0.3
 SERIES_TERMS = 13
 """0.3**13 / 14! < 1e-17: the series is exact to rounding where it is used."""
 
+LN_10 = math.log(10.0)
+
 WHOLE = 1.5 * 2.0**52
 """Adding and subtracting it rounds to a whole number: doubles of this size have no fraction."""
 
 
 INSTEAD = {
-    "__bool__": ("a condition of Python's", "ops.where(condition, yes, no)"),
-    "__eq__": ("==", "< or >, which tell numbers apart"),
-    "__ne__": ("!=", "< or >, which tell numbers apart"),
-    "__le__": ("<=", "< or ops.where(x > y, no, yes)"),
-    "__ge__": (">=", "> or ops.where(x < y, no, yes)"),
-    "__pow__": ("**", "products such as x * x, ops.sqrt, ops.exp"),
-    "__rpow__": ("**", "products such as x * x, ops.sqrt, ops.exp"),
+    "__bool__": ("a condition of Python's", "ops.where(condition, yes, no), and & | for and, or"),
+    "__invert__": ("~", "ops.logical_not(condition)"),
     "__float__": ("float()", "the value as it is, and ops.exp, ops.sqrt ... in place of functions of math"),
-    "__int__": ("int()", "ops.whole(x), which rounds to the nearest"),
-    "__index__": ("a value as an index or a count", "a plain number"),
-    "__mod__": ("%", "x - n * ops.whole(x / n)"),
-    "__rmod__": ("%", "x - n * ops.whole(x / n)"),
-    "__floordiv__": ("//", "ops.whole(x / y - 0.5)"),
-    "__rfloordiv__": ("//", "ops.whole(x / y - 0.5)"),
+    "__int__": ("int()", "ops.whole(x), which rounds to the nearest, or ops.floor(x)"),
+    "__index__": ("a value as an index or a count", "a plain number, or ops.table(x, xs, ys)"),
+    "__mod__": ("%", "ops.mod(x, y)"),
+    "__rmod__": ("%", "ops.mod(x, y)"),
+    "__floordiv__": ("//", "ops.floor(x / y)"),
+    "__rfloordiv__": ("//", "ops.floor(x / y)"),
+    "__pow__": ("a derivative's base and exponent in **", "ops.pow(x, y)"),
     "__abs__": ("abs()", "ops.abs(x)"),
     "__round__": ("round()", "ops.whole(x)"),
-    "__iter__": ("a loop over a value", "loops over plain numbers"),
+    "__iter__": ("a loop over a value", "loops over plain numbers, or over a vector"),
 }
 """Python constructs on numbers, and their replacements for symbols."""
 
 
 class Unseen(TypeError):
-    """An operation other than `Ops` and + - * / < > on a symbol: the operation, and what to write `instead`."""
+    """An operation on a symbol that `Ops` and the operators do not have: the operation, and what to write `instead`."""
 
     def __init__(self, method: str):
         self.method = method
@@ -66,19 +67,52 @@ for _method in INSTEAD:
 
 
 class Ops:
-    """Base of every arithmetic; subclasses define `exp expm1 sqrt sin cos tanh whole where`."""
+    """Base of every arithmetic; subclasses define the primitives `exp expm1 log log10 pow sqrt sin cos tanh atan2 whole where
+    look_up look_up_2`."""
+
+    def __getattr__(self, name):
+        known = [n for n in dir(self) if not n.startswith(("_", "look_up")) and callable(getattr(type(self), n, None))]
+        raise AttributeError(f"no ops.{name}; one of {', '.join(known)}", name=name, obj=self)
 
     def abs(self, x):
         """|x|, same unit."""
         return self.where(x < 0.0, -x, x)
 
-    def minimum(self, x, y):
-        """The smaller of x and y."""
-        return self.where(y < x, y, x)
+    def minimum(self, *values):
+        """The smallest of two or more values."""
+        return reduce(lambda x, y: self.where(y < x, y, x), values)
 
-    def maximum(self, x, y):
-        """The larger of x and y."""
-        return self.where(y > x, y, x)
+    def maximum(self, *values):
+        """The largest of two or more values."""
+        return reduce(lambda x, y: self.where(y > x, y, x), values)
+
+    def logical_not(self, condition):
+        """Whether the condition does not hold: 1.0 or 0.0."""
+        return self.where(condition, 0.0, 1.0)
+
+    def floor(self, x):
+        """The largest whole number up to x; |x| < 2**51. Its derivative is 0."""
+        nearest = self.whole(x)
+        return self.where(nearest > x, nearest - 1.0, nearest)
+
+    def ceil(self, x):
+        """The smallest whole number from x on; |x| < 2**51. Its derivative is 0."""
+        nearest = self.whole(x)
+        return self.where(nearest < x, nearest + 1.0, nearest)
+
+    def mod(self, x, y):
+        """x - y floor(x / y): the remainder, with the sign of y."""
+        return x - y * self.floor(x / y)
+
+    def table(self, x, xs, ys, method="linear"):
+        """The curve through the points (xs, ys) at x; the end values are held outside. `method`: "linear", or "cubic", which is
+        monotone wherever the points are (PCHIP). Search is binary. ValueError: xs do not rise, or lengths differ."""
+        return self.look_up(x, curve(xs, ys, method))
+
+    def table_2(self, x, y, xs, ys, zs, method="linear"):
+        """The surface through zs[i][j] at (xs[i], ys[j]); the edges are held outside. `method`: "linear" in each direction
+        (bilinear), or "cubic" with the slopes of PCHIP along both. ValueError: xs or ys do not rise, or sizes differ."""
+        return self.look_up_2(x, y, surface(xs, ys, zs, method))
 
     def clip(self, x, low, high):
         """x held within [low, high]."""
@@ -124,10 +158,24 @@ class Numbers(Ops):
 
     exp = staticmethod(math.exp)
     expm1 = staticmethod(math.expm1)
+    log = staticmethod(math.log)
+    log10 = staticmethod(math.log10)
+    pow = staticmethod(math.pow)
     sqrt = staticmethod(math.sqrt)
     sin = staticmethod(math.sin)
     cos = staticmethod(math.cos)
     tanh = staticmethod(math.tanh)
+    atan2 = staticmethod(math.atan2)
+
+    @staticmethod
+    def look_up(x, c: Curve, order=0):
+        """Derivative number `order` of a curve at x."""
+        return look_up(x, len(c.xs), c.xs, c.ys, c.slopes, order)
+
+    @staticmethod
+    def look_up_2(x, y, c: Surface, order_x=0, order_y=0):
+        """Derivative of a surface at (x, y), of these orders in x and y."""
+        return look_up_2(x, y, len(c.xs), c.xs, len(c.ys), c.ys, c.grid, order_x, order_y)
 
     @staticmethod
     def whole(x):

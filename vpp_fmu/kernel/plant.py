@@ -151,6 +151,9 @@ AVERAGED = {
 }
 """The paper's model before fine-tuning: averaged time constants of the steps and the static map (sections 4.1, 4.2)."""
 
+OURS = {"author": "vpp-fmu", "license": "MIT", "icon": "propeller"}
+"""What the FMUs of this project's models say about them."""
+
 BASE = Model(
     "VppPlant",
     "Variable-pitch propeller: motor speed and blade pitch commands to thrust (Wiener model)",
@@ -158,6 +161,7 @@ BASE = Model(
     outputs=(THRUST, OMEGA, BETA),
     effects=tuple(e for e in LIBRARY if e.off is None),
     sets={"fine_tuned": FINE_TUNED, "averaged": AVERAGED},
+    **OURS,
 )
 
 

@@ -2,7 +2,7 @@
 
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.effects.policy import Law, policy_effect
-from vpp_fmu.kernel.plant import OMEGA
+from vpp_fmu.kernel.plant import OMEGA, OURS
 from vpp_fmu.kernel.scales import PAPER, Scales
 from vpp_fmu.kernel.types import BOOLEAN, Model, Signal
 
@@ -21,4 +21,5 @@ def policy_model(law: Law, scales: Scales = PAPER, outputs: int = 3) -> Model:
         outputs=(*CONTROLLER.outputs, FALLBACK)[:outputs],
         effects=(policy_effect(law),),
         sample_time="sample_time",
+        **OURS,
     ).sized(scales)

@@ -1,6 +1,6 @@
 /* schedule.py in C: the same arithmetic in the same order. It is explained there.
  *
- * Comes after the generated model, which defines the sizes N_INPUTS, N_DELAYED, N_WRT and the functions prepare(), step(),
+ * Comes after the generated model, which defines the sizes N_INPUTS, N_DELAYED, N_SAMPLED, N_WRT and the functions prepare(), step(),
  * largest_step() and, with tangents, step_values(). `v` holds all values (inputs, outputs, parameters, states), `c` the
  * constants that prepare() computes from parameters and dt, `d` the tangents of states and outputs. */
 
@@ -141,6 +141,11 @@ static int run_held(Instance *m, double span) {
       m->v[DELAYED_INPUT[k]] = m->lines[k].acting;
       if (m->lines[k].count && m->lines[k].waits[m->lines[k].head] < piece - NOW)
         piece = m->lines[k].waits[m->lines[k].head];
+    }
+    for (int k = 0; k < N_SAMPLED; k++) {
+      const double wait = m->v[SAMPLE_STATE[k]];
+      const double next = wait < NOW ? wait + m->v[SAMPLE_PERIOD[k]] : wait;
+      if (next < piece - NOW) piece = next;
     }
     for (int k = 0; k < N_DELAYED; k++)
       if (began[k] && is_observed(m)) nudge(m, k, before[k]);

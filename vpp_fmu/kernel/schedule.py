@@ -1,9 +1,9 @@
 """The schedule of a model's steps: a communication step is cut into pieces in which all inputs are constant.
 
-A piece ends where a delayed command begins to act, and is cut into equal steps no longer than the model's largest step. A
-delay is thus exact at any communication step, and every form that is exact for held inputs stays exact behind it. A
-sampled law runs when its sample is due. `schedule.c` is the same text in C; both must do the same arithmetic in the same
-order, since results are compared bit by bit. This file is part of the Python FMU.
+A piece ends where a delayed command begins to act or a sampled effect is due, and is cut into equal steps no longer than the
+model's largest step. A delay is thus exact at any communication step, and every form that is exact for held inputs stays exact
+behind it. A sampled law runs when its sample is due. `schedule.c` is the same text in C; both must do the same arithmetic in
+the same order, since results are compared bit by bit. This file is part of the Python FMU.
 """
 
 from math import ceil, isinf
@@ -55,12 +55,13 @@ class DelayLine:
             self.span -= piece
 
 
-def run_held(lines, delays, inputs, span, largest, step, nudge=None):
+def run_held(lines, delays, inputs, span, largest, step, nudge=None, due=tuple):
     """Advance a continuous model by `span` seconds under `inputs` that the caller holds.
 
     `lines`: DelayLine or None for each input; `delays`: the seconds each is held back; `largest`: the longest step allowed.
     `step(acting inputs, dt)` takes one step. When a delayed command begins to act, `nudge(k, old, new)` is called, for the
-    tangents: the delay of the k-th delayed input determines when the inputs change from `old` to `new`.
+    tangents: the delay of the k-th delayed input determines when the inputs change from `old` to `new`. `due()`: for each
+    sampled effect the time until its next sample, after one that is due now.
     """
     delayed = [(i, line) for i, line in enumerate(lines) if line is not None]
     for i, line in delayed:
@@ -75,6 +76,9 @@ def run_held(lines, delays, inputs, span, largest, step, nudge=None):
             acting[i] = line.acting
             if line.waits and line.waits[0] < piece - NOW:
                 piece = line.waits[0]
+        for wait in due():
+            if wait < piece - NOW:
+                piece = wait
         if nudge is not None:
             for k, (i, _) in enumerate(delayed):
                 if began[k]:
@@ -87,6 +91,11 @@ def run_held(lines, delays, inputs, span, largest, step, nudge=None):
         left -= piece
         if left <= NOW:
             return
+
+
+def next_sample(wait, period):
+    """The time until the next sample of an effect, after one that is due now."""
+    return wait + period if wait < NOW else wait
 
 
 def run_sampled(wait, period, span, step):

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 
 from vpp_fmu.kernel.ops import NUMBERS
-from vpp_fmu.kernel.schedule import DelayLine, run_held, run_sampled
-from vpp_fmu.kernel.types import INSTANT, Model, largest_step, start, step
+from vpp_fmu.kernel.schedule import DelayLine, next_sample, run_held, run_sampled
+from vpp_fmu.kernel.types import Model, largest_step, show, start, step
 
 
 class Simulation:
@@ -26,26 +26,31 @@ class Simulation:
     def start(self, inputs: Mapping[str, float], states: Mapping[str, float] | None = None) -> dict[str, float]:
         """Settle on `inputs`, by name; measured ones may be missing. Returns the outputs.
 
-        `states`: initial values that replace settled ones, by full name; the outputs are then those after a step of INSTANT.
+        `states`: initial values that replace settled ones, by full name; the outputs are then those at these states.
         """
-        self._inputs = self._complete(inputs)
+        self.inputs = self._complete(inputs)
         self._lines = [
-            None if delay is None else DelayLine(u) for delay, u in zip(self._delays, self._inputs.values(), strict=True)
+            None if delay is None else DelayLine(u) for delay, u in zip(self._delays, self.inputs.values(), strict=True)
         ]
         self._wait = 0.0
-        self.signals, self.states = start(self.model, NUMBERS, self._inputs, self.parameters)
+        if self.model.black_box is not None:
+            self.signals, self.states, self._memory = {y.name: y.start for y in self.model.outputs}, {}, {}
+            return self.outputs
+        self.signals, self.states = start(self.model, NUMBERS, self.inputs, self.parameters)
         if states:
             self.states |= states
             if self.model.sample_time is None:
-                self.signals, _ = step(self.model, NUMBERS, self._inputs, self.states, self.parameters, INSTANT)
+                self.signals = show(self.model, NUMBERS, self.inputs, self.states, self.parameters)
         return self.outputs
 
     def advance(self, inputs: Mapping[str, float], dt: float) -> dict[str, float]:
         """Hold `inputs` for one communication step of dt seconds; returns the outputs at its end."""
-        self._inputs = self._complete(inputs)
-        values = list(self._inputs.values())
-        if self.model.sample_time is None:
-            run_held(self._lines, self._delays, values, dt, self._largest, self._step)
+        self.inputs = self._complete(inputs)
+        values = list(self.inputs.values())
+        if self.model.black_box is not None:
+            self.signals = self.model.black_box(self._memory, {**self.inputs, **self.parameters}, dt)
+        elif self.model.sample_time is None:
+            run_held(self._lines, self._delays, values, dt, self._largest, self._step, due=self._due)
         else:
             period = self.parameters[self.model.sample_time]
             self._wait = run_sampled(self._wait, period, dt, lambda period: self._step(values, period))
@@ -55,6 +60,9 @@ class Simulation:
     def outputs(self) -> dict[str, float]:
         """The present outputs by name."""
         return {s.name: self.signals[s.name] for s in self.model.outputs}
+
+    def _due(self) -> list[float]:
+        return [next_sample(self.states[wait], self.parameters[period]) for wait, period in self.model.sampled]
 
     def _complete(self, inputs: Mapping[str, float]) -> dict[str, float]:
         given = self.model.measured_inputs | dict(inputs)

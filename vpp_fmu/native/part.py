@@ -27,7 +27,7 @@ class InterpretedPart:
     def __init__(self, model: Model):
         program = trace(model)
         self._model, self._layout, self._code = model, program.layout, {}
-        exec("from math import exp, expm1, sqrt, sin, cos, tanh\n" + python_source(program), self._code)
+        exec(python_source(program), self._code)
         self._first, self._last = len(model.inputs), len(model.inputs) + len(model.outputs)
 
     def begin(self, parameters: Sequence[float], inputs: Sequence[float]) -> list[float]:

@@ -1,12 +1,15 @@
 """A traced program as text: Python (for the Python FMU, and where there is no compiler) and C."""
 
+import re
 from collections import Counter
-from collections.abc import Callable, Container, Sequence
-from itertools import takewhile
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from hashlib import sha256
+from importlib.resources import files
 from math import isinf
+from types import MappingProxyType
 
 from vpp_fmu.kernel.ops import WHOLE
-from vpp_fmu.tracer.graph import CALLS, COMPARE, Node, needed
+from vpp_fmu.tracer.graph import CALLS, COMPARE, TABLES, Node, needed
 from vpp_fmu.tracer.program import Program, Write
 
 ONCE = """#if defined(__clang__)
@@ -16,12 +19,17 @@ ONCE = """#if defined(__clang__)
 #else
 #define ONCE
 #endif
+#ifdef __GNUC__
+#define APART __attribute__((noinline))
+#else
+#define APART
+#endif
 """
-"""Marks functions that run once per simulation: optimising them takes longer than it saves."""
+"""Marks functions that run once per simulation: optimising them takes longer than it saves; and parts of a long function."""
 
 
 def python_source(program: Program) -> str:
-    """Functions `start(v, d)`, `prepare(v, dt, dt_tangent) -> c`, `step(v, c, d)` and `largest_step(v)`.
+    """Functions `start(v, d)`, `prepare(v, dt, dt_tangent) -> c`, `step(v, c, d)`, `largest_step(v)` and `show(v)`.
 
     `v` is the list of values by `Layout.index`; `d` the tangents of `Layout.moving`, flat, `len(wrt)` for each value.
     """
@@ -34,7 +42,7 @@ def python_source(program: Program) -> str:
         )
 
     def body(writes: tuple[Write, ...]) -> list[str]:
-        lines, values = _statements(writes, name, _python_operation, "{0} = {1}")
+        lines, values = _statements(writes, name, "{0} = {1}")
         if writes and writes[0][0][0] in "vd":
             return [
                 *lines,
@@ -42,14 +50,22 @@ def python_source(program: Program) -> str:
             ]
         return [*lines, f"return {', '.join(values[t] for t, _ in writes)}" + ("," if writes[0][0][0] == "c" else "")]
 
+    blocks = (program.start, program.prepare, program.step, program.show)
+    tables = [f"{name} = {', '.join(map(repr, parts))}\n" for name, parts in _tables(blocks).items()]
     constants = "".join(f"c{i}, " for i in range(len(program.prepare)))
     functions = (
         ("start(v, d)", body(program.start)),
         ("prepare(v, dt, dt_tangent)", body(program.prepare) if program.prepare else ["return ()"]),
         ("step(v, c, d)", ([f"{constants}= c"] if constants else []) + body(program.step)),
         ("largest_step(v)", body(program.largest_step)),
+        ("show(v)", body(program.show)),
     )
-    return "\n\n\n".join(f"def {head}:\n" + "\n".join("    " + line for line in lines) for head, lines in functions) + "\n"
+    defined = [f"def {head}:\n" + "\n".join("    " + line for line in lines) + "\n" for head, lines in functions]
+    imports = [
+        f"from math import {', '.join(CALLS)}\n",
+        *["from vpp_fmu.kernel.tables import look_up, look_up_2\n"] * bool(tables),
+    ]
+    return "\n\n".join(["".join([*imports, *tables]), *defined])
 
 
 def c_source(program: Program) -> str:
@@ -77,12 +93,19 @@ def c_source(program: Program) -> str:
         "N_TANGENTS": max(1, width * len(layout.moving)),
         "N_DELAYED": len(model.delays),
         "N_DELAYED_OR_1": len(delayed),
+        "N_SAMPLED": len(model.sampled),
         "SAMPLED": int(bool(model.sample_time)),
         "SAMPLE_TIME": sample_time,
     }
     parts = ["#include <math.h>\n", ONCE, *(f"#define {k} {n}\n" for k, n in sizes.items())]
+    parts.append(_c_library((program.start, program.prepare, program.step, program.show)))
     parts.append(f"static const int DELAYED_INPUT[] = {{{', '.join(map(str, delayed))}}};\n")
     parts.append(f"static const int DELAY_PARAMETER[] = {{{', '.join(map(str, delays))}}};\n")
+    for array, positions in (
+        ("SAMPLE_STATE", [at["state", x] for x, _ in model.sampled]),
+        ("SAMPLE_PERIOD", [at["parameter", p] for _, p in model.sampled]),
+    ):
+        parts.append(f"static const int {array}[] = {{{', '.join(map(str, positions or [0]))}}};\n")
     columns = [program.wrt.index(p) if p in program.wrt else -1 for _, p in model.delays] or [-1]
     parts.append(f"static const int DELAY_COLUMN[] = {{{', '.join(map(str, columns))}}};\n")
     plain = tuple((target, value) for target, value in program.step if target[0] != "d")
@@ -92,6 +115,7 @@ def c_source(program: Program) -> str:
         ("void step(double *v, const double *c, double *d)", program.step),
         *([("void step_values(double *v, const double *c)", plain)] if width else []),
         ("double largest_step(const double *v)", program.largest_step),
+        ("ONCE void show(double *v)", program.show),
     ):
         parts.append(c_function(head, writes, name))
     return "".join(parts)
@@ -103,14 +127,15 @@ LANES = 8
 
 def c_lanes(program: Program) -> str:
     """`step` without tangents as static C on LANES sets of values at once, with the same arithmetic. "" if runs may take
-    different steps: for a model that is sampled, or delays its inputs.
+    different steps: for a model that is sampled, has sampled effects, or delays its inputs.
 
     Compilers vectorise only loops that call no function, so HEAVY operations are in loops of their own."""
-    if program.model.sample_time or program.model.delays:
+    if program.model.sample_time or program.model.delays or program.model.sampled:
         return ""
     writes = tuple((target, value) for target, value in program.step if target[0] != "d")
     loops, arrays, last = _loops(writes)
-    statements, stores = _c_statements(writes, lambda target: f"{target[0]}[{target[1]}][k]", arrays)
+    places = {n: f"t{n.number}[k]" for n in arrays}
+    statements, stores = _c_statements(writes, lambda target: f"{target[0]}[{target[1]}][k]", places)
     head = "static inline void step_lanes(double (*restrict v)[LANES], const double (*restrict c)[LANES])"
     code = [f"\n#define LANES {LANES}\n__attribute__((always_inline)) {head} {{\n"]
     code += [f"  double t{number}[LANES];\n" for number in sorted(n.number for n in arrays)]
@@ -123,15 +148,107 @@ def c_lanes(program: Program) -> str:
 def c_function(head: str, writes: tuple[Write, ...], name: Callable) -> str:
     """A static C function that does `writes`; `name(target or leaf)` is its C expression."""
     statements, stores = _c_statements(writes, name)
+    if len(statements) > LONG and all(kind != "d" for (kind, *_), _ in writes):
+        return _c_parts(head, writes, name)
     lines = [line for _, own in statements for line in own] + stores
     return "".join([f"\nstatic {head} {{\n", *(f"  {line}\n" for line in lines), "}\n"])
 
 
-HEAVY = frozenset(CALLS) - {"sqrt"}
+def _tables(blocks: Iterable[tuple[Write, ...]]) -> dict[str, tuple]:
+    """The tables that these blocks read, by name."""
+    if not _library(blocks) & set(TABLES):
+        return {}
+    return {_table_name(n): tuple(n.table[0]) for n in needed(v for writes in blocks for _, v in writes) if n.op in TABLES}
+
+
+def _library(blocks: Iterable[tuple[Write, ...]]) -> set[str]:
+    """The operations of the blocks' graph that need the library."""
+    return next((value.graph.library for writes in blocks for _, value in writes if isinstance(value, Node)), set())
+
+
+def _table_name(n: Node) -> str:
+    return f"TABLE_{sha256(repr(n.table[0]).encode()).hexdigest()[:12]}"
+
+
+def _c_library(blocks: Sequence[tuple[Write, ...]]) -> str:
+    """What these blocks call beside C's library: tables with their functions, and a power that no compiler replaces."""
+    parts, used = [], _library(blocks)
+    if "pow" in used:  # compilers replace pow(x, 2.0) by x * x, which Python does not
+        parts.append("static double (*const volatile power)(double, double) = pow;\n")
+    if used & set(TABLES):
+        parts.append((files("vpp_fmu.kernel") / "tables.c").read_text(encoding="utf-8"))
+    for name, arrays in _tables(blocks).items():
+        for k, numbers in enumerate(arrays):
+            if numbers:
+                parts.append(f"static const double {name}_{k}[] = {{{', '.join(map(repr, numbers))}}};\n")
+    return "".join(parts)
+
+
+LONG, PART = 3000, 100
+"""Statements from which on a function is cut into parts, and those of a part: the time to compile a function without branches
+grows faster than its length."""
+
+
+def _c_parts(head: str, writes: tuple[Write, ...], name: Callable) -> str:
+    """The same in functions of PART statements, which leave in an array `m` what later ones need."""
+    order = needed(value for _, value in writes)
+    homes, outer = _homes(order, writes), {}
+    for n in order:
+        outer[n] = _outermost(n, homes[n])
+    alone = [n for n in order if not homes[n].depth]
+    part = {n.number: k // PART for k, n in enumerate(alone)}
+    later = {value for _, value in writes if isinstance(value, Node)}  # the last function stores them
+    reads: dict[Node, set[Node]] = {}
+    for n in order:  # a comparison is computed where it is used
+        reads[n] = set().union(*(reads[a] if a.op in COMPARE else {a} for a in n.nodes))
+        later |= {a for a in reads[n] if part[outer[a]] != part[outer[n]]}
+    later |= set().union(*(reads[value] for value in later if value.op in COMPARE))
+    places = {n: f"m[{k}]" for k, n in enumerate(n for n in alone if n in later and n.op not in COMPARE)}
+    statements, stores = _c_statements(writes, name, places)
+    once, kind, function, arguments = re.fullmatch(r"(ONCE |)(\w+) (\w+)\((.*)\)", head).groups()
+    passed = ", ".join(re.split(r"\W+", argument)[-1] for argument in arguments.split(", "))
+    text, calls = [], []
+    for k in range(0, len(statements), PART):
+        lines = [line for _, own in statements[k : k + PART] for line in own]
+        text += [
+            f"\nAPART {once}static void {function}_{k}({arguments}, double *m) {{\n",
+            *(f"  {line}\n" for line in lines),
+            "}\n",
+        ]
+        calls.append(f"{function}_{k}({passed}, m);")
+    lines = [f"double m[{max(1, len(places))}];", *calls, *stores]
+    return "".join([*text, f"\nstatic {kind} {function}({arguments}) {{\n", *(f"  {line}\n" for line in lines), "}\n"])
+
+
+def _outermost(n: Node, place: "Place") -> int:
+    """The number of the node at the outermost place within whose statement a node at this place is."""
+    while place.depth > 1:
+        place = place.outer
+    return place.choice if place.depth else n.number
+
+
+HEAVY = frozenset((*CALLS, *TABLES)) - {"sqrt"}
 """Operations that cost as much as some twenty others: if only one side of a choice needs them, they are computed there."""
 
-Path = tuple[tuple[int, int], ...]
-"""Place of a statement: number of a choice and its side (1 or 2), from the outermost inwards."""
+DEEPEST = 32
+"""Most choices within each other: compilers and Python's parser limit the depth of brackets."""
+
+
+class Place:
+    """Place of a statement: side 1 or 2 of the choice number `choice`, within another place; the outermost has no `outer`."""
+
+    __slots__ = ("choice", "depth", "known", "outer", "side")
+
+    def __init__(self, outer: "Place | None" = None, choice: int = -1, side: int = 0):
+        self.outer, self.choice, self.side, self.known = outer, choice, side, {}
+        self.depth: int = outer.depth + 1 if outer else 0
+
+    def within(self, choice: int, side: int) -> "Place":
+        """The place of one side of a choice that is here; each exists once."""
+        key = (choice, side)
+        if key not in self.known:
+            self.known[key] = Place(self, choice, side)
+        return self.known[key]
 
 
 def _loops(writes: tuple[Write, ...]) -> tuple[dict[Node, int], set[Node], int]:
@@ -140,16 +257,17 @@ def _loops(writes: tuple[Write, ...]) -> tuple[dict[Node, int], set[Node], int]:
     Even loops have no HEAVY operations; an odd one has those that need only the loops before it. The last is even, and stores.
     """
     order = needed(value for _, value in writes)
-    homes = _homes(order, writes)
-    outer = {n: n.number if not homes[n] else homes[n][0][0] for n in order}
+    homes, outer = _homes(order, writes), {}
+    for n in order:
+        outer[n] = _outermost(n, homes[n])
     heavy = {outer[n] for n in order if n.op in HEAVY}
     ready: dict[Node, int] = {}  # the even loop from which a value can be used
     loops: dict[Node, int] = {}
     for n in order:
         ready[n] = max((ready[a] for a in n.nodes), default=0)
-        if not homes[n] and n.number in heavy:
+        if not homes[n].depth and n.number in heavy:
             loops[n], ready[n] = ready[n] + 1, ready[n] + 2
-        elif not homes[n]:
+        elif not homes[n].depth:
             loops[n] = ready[n]
     last = max(loops.values(), default=0)
     last += last % 2
@@ -162,13 +280,14 @@ def _loops(writes: tuple[Write, ...]) -> tuple[dict[Node, int], set[Node], int]:
 
 
 def _c_statements(
-    writes: tuple[Write, ...], name: Callable, arrays: Container[Node] = ()
+    writes: tuple[Write, ...], name: Callable, places: Mapping[Node, str] = MappingProxyType({})
 ) -> tuple[list[tuple[Node, list[str]]], list[str]]:
-    """(for each node at the outermost place the lines that compute it, lines that store or return the values). `arrays`: nodes
-    whose values are elements k of an array."""
+    """(for each node at the outermost place the lines that compute it, lines that store or return the values). `places`:
+    elements of arrays that hold the values of nodes."""
     order, form = needed(value for _, value in writes), "const double {0} = {1};"
-    homes, text = _homes(order, writes), {}
-    inside: dict[Path, list[Node]] = {}
+    outermost = Place()
+    homes, text = _homes(order, writes, outermost), {}
+    inside: dict[Place, list[Node]] = {}
     for n in order:
         inside.setdefault(homes[n], []).append(n)
 
@@ -177,56 +296,73 @@ def _c_statements(
 
     def statement(n: Node) -> list[str]:
         if n.op in COMPARE:
-            text[n] = f"({_c_operation(n.op, [said(a) for a in n.args])})"
+            text[n] = f"({_operation(n, [said(a) for a in n.args], True)})"
             return []
-        text[n] = f"t{n.number}[k]" if n in arrays else f"t{n.number}"
-        sides = [(*homes[n], (n.number, side)) for side in (1, 2)]
-        if n.op == "where" and any(side in inside for side in sides):
-            lines = [f"double {text[n]};"] * (n not in arrays)
+        text[n] = places.get(n, f"t{n.number}")
+        sides = [homes[n].within(n.number, side) for side in (1, 2)] if n.op == "where" else []
+        if any(side in inside for side in sides):
+            lines = [f"double {text[n]};"] * (n not in places)
             for head, side, value in zip((f"if ({said(n.args[0])}) {{", "} else {"), sides, n.args[1:], strict=True):
                 lines += [head, *(f"  {line}" for line in block(side)), f"  {text[n]} = {said(value)};"]
             return [*lines, "}"]
-        code = _c_operation(n.op, [said(a) for a in n.args]) if n.nodes else name((n.op, *n.args))
-        return [f"{text[n]} = {code};" if n in arrays else form.format(text[n], code)]
+        code = _operation(n, [said(a) for a in n.args], True) if n.nodes else name((n.op, *n.args))
+        return [f"{text[n]} = {code};" if n in places else form.format(text[n], code)]
 
-    def block(path: Path) -> list[str]:
+    def block(path: Place) -> list[str]:
         return [line for n in inside.get(path, ()) for line in statement(n)]
 
-    statements = [(n, statement(n)) for n in inside.get((), ())]
+    statements = [(n, statement(n)) for n in inside.get(outermost, ())]
     return statements, [f"{name(t)} = {said(v)};" if t != ("result",) else f"return {said(v)};" for t, v in writes]
 
 
-def _homes(order: Sequence[Node], writes: tuple[Write, ...]) -> dict[Node, Path]:
+def _homes(order: Sequence[Node], writes: tuple[Write, ...], outermost: Place | None = None) -> dict[Node, Place]:
     """For each node the innermost place that is visible to all its users; choices without HEAVY operations have no place."""
-    homes: dict[Node, Path] = {value: () for _, value in writes if isinstance(value, Node)}
+    outermost = outermost or Place()
+    homes: dict[Node, Place] = {value: outermost for _, value in writes if isinstance(value, Node)}
     for n in reversed(order):  # all users of a node come later
         for k, a in enumerate(n.args):
             if isinstance(a, Node):
-                there = (*homes[n], (n.number, k)) if n.op == "where" and k else homes[n]
+                there = homes[n].within(n.number, k) if n.op == "where" and k and homes[n].depth < DEEPEST else homes[n]
                 homes[a] = _shared(homes[a], there) if a in homes else there
-    opened = {homes[n][:k] for n in order if n.op in HEAVY for k in range(len(homes[n]) + 1)} | {()}
-    return {n: next(home[:k] for k in range(len(home), -1, -1) if home[:k] in opened) for n, home in homes.items()}
+    opened = {outermost}
+    for n in order:
+        place = homes[n]
+        while n.op in HEAVY and place not in opened:
+            opened.add(place)
+            place = place.outer
+    return {n: _innermost(place, opened) for n, place in homes.items()}
 
 
-def _shared(one: Path, other: Path) -> Path:
-    """Common beginning of two paths."""
-    same = [a for a, b in takewhile(lambda pair: pair[0] == pair[1], zip(one, other, strict=False))]
-    return tuple(same)
+def _innermost(place: Place, opened: Container[Place]) -> Place:
+    while place not in opened:
+        place = place.outer
+    return place
 
 
-def _statements(writes, name: Callable, operation: Callable, form: str):
-    """Code for `writes`: (statements in order, expression of each target's value)."""
+def _shared(one: Place, other: Place) -> Place:
+    """The innermost place that contains both."""
+    while one is not other:
+        if one.depth >= other.depth:
+            one = one.outer
+        else:
+            other = other.outer
+    return one
+
+
+def _statements(writes, name: Callable, form: str):
+    """Python code for `writes`: (statements in order, expression of each target's value)."""
     order = needed(value for _, value in writes)
     uses = Counter(value for _, value in writes if isinstance(value, Node))
     uses.update(a for n in order for a in n.nodes)
-    lines, text = [], {}
+    lines, text, depth = [], {}, {}
     for n in order:
         args = [text[a] if isinstance(a, Node) else _number(a, form) for a in n.args] if n.nodes else None
-        code = operation(n.op, args) if args else name((n.op, *n.args))
-        if n.op in COMPARE or uses[n] == 1 or n.op in ("c", "dt"):
-            text[n] = f"({code})" if args and n.op not in CALLS else code
+        code = _operation(n, args, False) if args else name((n.op, *n.args))
+        depth[n] = 1 + max((depth[a] for a in n.nodes), default=0)
+        if n.op in COMPARE or n.op in ("c", "dt") or (uses[n] == 1 and depth[n] < DEEPEST):
+            text[n] = f"({code})" if args and n.op not in (*CALLS, *TABLES) else code
         else:
-            text[n] = f"t{len(lines)}"
+            text[n], depth[n] = f"t{len(lines)}", 0
             lines.append(form.format(text[n], code))
     return lines, {t: text[v] if isinstance(v, Node) else _number(v, form) for t, v in writes}
 
@@ -237,21 +373,36 @@ def _number(x: float, form: str) -> str:
     return f"({float(x)!r})" if x < 0 else repr(float(x))
 
 
-def _python_operation(op: str, x: list[str]) -> str:
-    if op == "where":
-        return f"{x[1]} if {x[0]} else {x[2]}"
-    if op == "neg":
-        return f"-{x[0]}"
-    if op == "whole":
-        return f"{x[0]} + {WHOLE!r} - {WHOLE!r}"
-    return f"{op}({x[0]})" if op in CALLS else f"{x[0]} {op} {x[1]}"
+INFIX = frozenset(("+", "-", "*", "/", *COMPARE)) - {"&", "|"}
 
 
-def _c_operation(op: str, x: list[str]) -> str:
-    if op == "where":
-        return f"{x[0]} ? {x[1]} : {x[2]}"
-    if op == "neg":
-        return f"-{x[0]}"
-    if op == "whole":
-        return f"{x[0]} + {WHOLE!r} - {WHOLE!r}"
-    return f"{op}({x[0]})" if op in CALLS else f"{x[0]} {op} {x[1]}"
+def _operation(n: Node, x: list[str], in_c: bool) -> str:
+    """The operation of a node on its arguments `x`, in C or in Python."""
+    if n.op in INFIX:
+        return f"{x[0]} {n.op} {x[1]}"
+    match n.op:
+        case "where":
+            return f"{x[0]} ? {x[1]} : {x[2]}" if in_c else f"{x[1]} if {x[0]} else {x[2]}"
+        case "neg":
+            return f"-{x[0]}"
+        case "whole":
+            return f"{x[0]} + {WHOLE!r} - {WHOLE!r}"
+        case "&" | "|" if in_c:
+            return f"{x[0]} {n.op * 2} {x[1]}"
+        case "&" | "|":
+            return f"{x[0]} {'and' if n.op == '&' else 'or'} {x[1]}"
+        case "pow" if in_c:
+            return f"power({x[0]}, {x[1]})"
+        case "look_up" | "look_up_2":
+            return f"{n.op}({', '.join([*x, *_table_arguments(n, in_c), *map(str, n.table[1:])])})"
+    return f"{n.op}({', '.join(x)})"
+
+
+def _table_arguments(n: Node, in_c: bool) -> list[str]:
+    """Sizes and arrays of a node's table."""
+    name, parts = _table_name(n), n.table[0]
+    arrays = [(f"{name}_{k}" if in_c else f"{name}[{k}]") if part else "0" if in_c else "None" for k, part in enumerate(parts)]
+    if n.op == "look_up":
+        return [str(len(parts.xs)), *arrays]
+    sized = [str(len(parts.xs)), arrays[0], str(len(parts.ys)), arrays[1], arrays[2]]
+    return [*sized, str(int(len(parts.grid) > len(parts.xs) * len(parts.ys)))] if in_c else sized

@@ -1,61 +1,54 @@
 """Recording arithmetic: the computation of a kernel function on symbols becomes a graph of operations.
 
-Operations that can't be recorded raise Unseen, a TypeError: `if`, `and`, `==`, `max`, `**`, `math.exp` on a traced value.
+Operations that can't be recorded raise Unseen, a TypeError: `if`, `and`, `max`, `math.exp` on a traced value.
 """
 
 from collections.abc import Iterable
 
 from vpp_fmu.kernel.ops import NUMBERS, Ops, Symbolic
+from vpp_fmu.kernel.tables import Curve, Surface
 
-CALLS = ("exp", "expm1", "sqrt", "sin", "cos", "tanh")
-COMPARE = ("<", ">")
+CALLS = ("exp", "expm1", "log", "log10", "pow", "sqrt", "sin", "cos", "tanh", "atan2")
+"""Functions of C's and Python's maths libraries, under the same names."""
+
+TABLES = ("look_up", "look_up_2")
+COMPARE = ("<", ">", "<=", ">=", "==", "!=", "&", "|")
+"""Operations whose result is a condition, which has no derivative."""
 
 
 class Node(Symbolic):
     """One operation of a graph on `args`: nodes and numbers.
 
     Leaves have whole numbers for arguments: `v` a value by its position, `d` a tangent, `c` a prepared constant, `dt` the
-    step, `dt_tangent` the step's tangent in a delay.
+    step, `dt_tangent` the step's tangent in a delay. Tables have theirs, and the orders of the derivative, in `table`.
     """
 
-    __slots__ = ("args", "graph", "nodes", "number", "op")
+    __slots__ = ("args", "graph", "nodes", "number", "op", "table")
 
-    def __init__(self, graph: "Graph", op: str, args: tuple, number: int):
-        self.graph, self.op, self.args, self.number = graph, op, args, number
+    def __init__(self, graph: "Graph", op: str, args: tuple, number: int, table: tuple = ()):
+        self.graph, self.op, self.args, self.number, self.table = graph, op, args, number, table
         self.nodes = tuple(a for a in args if isinstance(a, Node))  # none for a leaf
-
-    def __add__(self, other):
-        return self.graph.node("+", self, other)
-
-    def __radd__(self, other):
-        return self.graph.node("+", other, self)
-
-    def __sub__(self, other):
-        return self.graph.node("-", self, other)
-
-    def __rsub__(self, other):
-        return self.graph.node("-", other, self)
-
-    def __mul__(self, other):
-        return self.graph.node("*", self, other)
-
-    def __rmul__(self, other):
-        return self.graph.node("*", other, self)
-
-    def __truediv__(self, other):
-        return self.graph.node("/", self, other)
-
-    def __rtruediv__(self, other):
-        return self.graph.node("/", other, self)
 
     def __neg__(self):
         return self.graph.node("neg", self)
 
-    def __lt__(self, other):
-        return self.graph.node("<", self, other)
+    __hash__ = object.__hash__
 
-    def __gt__(self, other):
-        return self.graph.node(">", self, other)
+
+def _recorded(op: str, swapped: bool):
+    def method(self, other):
+        if isinstance(other, tuple):  # a vector: it has the operation for each of its elements
+            return NotImplemented
+        return self.graph.node(op, other, self) if swapped else self.graph.node(op, self, other)
+
+    return method
+
+
+for _name, _op in {"add": "+", "sub": "-", "mul": "*", "truediv": "/", "pow": "pow", "and": "&", "or": "|"}.items():
+    setattr(Node, f"__{_name}__", _recorded(_op, False))
+    setattr(Node, f"__r{_name}__", _recorded(_op, True))
+for _name, _op in {"lt": "<", "gt": ">", "le": "<=", "ge": ">=", "eq": "==", "ne": "!="}.items():
+    setattr(Node, f"__{_name}__", _recorded(_op, False))
 
 
 class Graph(Ops):
@@ -63,40 +56,45 @@ class Graph(Ops):
 
     def __init__(self):
         self._known: dict[tuple, Node] = {}
+        self.library: set[str] = set()
+        """Recorded operations that the languages do not have as Python has them: powers and tables."""
 
-    def node(self, op: str, *args) -> Node:
+    def node(self, op: str, *args, table: tuple = ()) -> Node:
         """The node for `op` on `args`: a new one, or the existing one."""
         key = (op, *(a.number if isinstance(a, Node) else repr(float(a)) for a in args))
+        if table:
+            key += (id(table[0]), *table[1:])  # a node keeps its table, so no other has this id
         if key not in self._known:
-            self._known[key] = Node(self, op, args, len(self._known))
+            self._known[key] = Node(self, op, args, len(self._known), table)
+            if table or op == "pow":
+                self.library.add(op)
         return self._known[key]
+
+    def rebuilt(self, n: Node, args: Iterable) -> Node:
+        """The operation of a node on other arguments."""
+        return self.node(n.op, *args, table=n.table)
 
     def where(self, condition, yes, no):
         return self.node("where", condition, yes, no) if isinstance(condition, Node) else NUMBERS.where(condition, yes, no)
 
-    def whole(self, x):
-        return self._call("whole", x)
+    def look_up(self, x, c: Curve, order=0):
+        return self.node("look_up", x, table=(c, order)) if isinstance(x, Node) else NUMBERS.look_up(x, c, order)
 
-    def exp(self, x):
-        return self._call("exp", x)
+    def look_up_2(self, x, y, c: Surface, order_x=0, order_y=0):
+        if not isinstance(x, Node) and not isinstance(y, Node):
+            return NUMBERS.look_up_2(x, y, c, order_x, order_y)
+        return self.node("look_up_2", x, y, table=(c, order_x, order_y))
 
-    def expm1(self, x):
-        return self._call("expm1", x)
 
-    def sqrt(self, x):
-        return self._call("sqrt", x)
+def _called(name: str):
+    def method(self, *x):
+        return self.node(name, *x) if any(isinstance(a, Node) for a in x) else getattr(NUMBERS, name)(*x)
 
-    def sin(self, x):
-        return self._call("sin", x)
+    return method
 
-    def cos(self, x):
-        return self._call("cos", x)
 
-    def tanh(self, x):
-        return self._call("tanh", x)
-
-    def _call(self, name, x):
-        return self.node(name, x) if isinstance(x, Node) else getattr(NUMBERS, name)(x)
+for _name in ("whole", *CALLS):
+    setattr(Graph, _name, _called(_name))
 
 
 def needed(values: Iterable[object]) -> list[Node]:

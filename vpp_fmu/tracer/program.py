@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property, reduce
 from operator import or_
 
-from vpp_fmu.kernel.types import Model, largest_step, start, step
+from vpp_fmu.kernel.types import Model, largest_step, show, start, step
 from vpp_fmu.tracer.graph import COMPARE, Graph, Node, needed
 from vpp_fmu.tracer.tangents import tangents
 
@@ -52,7 +52,7 @@ constant, ("result",) a scalar that is returned."""
 
 @dataclass(frozen=True)
 class Program:
-    """A traced model: the writes of `start`, `prepare`, `step` and `largest_step`."""
+    """A traced model: the writes of `start`, `prepare`, `step`, `largest_step`, and `show`, of the outputs at given states."""
 
     model: Model
     layout: Layout
@@ -61,6 +61,7 @@ class Program:
     prepare: tuple[Write, ...]
     step: tuple[Write, ...]
     largest_step: tuple[Write, ...]
+    show: tuple[Write, ...]
 
 
 def trace(model: Model, wrt: Iterable[str] = ()) -> Program:
@@ -90,7 +91,9 @@ def trace(model: Model, wrt: Iterable[str] = ()) -> Program:
     moved = tuple((target, value) for target, value in moved if not (target in zero and _is_zero(value)))
     prepared, moved = _set_apart(graph, moved, set(parameters.values()))
     longest = ((("result",), largest_step(model, graph, parameters)),)
-    return Program(model, layout, wrt, begun, prepared, moved, longest)
+    signals = show(model, graph, inputs, states, parameters)
+    shown = zip(layout.positions("output"), _values(graph, signals, layout.outputs), strict=True)
+    return Program(model, layout, wrt, begun, prepared, moved, longest, tuple((("v", i), value) for i, value in shown))
 
 
 def _influence(states: Sequence[tuple[Node, object, object]]) -> Callable[[Iterable[Node]], set[Node]]:
@@ -120,8 +123,14 @@ def _is_zero(value: object) -> bool:
     return not isinstance(value, Node) and value == 0.0
 
 
+def _values(graph: Graph, values: dict, names: Iterable[str]) -> list:
+    """Values by their names; of a condition 1 or 0."""
+    found = (values[name] for name in names)
+    return [graph.where(v, 1.0, 0.0) if isinstance(v, Node) and v.op in COMPARE else v for v in found]
+
+
 def _writes(graph: Graph, layout: Layout, signals: dict, states: dict, wrt: list[dict[Node, object]]) -> tuple[Write, ...]:
-    values = [signals[n] for n in layout.outputs] + [states[n] for n in layout.states]
+    values = [*_values(graph, signals, layout.outputs), *_values(graph, states, layout.states)]
     writes = [(("v", i), value) for i, value in zip(layout.moving, values, strict=True)]
     order = needed(values)
     for j, leaves in enumerate(wrt):
@@ -161,6 +170,6 @@ def _set_apart(graph: Graph, writes: tuple[Write, ...], parameters: set[Node]) -
 
     for n in order:
         if n not in fixed:
-            moved[n] = graph.node(n.op, *(carried(a) for a in n.args)) if n.nodes else n
+            moved[n] = graph.rebuilt(n, map(carried, n.args)) if n.nodes else n
     stepped = tuple((target, carried(value)) for target, value in writes)
     return tuple(prepared), stepped

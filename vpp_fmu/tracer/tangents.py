@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 
+from vpp_fmu.kernel.ops import LN_10
 from vpp_fmu.tracer.graph import COMPARE, Graph, Node
 
 
@@ -38,6 +39,23 @@ def _rule(graph: Graph, n: Node, d: Sequence[object]):
             return _product(n, d[0])
         case "expm1":
             return _product(n + 1.0, d[0])
+        case "log":
+            return d[0] / x[0]
+        case "log10":
+            return d[0] / (LN_10 * x[0])
+        case "pow":
+            return _sum(
+                0.0 if _is(d[0], 0.0) else _product(x[1] * graph.pow(x[0], x[1] - 1.0), d[0]),
+                0.0 if _is(d[1], 0.0) else _product(n * graph.log(x[0]), d[1]),
+            )
+        case "atan2":
+            return _difference(_product(x[1], d[0]), _product(x[0], d[1])) / (x[0] * x[0] + x[1] * x[1])
+        case "look_up":
+            return _product(graph.look_up(x[0], n.table[0], n.table[1] + 1), d[0])
+        case "look_up_2":
+            c, i, j = n.table
+            along_x = 0.0 if _is(d[0], 0.0) else _product(graph.look_up_2(*x, c, i + 1, j), d[0])
+            return _sum(along_x, 0.0 if _is(d[1], 0.0) else _product(graph.look_up_2(*x, c, i, j + 1), d[1]))
         case "sqrt":
             return d[0] / (2.0 * n)
         case "sin":

@@ -37,12 +37,13 @@ from vpp_fmu.app.api.results import (
     TuneResult,
 )
 from vpp_fmu.app.cli.check import checked
-from vpp_fmu.app.cli.export import exported
+from vpp_fmu.app.cli.export import ABOUT, about, exported, tried
 from vpp_fmu.app.cli.learn import task_of
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.errors import BadInput
-from vpp_fmu.export.description import AUTHOR
+from vpp_fmu.export.own_model import as_model
 from vpp_fmu.files import OutputFolder
+from vpp_fmu.kernel.types import Model
 from vpp_fmu.loop import run
 from vpp_fmu.own_effects import library_with, named
 from vpp_fmu.parameters import ParameterSet, beside, parameters_file
@@ -316,12 +317,17 @@ def export_fmu(
     flavour: str = "python",
     platforms: str = "host",
     fmi: str = "2.0",
-    author: str = AUTHOR,
+    author: str | None = None,
     effects_from: Iterable[PathLike] = (),
     policy: PathLike | Policy | LearnResult | None = None,
+    values: Mapping[str, float] | None = None,
+    **fields: Any,
 ) -> dict[str, Path]:
-    """Write VppPlant and VppController as FMUs, with parameter values (.ssv), reference files and their loop (.ssp).
+    """Write VppPlant and VppController as FMUs, with parameter values (.ssv), reference files and their loop (.ssp); or a
+    model of your own.
 
+    `parameters`: a file, a set or a result; or a Model or Slave, with `values` of its parameters by name. `author`, and
+    `fields` (version, license, copyright, description, stop_time, step_size, tolerance) replace what the model declares.
     `policy`: a learned law in the controller's place, as VppPolicy; `gains` are then those of its fallback.
 
     `gains`: the controller's (a file, a set, values by name; None: the published ones, scaled to the rig's time constant),
@@ -334,7 +340,6 @@ def export_fmu(
     >>> [name for name in files if name.endswith(".fmu")]
     ['VppPlant.fmu', 'VppController.fmu']
     """
-    held = as_parameters(parameters, effects_from)
     for name, found, allowed in (
         ("flavour", flavour, tuple(FLAVOURS)),
         ("platforms", platforms, ("host", "all") if flavour != "python" else ("host",)),
@@ -342,13 +347,26 @@ def export_fmu(
     ):
         if found not in allowed:
             raise BadInput("export_fmu", name, found, f"{' or '.join(allowed)} with flavour {flavour}")
-    controller = rig_controller(held, None if gains is None else as_gains(gains), "gains")
-    if policy is not None:
-        law = policy.policy if isinstance(policy, LearnResult) else policy
-        controller = (law if isinstance(law, Policy) else read_policy(law)).in_place_of(controller)
-    parts = [held, controller]
+    fields["author"] = author
+    if unknown := set(fields) - set(ABOUT):
+        raise BadInput("export_fmu", "argument", ", ".join(sorted(unknown)), f"one of {', '.join(ABOUT)}")
+    if isinstance(parameters, Model | type):
+        if gains is not None or policy is not None:
+            raise BadInput("export_fmu", "gains, policy", "those of a controller with a model of your own", "neither")
+        model = as_model(parameters.__name__ if isinstance(parameters, type) else parameters.name, parameters)
+        parts = [changed(ParameterSet(model), values or {})]
+    else:
+        held = as_parameters(parameters, effects_from)
+        controller = rig_controller(held, None if gains is None else as_gains(gains), "gains")
+        if policy is not None:
+            law = policy.policy if isinstance(policy, LearnResult) else policy
+            controller = (law if isinstance(law, Policy) else read_policy(law)).in_place_of(controller)
+        parts = [changed(held, values or {}), controller]
     target = OutputFolder(folder)
-    files = exported(parts, FLAVOURS[flavour], platforms, author, fmi)
+    parts = [about(part, fields) for part in parts]
+    files = exported(parts, FLAVOURS[flavour], platforms, fmi)
+    if len(parts) == 1:
+        tried(parts[0].model.name, parts[0], files, FLAVOURS[flavour], fmi)
     return {name: target.write(name, content) for name, content in files.items()}
 
 

@@ -3,13 +3,11 @@
 The Python flavour runs wherever pythonfmu does; the native one is compiled C and needs no Python. Written beside each FMU: its
 parameters (.ssv), and inputs with their reference outputs (_in.csv, _ref.csv, _ref.opt)."""
 
-import importlib
 import io
-import sys
 import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from importlib.util import find_spec
-from pathlib import Path
 
 from hil.twin.adaptive import adaptable, adaptive
 from hil.twin.band import read_band
@@ -18,16 +16,15 @@ from identification.tune.profile import reach
 from vpp_fmu import __version__
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.inputs import ADAPT, GAINS, add_plant, read_gains, read_plant
+from vpp_fmu.app.cli.options import real
 from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.export import Experiment, native_fmu, python_fmu
 from vpp_fmu.export.archive import archive
-from vpp_fmu.export.checks import at_line, check_model
 from vpp_fmu.export.cross_check import cross_check_folder, reference_files
-from vpp_fmu.export.description import AUTHOR
+from vpp_fmu.export.own_model import FORM, find_model
 from vpp_fmu.export.toolchain import host, needs_glibc
-from vpp_fmu.export.trial import expected, step_dependence, try_fmu
-from vpp_fmu.kernel.types import Model
+from vpp_fmu.export.trial import step_dependence, try_fmu
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import ParameterSet, beside, check_same_model, read_parameters, to_ssv
 from vpp_fmu.policy import read_policy
@@ -38,6 +35,21 @@ SUFFIX = {"python": "", "native": ".native"}
 FMI_3 = ".fmi3"
 FLAT = ".flat"
 """Suffix of the loop without system connectors, for importers that do not support them."""
+
+
+SECONDS = real(0.0, 1e9, "s", above=True)
+
+ABOUT: Mapping[str, tuple[Callable, str]] = {
+    "author": (str, "who made the model; this and the next ones are for the FMUs (default: as the model declares)"),
+    "version": (str, "version of the model"),
+    "license": (str, "the model's licence"),
+    "copyright": (str, "the model's copyright"),
+    "description": (str, "the model in words"),
+    "stop_time": (SECONDS, "end of the default experiment, s"),
+    "step_size": (SECONDS, "its communication step, s"),
+    "tolerance": (real(0.0, 1.0, above=True), "its relative tolerance"),
+}
+"""Fields of a Model that an export may replace, with their types."""
 
 
 def configure(parser):
@@ -53,10 +65,10 @@ def configure(parser):
     parser.add_argument("--platforms", choices=("host", "all"), default="host", help=text)
     text = "of the standard (default: %(default)s); 3.0 for native FMUs, written as .fmi3.fmu"
     parser.add_argument("--fmi", choices=("2.0", "3.0"), default="2.0", help=text)
-    parser.add_argument(
-        "--author", metavar="NAME", default=AUTHOR, help="who made the model, for the FMUs (default: %(default)s)"
-    )
-    parser.add_argument("--model", metavar="PACKAGE.MODULE:NAME", help="export this model instead of plant and controller")
+    parser.add_argument("--model", metavar="MODEL", help=f"export this model instead of plant and controller: {FORM}")
+    for field, (kind, text) in ABOUT.items():
+        name = "--model-version" if field == "version" else f"--{field.replace('_', '-')}"
+        parser.add_argument(name, dest=f"about_{field}", metavar="TEXT" if kind is str else "X", type=kind, help=text)
     text = "also write cross_check.zip: FMUs, references and how to check, in the folders of the FMI project's cross-check"
     parser.add_argument("--cross-check", action="store_true", help=text)
     add_output(parser)
@@ -64,17 +76,19 @@ def configure(parser):
 
 def run(options):
     _check(options)
-    parts = _own(options) if options.model else _plant_and_controller(options)
-    folder = OutputSet(options.output, "export")
+    given = {field: getattr(options, f"about_{field}") for field in ABOUT}
+    parts = [about(p, given) for p in (_own(options) if options.model else _plant_and_controller(options))]
+    kind = (f" --model {parts[0].model.name}" if options.model else "") + (
+        f" --fmi {options.fmi}" if options.fmi != "2.0" else ""
+    )
+    folder = OutputSet(options.output, f"export{kind}")
     flavours = ("python", "native") if options.flavour == "both" else (options.flavour,)
-    files = exported(parts, flavours, options.platforms, options.author, options.fmi)
+    files = exported(parts, flavours, options.platforms, options.fmi)
     lines = []
     if not options.model:
         lines.append(said_of(parts[1], options.gains))
     else:
-        for flavour in flavours:
-            fmu = files[f"{parts[0].model.name}{_suffix(flavour, options.fmi)}.fmu"]
-            try_fmu(options.model, parts[0].model, parts[0].values, _experiment(parts), fmu, options.fmi)
+        tried(options.model, parts[0], files, flavours, options.fmi)
         if found := step_dependence(parts[0].model, parts[0].values):
             text = f"note: {options.model} depends on the communication step: {found}. Give its effects a largest_step [s]"
             lines.append(text)
@@ -91,6 +105,16 @@ def run(options):
     fmus = [name for name in files if name.endswith(".fmu")]
     text = f"{' and '.join(fmus)} {'are' if len(fmus) > 1 else 'is'} in {folder.path}, FMI {options.fmi} for co-simulation."
     return Answer(text, {"format": "vpp-export/1", "fmi": options.fmi, "files": sorted(files)}, lines, written=place)
+
+
+def tried(
+    where: str, part: ParameterSet, files: Mapping[str, bytes | str], flavours: Iterable[str], fmi: str
+) -> Mapping[str, bytes | str]:
+    """The files of one model, each FMU of which was tried. BadInput."""
+    for flavour in flavours:
+        fmu = files[f"{part.model.name}{_suffix(flavour, fmi)}.fmu"]
+        try_fmu(where, part.model, part.values, _experiment([part]), fmu, fmi)
+    return files
 
 
 def _cross_check(parts: Sequence[ParameterSet], files: Mapping[str, bytes | str]) -> bytes:
@@ -160,22 +184,13 @@ def _own(options) -> list[ParameterSet]:
     return [read_parameters(options.parameters, lambda _: model) if options.parameters else ParameterSet(model)]
 
 
-def find_model(where: str) -> Model:
-    """The model `package.module:NAME`; modules are also found in the current folder. BadInput: an invalid module, or a
-    declaration that can't become an FMU."""
-    module, _, name = where.partition(":")
-    if str(Path.cwd()) not in sys.path:
-        sys.path.insert(0, str(Path.cwd()))
-    try:
-        found = getattr(importlib.import_module(module), name)
-    except Exception as error:  # a user's module may raise any exception
-        field, said = at_line("--model", error), " ".join(str(error).split())
-        raise BadInput("vpp export", field, f"{where} ({said})", "package.module:NAME of a kernel Model") from error
-    if not isinstance(found, Model):
-        raise BadInput("vpp export", "--model", f"{where}, a {type(found).__name__}", "the name of a kernel Model")
-    check_model(where, found)
-    expected(where, found, found.values(), Experiment())
-    return found
+def about(part: ParameterSet, given: Mapping[str, object]) -> ParameterSet:
+    """The part with these fields of its Model replaced; None: as declared. BadInput."""
+    for field in ("stop_time", "step_size", "tolerance"):
+        number = given.get(field)
+        if number is not None and not (isinstance(number, float | int) and 0.0 < number < float("inf")):
+            raise BadInput("vpp export", field, number, "a number above 0")
+    return replace(part, model=replace(part.model, **{field: value for field, value in given.items() if value is not None}))
 
 
 def _suffix(flavour: str, fmi: str) -> str:
@@ -183,16 +198,16 @@ def _suffix(flavour: str, fmi: str) -> str:
 
 
 def _experiment(parts: Sequence[ParameterSet]) -> Experiment:
-    usual, seconds = Experiment(), parts[0].source.get("record_seconds")
+    usual, seconds, model = Experiment(), parts[0].source.get("record_seconds"), parts[0].model
     stop = float(seconds) if isinstance(seconds, int | float) else usual.stop
-    return Experiment(stop=stop, step=parts[0].sample_period or usual.step)
+    step = model.step_size or parts[0].sample_period or usual.step
+    return Experiment(max(model.stop_time or stop, step), step, model.tolerance)
 
 
 def exported(
     parts: Sequence[ParameterSet],
     flavours: Iterable[str],
     platforms: str = "host",
-    author: str = AUTHOR,
     fmi: str = "2.0",
 ) -> dict[str, bytes | str]:
     """All files by name, made before any is written. With two parts or more, the loop of the first two is one of them."""
@@ -200,7 +215,7 @@ def exported(
     make: dict[str, Callable[..., bytes]] = {"python": python_fmu, "native": native_fmu}
     found: dict[str, bytes | str] = {}
     for flavour in flavours:
-        more = {"author": author} | ({"platforms": platforms, "version": fmi} if flavour == "native" else {})
+        more = {"platforms": platforms, "version": fmi} if flavour == "native" else {}
         fmus = {p.model.name: make[flavour](p.model, p.values, experiment, origins=_origins(p), **more) for p in parts}
         found |= {f"{name}{_suffix(flavour, fmi)}.fmu": fmu for name, fmu in fmus.items()}
         if len(parts) > 1 and fmi == "2.0":  # SSP 1.0 supports no other

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import ceil
 
-from vpp_fmu.kernel.plant import BETA_REF, OMEGA, OMEGA_REF, THRUST
+from vpp_fmu.kernel.plant import BETA_REF, OMEGA, OMEGA_REF, OURS, THRUST
 from vpp_fmu.kernel.twin.innovation import innovation, motion
 from vpp_fmu.kernel.twin.noises import AT_NODES, BETWEEN, NODE, nothing, pairs
 from vpp_fmu.kernel.twin.prediction import SAMPLE_TIME, ahead_of, prediction
@@ -87,6 +87,7 @@ def twin(plant: Model, adapted: Sequence[str], sample_time: float = SAMPLE_TIME)
             update(parts),
         ),
         sample_time="sample_time",
+        **OURS,
     )
 
 
