@@ -101,7 +101,7 @@ static bool set_value(Slave *s, const char *call, unsigned r, int type, double x
     if (is_state) s->chosen[r - FIRST_STATE] = true;
     if (is_parameter && s->state == STEPPING) {
       if (!in_range(s, r - FIRST_PARAMETER)) return false;
-      s->m.dt = NAN; /* the prepared constants are stale */
+      s->m.kept[0].dt = NAN; /* the prepared constants are stale */
       report(s, MODEL_NAME ": %s set to %s", NAMES[r], number(text, x));
     }
     return true;

@@ -39,5 +39,5 @@ static void start_schedule(Slave *s) {
   }
 #endif
   s->m.wait = 0.0;
-  s->m.dt = NAN; /* nothing is prepared */
+  s->m.kept[0].dt = NAN; /* nothing is prepared */
 }

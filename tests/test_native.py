@@ -11,8 +11,8 @@ from builders import ALL_ON, OPTIONAL, PROBES, TWO_DELAYS, random_steps, referen
 
 from vpp_fmu.errors import SimulationFailed
 from vpp_fmu.kernel.controller import CONTROLLER
-from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
-from vpp_fmu.kernel.types import Model
+from vpp_fmu.kernel.plant import BASE, LIBRARY, OMEGA_REF, plant
+from vpp_fmu.kernel.types import Effect, Model, Parameter, Signal, State
 from vpp_fmu.native import Simulator, compiler
 from vpp_fmu.native import simulator as simulators
 from vpp_fmu.native.adjoint import Adjoint
@@ -184,7 +184,10 @@ def test_sensitivities_in_equal_time_constants_are_central_differences(taus):
 
 
 def test_without_a_compiler_the_numbers_are_the_same_and_one_warning_is_given(request):
-    models = (ALL_ON, PROBES, ("tau_beta_1", PITCH)), (BASE, {}, ("c20",)), (CONTROLLER, {}, ("ki_omega",))
+    period, count = Parameter("period", "s", 0.031, 1e-3, 1.0, "sample time"), State("count", "1", "samples", 0.0)
+    counter = Effect("counter", "counts samples", _counts, (period,), (count,), sample_time="period")
+    counting = Model("Counting", "a sampled effect", (OMEGA_REF,), (Signal("count", "1", "samples", 0.0, 1e9),), (counter,))
+    models = (ALL_ON, PROBES, ("tau_beta_1", PITCH)), (BASE, {}, ("c20",)), (CONTROLLER, {}, ("ki_omega",)), (counting, {}, ())
     noise = {"thrust_set": np.full(500, 9.0), "thrust": np.random.default_rng(0).normal(9.0, 1.0, 500)}
     inputs, steps = random_steps(500, 40, model=ALL_ON) | noise, np.full(499, 0.0043)
     compiled = [Simulator(model, wrt).sensitivities(values, inputs, steps) for model, values, wrt in models]
@@ -195,7 +198,12 @@ def test_without_a_compiler_the_numbers_are_the_same_and_one_warning_is_given(re
     for (shown, tangents), (shown_without, tangents_without) in zip(compiled, generated, strict=True):
         np.testing.assert_array_equal(shown_without, shown)
         np.testing.assert_array_equal(tangents_without, tangents)
-        assert tangents.any()
+        assert tangents.any() or not tangents.size
+    assert generated[-1][0][-1, 0] == np.ceil(499 * 0.0043 / 0.031)
+
+
+def _counts(ops, s, x, p, dt):
+    return {"count": x.count + 1.0}
 
 
 @pytest.fixture

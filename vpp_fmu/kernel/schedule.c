@@ -57,15 +57,33 @@ static void delay_pass_time(DelayLine *line, double piece) {
   }
 }
 
+/* Number of step lengths whose constants are kept, a power of two: rows of a log differ in length, and the digits of its clock
+ * leave some hundred lengths. */
+#ifndef KEPT
+#define KEPT 1
+#endif
+
+/* Where the constants of a step length are kept. */
+static inline int place_of(double dt) {
+  unsigned long long bits;
+  memcpy(&bits, &dt, sizeof bits);
+  return KEPT == 1 ? 0 : (int)((bits * 0x9E3779B97F4A7C15ull) >> 40) & (KEPT - 1);
+}
+
+/* The constants that prepare() computes for a step length and its tangents. */
+typedef struct {
+  double c[N_CONSTANTS];
+  double dt, dt_tangent[N_DELAYED_OR_1];
+} Constants;
+
 typedef struct {
   double v[N_VALUES];
-  double c[N_CONSTANTS];
   double d[N_TANGENTS];
-  double dt, dt_tangent[N_DELAYED_OR_1]; /* step length, and its tangents, for which `c` was prepared */
   double wait;
   int nudging; /* the present step is half of a nudge, not part of the run */
   int plain;   /* only values are computed, no tangents */
   DelayLine lines[N_DELAYED_OR_1];
+  Constants kept[KEPT];
 } Instance;
 
 #ifdef OBSERVED /* before_step() is called before every step, to advance the caller's own tangents or to record the step */
@@ -77,21 +95,22 @@ static void before_step(Instance *m, double dt, const double *dt_tangent);
 #endif
 
 static void take_step(Instance *m, double dt, const double *dt_tangent) {
-  int stale = !(dt == m->dt);
-  for (int k = 0; k < N_DELAYED; k++) stale |= !(dt_tangent[k] == m->dt_tangent[k]);
+  Constants *own = m->kept + place_of(dt);
+  int stale = !(dt == own->dt);
+  for (int k = 0; k < N_DELAYED; k++) stale |= !(dt_tangent[k] == own->dt_tangent[k]);
   if (stale) {
-    prepare(m->v, dt, dt_tangent, m->c);
-    m->dt = dt;
-    for (int k = 0; k < N_DELAYED; k++) m->dt_tangent[k] = dt_tangent[k];
+    prepare(m->v, dt, dt_tangent, own->c);
+    own->dt = dt;
+    for (int k = 0; k < N_DELAYED; k++) own->dt_tangent[k] = dt_tangent[k];
   }
   before_step(m, dt, dt_tangent);
 #if N_WRT
   if (m->plain) {
-    step_values(m->v, m->c);
+    step_values(m->v, own->c);
     return;
   }
 #endif
-  step(m->v, m->c, m->d);
+  step(m->v, own->c, m->d);
 }
 
 /* The delay k determines when the input changes from `old` to the acting one. Its tangents gain the difference between the

@@ -49,9 +49,11 @@ int proceed(void *of, const double *inputs, const double *steps, double late, lo
 void end(void *run) { free(run); }
 
 #ifdef LANES
-/* Number of step lengths whose constants are kept: of a row and its parts before and after a late command, each with two
- * lengths because of the clock's rounding. */
-#define PREPARED 6
+/* Constants of LANES runs, for the step length `dt`. */
+typedef struct {
+  double c[N_CONSTANTS][LANES];
+  double dt;
+} LaneConstants;
 
 /* The widest vectors of the processor, from compiler.py: no fused operations, and so the same bits on each. */
 #ifdef VECTORS
@@ -60,10 +62,8 @@ void end(void *run) { free(run); }
 #define WIDEST
 #endif
 
-/* Advance LANES sets of values by `span` seconds. c, dt: prepared constants, and the step lengths that they are for; `oldest`: the
- * first to be replaced. */
-WIDEST static void advance_lanes(double (*v)[LANES], double (*c)[N_CONSTANTS][LANES], double *dt, int *oldest, double largest,
-                                 double span) {
+/* Advance LANES sets of values by `span` seconds. kept: KEPT constants. */
+WIDEST static void advance_lanes(double (*v)[LANES], LaneConstants *kept, double largest, double span) {
   static const double no_tangent[N_DELAYED_OR_1] = {0};
   double count = 1.0, own[N_VALUES], constants[N_CONSTANTS];
   if (largest < INFINITY) {
@@ -71,29 +71,24 @@ WIDEST static void advance_lanes(double (*v)[LANES], double (*c)[N_CONSTANTS][LA
     if (count < 1.0) count = 1.0;
   }
   const double piece = span / count;
-  int at = 0;
-  while (at < PREPARED && !(dt[at] == piece)) at++;
-  if (at == PREPARED) {
-    at = *oldest;
-    *oldest = (*oldest + 1) % PREPARED;
-    dt[at] = piece;
+  LaneConstants *at = kept + place_of(piece);
+  if (!(at->dt == piece)) {
+    at->dt = piece;
     for (int k = 0; k < LANES; k++) {
       for (int i = 0; i < N_VALUES; i++) own[i] = v[i][k];
       prepare(own, piece, no_tangent, constants);
-      for (int i = 0; i < N_CONSTANTS; i++) c[at][i][k] = constants[i];
+      for (int i = 0; i < N_CONSTANTS; i++) at->c[i][k] = constants[i];
     }
   }
-  for (double i = 0.0; i < count; i += 1.0) step_lanes(v, c[at]);
+  for (double i = 0.0; i < count; i += 1.0) step_lanes(v, at->c);
 }
 
 /* A whole record for LANES sets of parameters (LANES x N_PARAMETERS) side by side, as proceed() runs each. inputs, steps: of n rows.
  * outputs: N_OUTPUTS x n rows of LANES, `stride` numbers from row to row. APART: their largest steps differ, so they would take
- * different steps. */
+ * different steps; or there is no memory. */
 WIDEST int alike(const double *parameters, const double *inputs, const double *steps, double late, long n, long stride,
                  double *outputs) {
-  double v[N_VALUES][LANES], c[PREPARED][N_CONSTANTS][LANES], own[N_VALUES] = {0}, tangents[N_TANGENTS];
-  double dt[PREPARED] = {0}, largest = INFINITY;
-  int oldest = 0;
+  double v[N_VALUES][LANES], own[N_VALUES] = {0}, tangents[N_TANGENTS], largest = INFINITY;
   for (int k = 0; k < LANES; k++) {
     memcpy(own, inputs, N_INPUTS * sizeof *inputs);
     memcpy(own + N_INPUTS + N_OUTPUTS, parameters + k * N_PARAMETERS, N_PARAMETERS * sizeof *parameters);
@@ -102,6 +97,8 @@ WIDEST int alike(const double *parameters, const double *inputs, const double *s
     if (k && largest_step(own) != largest) return APART;
     largest = largest_step(own);
   }
+  LaneConstants *kept = calloc(KEPT, sizeof *kept);
+  if (!kept) return APART;
   for (long row = 0; row < n; row++) {
     for (int i = 0; i < N_OUTPUTS; i++) memcpy(outputs + (i * n + row) * stride, v[N_INPUTS + i], sizeof v[0]);
     if (row == n - 1) break;
@@ -113,13 +110,14 @@ WIDEST int alike(const double *parameters, const double *inputs, const double *s
     if (moved) {
       for (int i = 0; i < N_INPUTS; i++)
         for (int k = 0; k < LANES; k++) v[i][k] = held[COMMANDED[i] ? i - N_INPUTS : i];
-      advance_lanes(v, c, dt, &oldest, largest, late * span);
+      advance_lanes(v, kept, largest, late * span);
       span *= 1.0 - late;
     }
     for (int i = 0; i < N_INPUTS; i++)
       for (int k = 0; k < LANES; k++) v[i][k] = held[i];
-    advance_lanes(v, c, dt, &oldest, largest, span);
+    advance_lanes(v, kept, largest, span);
   }
+  free(kept);
   return DONE;
 }
 #endif

@@ -6,14 +6,14 @@ import json
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from importlib.resources import files
 
 import numpy as np
 
 from vpp_fmu.errors import CompilerMissing, SimulationFailed
 from vpp_fmu.kernel.plant import LIBRARY
-from vpp_fmu.kernel.schedule import FULL, NUDGE, DelayFull, DelayLine, run_held, run_sampled
+from vpp_fmu.kernel.schedule import FULL, NUDGE, DelayFull, DelayLine, next_sample, run_held, run_sampled
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native.compiler import compiled, compiled_as
 from vpp_fmu.tracer import LANES, Program, c_lanes, c_source, python_source, trace
@@ -21,6 +21,10 @@ from vpp_fmu.tracer import LANES, Program, c_lanes, c_source, python_source, tra
 PIECE = 4096
 """Rows per piece if a record's sensitivities need not be held at once: few enough for a core's cache, which is three times as
 fast as memory, and enough to make the overhead of a piece negligible."""
+
+KEPT = 512
+"""Number of step lengths whose constants a run keeps: a logger's clock of 0.1 ms leaves some 200 lengths of uneven rows. They
+cost ten exponential functions, as much as ten rows."""
 
 
 class Simulator:
@@ -194,7 +198,8 @@ def _runner(chain: _Chain, wrt: tuple[str, ...]):
 def _compiled(chain: _Chain, wrt: tuple[str, ...]):
     def source() -> str:
         program, last = trace(chain.model, wrt), files("vpp_fmu.native") / "simulate.c"
-        return "".join((c_source(program), c_lanes(program), rows_source(chain.model), last.read_text()))
+        kept = f"#define KEPT {KEPT}\n"
+        return "".join((kept, c_source(program), c_lanes(program), rows_source(chain.model), last.read_text()))
 
     known = chain.text
     library = compiled_as(f"{known} {wrt}", source) if known else compiled(source())
@@ -237,19 +242,18 @@ def _interpreted(program: Program):
     layout, model = program.layout, program.model
     n_in, n_out, width = len(layout.inputs), len(layout.outputs), len(program.wrt)
     code: dict = {}
-    exec("from math import exp, expm1, sqrt, sin, cos, tanh\n" + python_source(program), code)
-    commanded = _commanded(model)
+    exec(python_source(program), code)
+    commanded, columns = _commanded(model), [program.wrt.index(p) if p in program.wrt else None for _, p in model.delays]
+    still, delay_at = (0.0,) * len(columns), {name: layout.index["parameter", p] for name, p in model.delays}
+    samples = [(layout.index["state", x], layout.index["parameter", p]) for x, p in model.sampled]
 
     def run(values, inputs, steps, late, plain):
         v = [*inputs[0].tolist(), *[0.0] * n_out, *values.tolist(), *[0.0] * len(layout.states)]
         d = [0.0] * (width * len(layout.moving))
-        delays = [None] * n_in
-        for name, parameter in model.delays:
-            delays[layout.inputs.index(name)] = v[layout.index["parameter", parameter]]
+        delays = [v[delay_at[name]] if name in delay_at else None for name in layout.inputs]
         lines = [None if delay is None else DelayLine(u) for u, delay in zip(v, delays, strict=False)]
         largest = code["largest_step"](v)
-        columns = [program.wrt.index(p) if p in program.wrt else None for _, p in model.delays]
-        still, prepared = (0.0,) * len(columns), (None, None, None)
+        prepared: tuple = (None, None, None)
 
         def step(acting, dt, dt_tangent=still):
             nonlocal prepared
@@ -275,7 +279,7 @@ def _interpreted(program: Program):
             """The remaining time to the next sample after a time under inputs."""
             if model.sample_time is None:
                 try:
-                    run_held(lines, delays, held, span, largest, step, nudge if width else None)
+                    run_held(lines, delays, held, span, largest, step, nudge if width else None, partial(_waits, v, samples))
                 except DelayFull as full:
                     raise SimulationFailed(f"{model.name}: {full}") from full
                 return wait
@@ -300,6 +304,11 @@ def _interpreted(program: Program):
         yield
 
     return run
+
+
+def _waits(v: Sequence[float], samples: Iterable[tuple[int, int]]) -> list[float]:
+    """For each sampled effect the time until its next sample; `samples`: indices of its countdown and its period."""
+    return [next_sample(v[wait], v[period]) for wait, period in samples]
 
 
 @cache
