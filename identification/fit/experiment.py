@@ -40,7 +40,7 @@ class Experiment:
     def __init__(self, records: Sequence[Fitted], noise: Noise, channels: Sequence[str] = CHANNELS):
         if not all(isinstance(r, Fitted) for r in records):
             raise TypeError("a fit takes only records with the role of fitted ones")
-        own = [r.record for r in records]
+        own = [_on_ticks(r.record) for r in records]
         self.records, self.record, self.noise, self.channels = tuple(records), own[0], noise, tuple(channels)
         thrust = np.stack([_thrust(r, "thrust" in channels) for r in own])
         self._measured = np.isfinite(thrust).all(axis=0)
@@ -219,6 +219,20 @@ class Experiment:
 def _thrust(record: Record, counts: bool) -> np.ndarray:
     """(rows,) N; NaN if the record has no thrust or the fit does not use it."""
     return record["thrust"] if counts and "thrust" in record else np.full(len(record), np.nan)
+
+
+TICKS = 256
+"""Ticks of a row, to which the times of uneven rows are rounded: a hundredth of the shortest lag that such rows resolve."""
+
+
+def _on_ticks(record: Record) -> Record:
+    """The record with its times rounded to TICKS of a row, if very many of its steps differ: a simulation then needs constants
+    for some hundred steps, not for each row. Rounding does not add up over rows."""
+    tick = round(record.period / TICKS, 9)
+    if len(np.unique(record.steps)) <= 2 * TICKS or not tick > 0.0:
+        return record
+    time = np.round(np.round(record.time / tick) * tick, 9)
+    return record.with_columns(time=time) if np.all(np.diff(time) > 0.0) else record
 
 
 def _index(mask: np.ndarray) -> np.ndarray | slice:

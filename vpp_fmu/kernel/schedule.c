@@ -57,24 +57,17 @@ static void delay_pass_time(DelayLine *line, double piece) {
   }
 }
 
-/* Number of step lengths whose constants are kept, a power of two: rows of a log differ in length, and the digits of its clock
- * leave some hundred lengths. */
-#ifndef KEPT
-#define KEPT 1
-#endif
-
-/* Where the constants of a step length are kept. */
-static inline int place_of(double dt) {
-  unsigned long long bits;
-  memcpy(&bits, &dt, sizeof bits);
-  return KEPT == 1 ? 0 : (int)((bits * 0x9E3779B97F4A7C15ull) >> 40) & (KEPT - 1);
-}
-
 /* The constants that prepare() computes for a step length and its tangents. */
 typedef struct {
-  double c[N_CONSTANTS];
   double dt, dt_tangent[N_DELAYED_OR_1];
+  double c[N_CONSTANTS];
 } Constants;
+
+#ifdef KEEPS_LENGTHS /* where the constants of a step length are kept: simulate.c has a table, an FMU keeps the last ones */
+static Constants *constants_for(void *m, double dt);
+#else
+#define constants_for(m, dt) ((m)->kept)
+#endif
 
 typedef struct {
   double v[N_VALUES];
@@ -83,7 +76,7 @@ typedef struct {
   int nudging; /* the present step is half of a nudge, not part of the run */
   int plain;   /* only values are computed, no tangents */
   DelayLine lines[N_DELAYED_OR_1];
-  Constants kept[KEPT];
+  Constants kept[1];
 } Instance;
 
 #ifdef OBSERVED /* before_step() is called before every step, to advance the caller's own tangents or to record the step */
@@ -95,7 +88,7 @@ static void before_step(Instance *m, double dt, const double *dt_tangent);
 #endif
 
 static void take_step(Instance *m, double dt, const double *dt_tangent) {
-  Constants *own = m->kept + place_of(dt);
+  Constants *own = constants_for(m, dt);
   int stale = !(dt == own->dt);
   for (int k = 0; k < N_DELAYED; k++) stale |= !(dt_tangent[k] == own->dt_tangent[k]);
   if (stale) {

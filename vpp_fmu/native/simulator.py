@@ -22,10 +22,6 @@ PIECE = 4096
 """Rows per piece if a record's sensitivities need not be held at once: few enough for a core's cache, which is three times as
 fast as memory, and enough to make the overhead of a piece negligible."""
 
-KEPT = 512
-"""Number of step lengths whose constants a run keeps: a logger's clock of 0.1 ms leaves some 200 lengths of uneven rows. They
-cost ten exponential functions, as much as ten rows."""
-
 
 class Simulator:
     """A model ready to run records, with sensitivities in the parameters `wrt`."""
@@ -198,8 +194,9 @@ def _runner(chain: _Chain, wrt: tuple[str, ...]):
 def _compiled(chain: _Chain, wrt: tuple[str, ...]):
     def source() -> str:
         program, last = trace(chain.model, wrt), files("vpp_fmu.native") / "simulate.c"
-        kept = f"#define KEPT {KEPT}\n"
-        return "".join((kept, c_source(program), c_lanes(program), rows_source(chain.model), last.read_text()))
+        return "".join(
+            ("#define KEEPS_LENGTHS\n", c_source(program), c_lanes(program), rows_source(chain.model), last.read_text())
+        )
 
     known = chain.text
     library = compiled_as(f"{known} {wrt}", source) if known else compiled(source())
