@@ -98,14 +98,10 @@ def test_the_times_of_uneven_rows_are_rounded_where_all_of_their_steps_differ():
     """At most half a tick, without adding up over rows; even rows stay as they are."""
     even = np.arange(3000) * 0.025
     uneven = even + np.random.default_rng(0).uniform(-0.008, 0.008, 3000)
+    levels = {"omega_ref": 4000.0, "beta_ref": 4.0, "thrust": 5.0}
     for time, changed in ((even, False), (uneven, True)):
-        columns = {
-            "time": time,
-            "omega_ref": np.full(3000, 4000.0),
-            "beta_ref": np.full(3000, 4.0),
-            "thrust": np.full(3000, 5.0),
-        }
-        shown = Experiment([Fitted("open_loop", Record(columns, "made"))], independent(1.0)).record
-        tick = round(Record(columns, "made").period / TICKS, 9)
-        assert (len(np.unique(shown.steps)) < 2 * TICKS) and bool(np.any(shown.time != time)) == changed
-        np.testing.assert_allclose(shown.time, time, rtol=0, atol=0.5 * tick + 1e-9)
+        record = Record({"time": time, **{name: np.full(3000, level) for name, level in levels.items()}}, "synthetic")
+        shown = Experiment([Fitted("open_loop", record)], independent(1.0)).record
+        assert len(np.unique(shown.steps)) < 2 * TICKS
+        assert bool(np.any(shown.time != time)) == changed
+        np.testing.assert_allclose(shown.time, time, rtol=0, atol=0.5 * record.period / TICKS + 1e-8)
