@@ -10,11 +10,13 @@ import numpy as np
 from tqdm import tqdm
 
 from hil.campaign import PARTS, Plan, follow, measure, parts_for, powered, same_commands, seconds, static_record, steps_record
+from hil.columns import COLUMNS
 from hil.commands import grid, resampled, steps
 from hil.cycle import PERIOD
 from hil.log import events_of, read_events
 from hil.page.operator_page import OperatorPage
 from hil.rig import ENDINGS
+from hil.room import check_room
 from hil.runs import ENDED, ENDED_EARLY, RUNNING
 from hil.safety.limits import Limits
 from hil.session import Session, Setup, found_log, read_log, session
@@ -70,8 +72,9 @@ class Measuring:
         parts = ("record",) if self.commands else tuple(part for part in self.parts if part in parts_for(allowed))
         if not self.commands and len(parts) < len(self.parts):
             say("steps: speed and pitch both stand, so there are none")
-        length = self.commands.time[-1] if self.commands else seconds(self.plan, parts, allowed)
+        length = sum(map(self._seconds, parts))
         say(f"{', '.join(parts)}: {length / 60.0:.1f} min on the rig")
+        check_room(folder.path / "log.csv.gz", COLUMNS, length)
         content, found = content | {"status": RUNNING}, {}
         folder.write("hil.json", as_json(content))
         for part in parts:
@@ -105,7 +108,7 @@ class Measuring:
         in_view = sys.stderr.isatty() and not setup.virtual  # the live view shows the progress
         with (
             tqdm(total=100, unit="%", desc=part, disable=True if in_view else None, leave=False) as bar,
-            session(setup, folder, log_name(folder, part), page=page) as one,
+            session(setup, folder, log_name(folder, part), self._seconds(part), page=page) as one,
         ):
 
             def progress(share):
@@ -121,6 +124,9 @@ class Measuring:
             except ENDINGS as reason:
                 ended = reason
         return one, record, ended
+
+    def _seconds(self, part: str) -> float:
+        return self.commands.time[-1] if self.commands else seconds(self.plan, [part], self.setup.allowed)
 
     def _extent(self, part: str) -> dict:
         """Size of a part for the operator's page; the length of a record is in its events."""
