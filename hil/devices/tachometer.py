@@ -25,7 +25,7 @@ ASK_AFTER, ASK_EVERY = 2.0, 0.25
 ANSWER_WITHIN = 0.011
 """After this a request counts as lost: at the third tick of 4 ms the next one goes out [s]."""
 GONE = OSError, termios.error
-"""Errors of a port whose adapter has dropped out. Those of the terminal's settings are no OSError, and pyserial passes them on."""
+"""Errors of a port whose adapter has dropped out. Those of the terminal's settings are no OSError; pyserial passes them on."""
 _MOST_AT_ONCE = 512
 _ANSWER_BYTES = frames.FROM_BOARD[frames.ANSWER] + frames.OVERHEAD
 
