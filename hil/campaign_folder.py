@@ -44,18 +44,19 @@ class Measuring:
     commands: Record | None = None
     parquet: bool = False
 
-    def begin(self, folder: Path, begun: dict, resume: bool) -> dict:
-        """Content of hil.json before the first part; with `resume` the previous one, if the campaign is the same. BadInput."""
+    def begin(self, folder: Path, begun: dict, resume: bool, replace: bool = False) -> dict:
+        """Content of hil.json before the first part; with `resume` the previous one, if the campaign is the same. BadInput; a
+        folder that holds a campaign is refused, too, unless `replace`."""
         path = folder / "hil.json"
         content = json.loads(as_json(begun | {"plan": asdict(self.plan), "parts": {}}))
         before = read_object(path) if path.exists() else {}
         unfinished = "plan" in before and before.get("status") in (RUNNING, ENDED_EARLY)
         if not resume:
-            if unfinished:
-                found = f"a campaign that has not ended, begun {before.get('begun')}"
-                raise BadInput(folder, "campaign", found, "a folder without one", "--resume to go on, or another folder")
-            for part in (*PARTS, "record"):
-                forget(folder, part)
+            held = [f"{part}.csv" for part in (*PARTS, "record") if (folder / f"{part}.csv").exists()]
+            if (held or unfinished) and not replace:
+                found = f"a campaign that has not ended, begun {before.get('begun')}" if unfinished else ", ".join(held)
+                hint = "--resume to go on with it" if "plan" in before else "another folder"
+                raise BadInput(folder, "campaign", found, "a folder without one", f"{hint}, or --replace to measure anew")
             return content
         if "plan" not in before:
             raise BadInput(folder, "--resume", "no campaign", "the folder of an earlier vpp hil campaign")
@@ -75,6 +76,8 @@ class Measuring:
         length = sum(map(self._seconds, parts))
         say(f"{', '.join(parts)}: {length / 60.0:.1f} min on the rig")
         check_room(folder.path / "log.csv.gz", COLUMNS, length)
+        if "resumed" not in content:
+            forget(folder.path)
         content, found = content | {"status": RUNNING}, {}
         folder.write("hil.json", as_json(content))
         for part in parts:
@@ -190,11 +193,14 @@ def attempts(folder: Path, part: str) -> list[Path]:
     return [log for log in logs if events_of(log).exists()]
 
 
-def forget(folder: Path, part: str) -> None:
-    """Delete a part's logs, so that it starts again."""
-    for log in attempts(folder, part):
-        log.unlink(missing_ok=True)
-        events_of(log).unlink()
+def forget(folder: Path) -> None:
+    """Delete a campaign's records and logs: parts of two campaigns would be read as one."""
+    for part in (*PARTS, "open_loop_again", "record"):
+        for log in attempts(folder, part):
+            log.unlink(missing_ok=True)
+            events_of(log).unlink()
+        for suffix in (".csv", ".parquet", PARTIAL):
+            (folder / f"{part}{suffix}").unlink(missing_ok=True)
 
 
 def measured_so_far(folder: Path, part: str) -> list:
