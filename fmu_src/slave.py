@@ -1,8 +1,9 @@
 """The Python FMU's slave: a traced model under pythonfmu's calls, as strict as the native flavour (`protocol.c`).
 
-An export is one file: schedule.py, the table of calls, this file, the generated functions and a class that names them
-(`vpp_fmu.export`). It may import only the standard library and pythonfmu, which is also in the FMU. The export removes the
-imports of this project below, since their code is in the same file.
+An export has one file of code: schedule.py, the table of calls, this file, the generated functions and a class that names
+them (`vpp_fmu.export`). Another file, which the binary executes for each instance, imports that class. The code may import only
+the standard library and pythonfmu, which is also in the FMU. The export removes the imports of this project below, since their
+code is in the same file.
 
 All values live in one list `v`, in the order of the value references: inputs, outputs, parameters, states.
 
@@ -86,6 +87,11 @@ def _kept(*instances):
     for instance in instances:
         for held in (type(instance), instance, instance.log_queue):
             ctypes.pythonapi.Py_IncRef(ctypes.py_object(held))
+
+
+def own(names):
+    """Add a reference to the global names of the file that the binary executes: it drops one that it does not own."""
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(names))
 
 
 def call(method):

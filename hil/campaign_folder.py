@@ -10,11 +10,13 @@ import numpy as np
 from tqdm import tqdm
 
 from hil.campaign import PARTS, Plan, follow, measure, parts_for, powered, same_commands, seconds, static_record, steps_record
+from hil.columns import COLUMNS
 from hil.commands import grid, resampled, steps
 from hil.cycle import PERIOD
 from hil.log import events_of, read_events
 from hil.page.operator_page import OperatorPage
 from hil.rig import ENDINGS
+from hil.room import check_room
 from hil.runs import ENDED, ENDED_EARLY, RUNNING
 from hil.safety.limits import Limits
 from hil.session import Session, Setup, found_log, read_log, session
@@ -42,18 +44,19 @@ class Measuring:
     commands: Record | None = None
     parquet: bool = False
 
-    def begin(self, folder: Path, begun: dict, resume: bool) -> dict:
-        """Content of hil.json before the first part; with `resume` the previous one, if the campaign is the same. BadInput."""
+    def begin(self, folder: Path, begun: dict, resume: bool, replace: bool = False) -> dict:
+        """Content of hil.json before the first part; with `resume` the previous one, if the campaign is the same. BadInput; a
+        folder that holds a campaign is refused, too, unless `replace`."""
         path = folder / "hil.json"
         content = json.loads(as_json(begun | {"plan": asdict(self.plan), "parts": {}}))
         before = read_object(path) if path.exists() else {}
         unfinished = "plan" in before and before.get("status") in (RUNNING, ENDED_EARLY)
         if not resume:
-            if unfinished:
-                found = f"a campaign that has not ended, begun {before.get('begun')}"
-                raise BadInput(folder, "campaign", found, "a folder without one", "--resume to go on, or another folder")
-            for part in (*PARTS, "record"):
-                forget(folder, part)
+            held = [f"{part}.csv" for part in (*PARTS, "record") if (folder / f"{part}.csv").exists()]
+            if (held or unfinished) and not replace:
+                found = f"a campaign that has not ended, begun {before.get('begun')}" if unfinished else ", ".join(held)
+                hint = "--resume to go on with it" if "plan" in before else "another folder"
+                raise BadInput(folder, "campaign", found, "a folder without one", f"{hint}, or --replace to measure anew")
             return content
         if "plan" not in before:
             raise BadInput(folder, "--resume", "no campaign", "the folder of an earlier vpp hil campaign")
@@ -70,8 +73,11 @@ class Measuring:
         parts = ("record",) if self.commands else tuple(part for part in self.parts if part in parts_for(allowed))
         if not self.commands and len(parts) < len(self.parts):
             say("steps: speed and pitch both stand, so there are none")
-        length = self.commands.time[-1] if self.commands else seconds(self.plan, parts, allowed)
+        length = sum(map(self._seconds, parts))
         say(f"{', '.join(parts)}: {length / 60.0:.1f} min on the rig")
+        check_room(folder.path / "log.csv.gz", COLUMNS, length)
+        if "resumed" not in content:
+            forget(folder.path)
         content, found = content | {"status": RUNNING}, {}
         folder.write("hil.json", as_json(content))
         for part in parts:
@@ -105,7 +111,7 @@ class Measuring:
         in_view = sys.stderr.isatty() and not setup.virtual  # the live view shows the progress
         with (
             tqdm(total=100, unit="%", desc=part, disable=True if in_view else None, leave=False) as bar,
-            session(setup, folder, log_name(folder, part), page=page) as one,
+            session(setup, folder, log_name(folder, part), self._seconds(part), page=page) as one,
         ):
 
             def progress(share):
@@ -121,6 +127,9 @@ class Measuring:
             except ENDINGS as reason:
                 ended = reason
         return one, record, ended
+
+    def _seconds(self, part: str) -> float:
+        return self.commands.time[-1] if self.commands else seconds(self.plan, [part], self.setup.allowed)
 
     def _extent(self, part: str) -> dict:
         """Size of a part for the operator's page; the length of a record is in its events."""
@@ -184,11 +193,14 @@ def attempts(folder: Path, part: str) -> list[Path]:
     return [log for log in logs if events_of(log).exists()]
 
 
-def forget(folder: Path, part: str) -> None:
-    """Delete a part's logs, so that it starts again."""
-    for log in attempts(folder, part):
-        log.unlink(missing_ok=True)
-        events_of(log).unlink()
+def forget(folder: Path) -> None:
+    """Delete a campaign's records and logs: parts of two campaigns would be read as one."""
+    for part in (*PARTS, "open_loop_again", "record"):
+        for log in attempts(folder, part):
+            log.unlink(missing_ok=True)
+            events_of(log).unlink()
+        for suffix in (".csv", ".parquet", PARTIAL):
+            (folder / f"{part}{suffix}").unlink(missing_ok=True)
 
 
 def measured_so_far(folder: Path, part: str) -> list:

@@ -61,6 +61,7 @@ SHOWN = (
     ("missed", "3.0f", ""),
     ("done", "3.0f", "%"),
     ("page", "s", ""),
+    ("disk", "s", ""),
 )
 """Columns of the live view: name, format, unit."""
 
@@ -69,6 +70,7 @@ WORDS = {
     "twin": ("", "ALARM: not as its model"),
     "adaptive twin": ("",),
     "page": ("", "the page is gone"),
+    "disk": ("", "THE DISK IS NEARLY FULL"),
 }
 """Words for coded numbers of SHOWN."""
 

@@ -57,7 +57,7 @@ class Cycle:
         self.done = math.nan  # % of a record or a campaign's part, for the view
         self.wanted, self.zero = math.nan, bench.calibration.zero
         self._log, self._signals, self._view, self._judgement = log, signals, view, plausibility
-        self._page, self._page_gone, self._counted = page, False, {}
+        self._page, self._page_gone, self._counted, self._short = page, False, {}, False
         self._known: set[tuple[str, FaultKind]] = set()
         self._nothing = (math.nan,) * beside
         self.supervisor: Supervisor | None = None
@@ -171,10 +171,13 @@ class Cycle:
         self._view.show(
             *(state, sensors.thrust, self.wanted, sensors.omega, self.commands[1]),
             *(self.throttle, self.residual, self.alarm, *self.learned, *sensors.supply.values()),
-            *(self.ticks.missed, self.done, self._page_gone),
+            *(self.ticks.missed, self.done, self._page_gone, self._short),
         )
         if self.ticks.ticks % COUNTED == 0:
             self._keep_counters()
+            if not self._short and self._log.warning:
+                self._short = True
+                self.note(f"log: {self._log.warning}")
 
     def _keep_counters(self) -> None:
         """Write the counters of recovered errors to the log's events, if they changed."""

@@ -1,9 +1,10 @@
 """The full-rate log: the loop puts rows into memory, another process writes them to a file. Standard library only.
 
 The loop never touches a file: a row costs it two microseconds, a write to disk sometimes 24 ms. The writer is a separate
-process with shared memory, so that they share no interpreter lock; one byte on a pipe announces each row. The writer ends when
-the pipe closes: if the loop is killed, its log is still complete. If the loop ended without a goodbye, the writer then executes
-the command that it was given for this case.
+process with shared memory, so that they share no interpreter lock; one byte on a pipe announces each row. In the same memory
+the writer keeps the number of rows on the disk, so that the loop notices a late one. The writer ends when the pipe closes: if
+the loop is killed, its log is still complete. If the loop ended without a goodbye, the writer then executes the command that it
+was given for this case.
 
 The events (`events_of`) have a second file, one JSON object a line: single occurrences that must survive the loop.
 """
@@ -26,11 +27,20 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Protocol
 
+from vpp_fmu.errors import BadInput
+
+LATE = 1.0
+"""Time, s, after which a row that is due on the disk is late: the log is then broken."""
+
 _BATCH = 4096  # rows the writer takes at once
 _PAUSE = 0.05  # s between two batches
 _GET_PIPE_SIZE = 1032  # F_GETPIPE_SZ; Python names it from 3.10 on only where the system's headers do
-_SYNC_EVERY = 1.0  # s; a power cut may lose the rows of this time
+_SYNC_EVERY = 1.0  # s; a power cut may lose the rows of this time, and gzip holds them back
+_HANGS = 5.0  # s without a row on the disk after which the writer is ended
 _GOODBYE = b'"goodbye"\n'
+_SAVED, _ERROR, _BYTES, _FREE = range(4)  # the writer's numbers in the memory: rows saved, its error, bytes saved and free
+_TIME = struct.Struct("d")
+_PACKED = 0.45  # of the size of random decimal digits that gzip leaves: log2(10) = 3.3 of 8 bits, Huffman's code needs 3.4
 
 
 @dataclass(frozen=True)
@@ -45,11 +55,12 @@ class Column:
 
 @dataclass(frozen=True)
 class Logged:
-    """Result of a log: rows in the file, rows lost, and the failure, if any."""
+    """Result of a log: rows in the file, rows lost, the failure, if any, and a disk that ran short."""
 
     rows: int
     lost: int
     failure: str = ""
+    warning: str = ""
 
 
 class Log(Protocol):
@@ -57,6 +68,8 @@ class Log(Protocol):
 
     broken: str
     """Why rows no longer reach the file; empty while they do."""
+    warning: str
+    """Why the disk may not hold the rest of the rows; empty while it has room."""
 
     def put(self, *row: float) -> None:
         """Keep a row."""
@@ -88,7 +101,7 @@ class MemoryLog:
 
     def __init__(self, path: str | os.PathLike, columns: Sequence[Column]):
         self._path, self._columns, self._numbers = Path(path), tuple(columns), array("d")
-        self._events, self.broken = _Events(events_of(self._path)), ""
+        self._events, self.broken, self.warning = _Events(events_of(self._path)), "", ""
 
     def put(self, *row):
         self._numbers.extend(row)
@@ -108,23 +121,24 @@ class MemoryLog:
 class ProcessLog:
     """A log for real time. The memory holds as many rows as a pipe holds bytes, 65536 as a rule: four minutes at 250 Hz.
 
-    `after`: the command that the writer executes if the loop ends without `close`. A process with the descriptor `shared` can
-    read the rows (`Reader`) at no cost to the loop.
+    `after`: the command that the writer executes if the loop ends without `close`. `rows`: their expected number, for the
+    warning. The first column is the time [s]. A process with the descriptor `shared` can read the rows (`Reader`) at no cost to
+    the loop. BadInput if the file cannot be begun.
     """
 
-    def __init__(self, path: str | os.PathLike, columns: Sequence[Column], after: Sequence[str] = ()):
-        self._row, self._head, self._lost = struct.Struct(f"{len(columns)}d"), 0, 0
-        self.broken = ""
+    def __init__(self, path: str | os.PathLike, columns: Sequence[Column], after: Sequence[str] = (), rows: int = 0):
+        self._row, self._head, self._lost, self._expected = struct.Struct(f"{len(columns)}d"), 0, 0, rows
+        self._broken = self._warning = ""
         read, self._pipe = os.pipe()
         hear, self._notes = os.pipe()
         # The writer takes a batch from the pipe before it reads the rows from memory: room for one batch more.
         self.slots = fcntl.fcntl(self._pipe, _GET_PIPE_SIZE) + _BATCH
         shared = os.memfd_create("hil-log")
-        os.ftruncate(shared, self.slots * self._row.size)
-        self._memory = mmap.mmap(shared, self.slots * self._row.size)
+        self._memory, self._status = _shared(shared, self.slots * self._row.size)
         os.set_blocking(self._pipe, False)
         os.set_blocking(self._notes, False)
         self.path, self.columns, self.shared = Path(path), tuple(columns), shared
+        self._due = LATE + _SYNC_EVERY * (self.path.suffix == ".gz")
         task = json.dumps([str(path), [astuple(c) for c in columns], list(after), self.slots, shared, read, hear])
         self._writer = subprocess.Popen(
             [sys.executable, "-m", "hil.log", task],
@@ -135,6 +149,9 @@ class ProcessLog:
         )
         for descriptor in (read, hear):
             os.close(descriptor)
+        if refused := json.loads(self._writer.stdout.readline() or '"the writer of the log has died"'):
+            self.close()
+            raise BadInput(path, "log", f"not writable ({refused})", "a file that can be written")
 
     @property
     def writer(self) -> int:
@@ -148,9 +165,28 @@ class ProcessLog:
         except (BlockingIOError, BrokenPipeError) as error:
             self._lost += 1
             gone = isinstance(error, BrokenPipeError)
-            self.broken = self.broken or (f"its writer, process {self.writer}, " + ("has died" if gone else "takes no rows"))
+            self._broken = self._broken or (f"its writer, process {self.writer}, " + ("has died" if gone else "takes no rows"))
         else:
             self._head += 1
+
+    @property
+    def broken(self):
+        saved = int(self._status[_SAVED])
+        if not self._broken and saved < self._head:
+            late = self._time(self._head - 1) - self._time(saved)
+            if late > self._due:
+                error = int(self._status[_ERROR])
+                why = os.strerror(error).lower() if error else f"process {self.writer} does not write"
+                self._broken = f"{self.path}: {why}: found rows that wait {late:.1f} s for the disk, expected {self._due:g} s"
+        return self._broken
+
+    @property
+    def warning(self):
+        saved, _, size, free = self._status
+        need = (self._expected - saved) * size / saved if saved else 0.0
+        if not self._warning and free < need:
+            self._warning = f"the disk has {free / 1e6:.1f} MB left, the rest of the log takes {need / 1e6:.1f} MB"
+        return self._warning
 
     def note(self, event):
         with contextlib.suppress(BlockingIOError, BrokenPipeError):  # `put` reports it
@@ -161,14 +197,31 @@ class ProcessLog:
             os.write(self._notes, _GOODBYE)
         os.close(self._pipe)
         os.close(self._notes)
-        data, _ = self._writer.communicate()
+        data = self._finished()
+        self._status.release()
         self._memory.close()
         os.close(self.shared)
         try:
             rows, failure = json.loads(data)
         except ValueError:
-            rows, failure = 0, f"the log's writer has died (exit code {self._writer.returncode})"
-        return Logged(rows, self._lost + self._head - rows, failure)
+            rows, failure = 0, f"the log's writer has died (exit code {self._writer.poll()})"
+        return Logged(rows, self._lost + self._head - rows, failure, self._warning)
+
+    def _finished(self) -> bytes:
+        """The writer's result. A writer that hangs, as on a network disk that is gone, is ended."""
+        saved = -1.0
+        while saved < self._status[_SAVED]:
+            saved = self._status[_SAVED]
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                return self._writer.communicate(timeout=_HANGS)[0]
+        self._writer.kill()
+        self._writer.stdout.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):  # the kernel may hold it for as long as the disk does not answer
+            self._writer.wait(_HANGS)
+        return b""
+
+    def _time(self, row: int) -> float:
+        return _TIME.unpack_from(self._memory, row % self.slots * self._row.size)[0]
 
 
 class Reader:
@@ -221,13 +274,16 @@ class _Events:
 
 
 class _File:
-    """The growing CSV, under a temporary name until it is complete. If the disk is full, rows wait in memory."""
+    """The growing CSV, under a temporary name until it is complete. If the disk is full, rows wait in memory.
+
+    `saved` rows and `written` bytes are on the disk; `error`: the number of the system's error while rows wait, else 0.
+    """
 
     def __init__(self, path: Path, columns: Sequence[Column]):
         self._path, self._part = path, path.with_name(f".{path.name}.part")
         self._cells: list[Callable[[float], str]] = [cell(column) for column in columns]
         self._pack = zlib.compressobj(1, wbits=31) if path.suffix == ".gz" else None
-        self._waiting, self._rows, self._written, self.failure = bytearray(), 0, 0, ""
+        self._waiting, self._rows, self.saved, self.written, self.failure, self.error = bytearray(), 0, 0, 0, "", 0
         self._synced = time.monotonic()
         self._file = os.open(self._part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
         fcntl.flock(self._file, fcntl.LOCK_EX)  # else `found_log` would take it for an abandoned one
@@ -243,9 +299,7 @@ class _File:
     def close(self) -> Logged:
         """Write the waiting rows and give the file its name. A gzip file that a full disk cut off keeps its temporary name, by
         which `hil.session.found_log` finds it for repair."""
-        if self._pack:
-            self._waiting += self._pack.flush()
-        self._flush(packing=False)
+        self._flush(zlib.Z_FINISH)
         whole = self._rows if self._pack else min(self._rows, self._waiting.count(b"\n"))
         lost = whole if self._waiting else 0
         with contextlib.suppress(OSError):
@@ -260,24 +314,29 @@ class _File:
     def _queue(self, text: str) -> None:
         self._waiting += self._pack.compress(text.encode()) if self._pack else text.encode()
 
-    def _flush(self, packing: bool = True) -> None:
+    def _flush(self, packing: int = zlib.Z_SYNC_FLUSH) -> None:
+        due = packing == zlib.Z_FINISH or time.monotonic() - self._synced > _SYNC_EVERY
+        if due and self._pack:  # so that the data so far can be unpacked without the rest
+            self._waiting += self._pack.flush(packing)
         try:
             while self._waiting:
                 count = os.write(self._file, self._waiting)
                 del self._waiting[:count]
-                self._written += count
-            if time.monotonic() - self._synced > _SYNC_EVERY:
+                self.written += count
+            if due:
                 os.fsync(self._file)
-                if self._pack and packing:  # so that the data so far can be unpacked without the rest
-                    self._waiting += self._pack.flush(zlib.Z_SYNC_FLUSH)
                 self._synced = time.monotonic()
         except OSError as error:
-            self.failure = f"{self._path}: {(error.strerror or str(error)).lower()}"
+            self.failure, self.error = f"{self._path}: {(error.strerror or str(error)).lower()}", error.errno
+        else:
+            self.error = 0
+            if due or not self._pack:
+                self.saved = self._rows
 
     def _last_line(self) -> int:
         """Offset of the end of the file's last complete line [bytes]."""
         if self._pack:
-            return self._written
+            return self.written
         with open(self._part, "rb") as file:
             return file.read().rfind(b"\n") + 1
 
@@ -293,6 +352,21 @@ def cell(column: Column) -> Callable[[float], str]:
     return lambda value: f"{value:.9g}" if math.isfinite(value) else ""
 
 
+def largest(path: Path, columns: Sequence[Column], rows: int) -> int:
+    """Size [bytes] that a log of so many rows does not exceed."""
+    widest = {name: 99999.996 if name == "time" else -math.pi * 1e-200 for name in (column.name for column in columns)}
+    cells = (max(map(len, c.words)) if c.words else len(cell(c)(widest[c.name])) for c in columns)
+    return round(rows * (sum(cells) + len(columns)) * (_PACKED if path.suffix == ".gz" else 1.0))
+
+
+def _shared(descriptor: int, size: int) -> tuple[mmap.mmap, memoryview]:
+    """(memory of the rows, `size` bytes, and of the writer's numbers; a view of these numbers)."""
+    numbers = struct.calcsize("4d")
+    os.ftruncate(descriptor, size + numbers)
+    memory = mmap.mmap(descriptor, size + numbers)
+    return memory, memoryview(memory)[size:].cast("d")  # a view stores a number at once, other than struct
+
+
 def _line(event: Mapping) -> bytes:
     return json.dumps(event).encode() + b"\n"
 
@@ -301,17 +375,30 @@ def write_rows(path: Path, columns: Sequence[Column], slots: int, shared: int, p
     """The writer's loop: for each byte on `pipe` write a row from the memory `shared` to the file, and write the events from
     `notes`. Returns the log's result and whether the loop said goodbye."""
     row = struct.Struct(f"{len(columns)}d")
-    memory = mmap.mmap(shared, slots * row.size)
+    memory, status = _shared(shared, slots * row.size)
     file, events, taken, goodbye = _File(path, columns), _Events(events_of(path)), 0, False
+    print("null", flush=True)  # it takes rows
     os.set_blocking(notes, False)
     while data := os.read(pipe, _BATCH):
         file.add([row.unpack_from(memory, k % slots * row.size) for k in range(taken, taken + len(data))])
         taken += len(data)
+        status[_SAVED], status[_ERROR], status[_BYTES], status[_FREE] = (
+            file.saved,
+            file.error,
+            file.written,
+            free_bytes(path.parent),
+        )
         goodbye |= _heard(notes, events)
         time.sleep(_PAUSE)
     goodbye |= _heard(notes, events)
     events.close()
     return file.close(), goodbye
+
+
+def free_bytes(folder: Path) -> int:
+    """Free space [bytes] of a folder's disk for an ordinary user."""
+    disk = os.statvfs(folder)
+    return disk.f_bavail * disk.f_frsize
 
 
 def _heard(notes: int, events: _Events) -> bool:
@@ -330,7 +417,11 @@ def _heard(notes: int, events: _Events) -> bool:
 if __name__ == "__main__":
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends when its loop does
     name, described, after, *rest = json.loads(sys.argv[1])
-    done, ended = write_rows(Path(name), [Column(n, exact, tuple(words)) for n, exact, words in described], *rest)
+    try:
+        done, ended = write_rows(Path(name), [Column(n, exact, tuple(words)) for n, exact, words in described], *rest)
+    except OSError as error:  # the file could not be begun
+        print(json.dumps((error.strerror or str(error)).lower()))
+        sys.exit(1)
     with contextlib.suppress(BrokenPipeError):  # its loop may be gone
         os.write(1, json.dumps([done.rows, done.failure]).encode())
     if after and not ended:

@@ -12,6 +12,7 @@ from tqdm import tqdm
 from hil.cycle import PERIOD
 from hil.log import events_of
 from hil.page.operator_page import OperatorPage
+from hil.rig import RunEnded
 from hil.run import LOG, LimitedPlant, Run, loop_part, run_on_rig, write_run
 from hil.runs import ENDED, ENDED_EARLY, NAMES, RUNNING, alarm_of, run_folder, summary_of_files
 from hil.safety.faults import FaultKind
@@ -57,7 +58,7 @@ DONE = BEGUN | {
     "tares": [{"zero_counts": float, "noise_N": float}],
     "transitions": [{"time": float, "state": str, "why": str}],
     "counters": {"*": {"*": int}},
-    "log": {"ticks": int, "rows": int, "lost": int, "failure": str},
+    "log": {"ticks": int, "rows": int, "lost": int, "failure": str, "warning?": str},
     "timing?": dict,
     "energy?": {"value": float, "unit": str, "mean_power": float, "peak_power": float},
 }
@@ -146,9 +147,15 @@ def carry_out(
     if twin is not None:
         content["twin"] |= {"alarmed": twin.alarmed, "since": twin.since}
         content["adaptive_twin"] |= {"alarms": [{"time": at, "points_to": what} for at, what in adaptive.alarms]}
-    if task.parquet:
-        folder.write("run.parquet", as_parquet(done.record))
-    return done, folder, finish(folder, content, done.log, report, task.beside)
+    try:
+        found = finish(folder, content, done.log, report, task.beside)
+        if task.parquet:
+            folder.write("run.parquet", as_parquet(done.record))
+    except BadInput as refused:
+        if not done.ended:
+            raise
+        raise RunEnded(f"{done.ended}; {refused}") from refused
+    return done, folder, found
 
 
 def _cut_short(folder: OutputFolder, begun: dict, error: BaseException, say: Say, report: Report) -> None:
@@ -224,11 +231,11 @@ def finish(
         content["beside"] = {"plant": beside[0], "rms_thrust": rms}
     found = Outcome(content, log, loops, timing(log["late"], log["busy"], log["missed"]) if real_time else None)
     refusals: list[BadInput] = []
+    with _collected(refusals):
+        folder.write("hil.json", as_json(content))  # first: on a full disk the reason of the end is worth most
     if loops:
         with _collected(refusals):
             write_run(folder.path / "run.csv", record)
-    with _collected(refusals):
-        folder.write("hil.json", as_json(content))
     with _collected(refusals):
         folder.write("report.html", report(found))
     if refusals:
@@ -326,8 +333,8 @@ def lines_of(found: Outcome) -> list[str]:
         said_so = ", ".join(f"{one['time']:.1f} s ({one['points_to']})" for one in alarms) or "none"
         lines.append(f"adaptive twin: alarms: {said_so}")
     log = content["log"]
-    failure = f"; {log['failure']}" if log["failure"] else ""
-    lines.append(f"log: {log['rows']} rows of {log['ticks']} ticks, {log['lost']} lost{failure}")
+    more = "".join(f"; {why}" for why in (log["failure"], log.get("warning")) if why)
+    lines.append(f"log: {log['rows']} rows of {log['ticks']} ticks, {log['lost']} lost{more}")
     return [*lines, f"loop: {content.get('real_time', 'not known')}\n{found.timing.text()}"] if found.timing else lines
 
 

@@ -141,7 +141,8 @@ def run_on_rig(
     ended, start = "", start or idle(setup.allowed)
     if isinstance(controller, FmuController):
         rehearse(controller, float(profile["thrust_set"][0]))
-    with session(setup, folder, LOG, twin, after=after, on_alarm=on_alarm, page=page, adaptive=adaptive) as one:
+    seconds = float(profile.time[-1] - profile.time[0])
+    with session(setup, folder, LOG, seconds, twin, after=after, on_alarm=on_alarm, page=page, adaptive=adaptive) as one:
         try:
 
             def shown(share: float) -> None:

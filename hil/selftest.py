@@ -59,7 +59,7 @@ def selftest(
 ) -> SelfTest:
     """Tick for `seconds` with the idle pulse on the outputs, while `load` other processes are busy."""
     ended = ""
-    with session(setup, folder, LOG) as one, busy(load):
+    with session(setup, folder, LOG, seconds) as one, busy(load):
         rig, count = one.rig, round(seconds / one.rig.dt)
         try:
             rig.idle(count)

@@ -28,6 +28,7 @@ from hil.log import Column, Logged, MemoryLog, ProcessLog
 from hil.page.operator_page import OperatorPage
 from hil.realtime import real_time
 from hil.rig import Rig
+from hil.room import Reserve, check_room, rows_of
 from hil.safety.faults import FaultKind
 from hil.safety.limits import Limits
 from hil.safety.plausibility import Plausibility, thresholds_of
@@ -128,6 +129,7 @@ def session(
     setup: Setup,
     folder: Path,
     log_name: str,
+    seconds: float,
     twin: Twin | None = None,
     watch: bool = True,
     after: Sequence[str] = (),
@@ -137,16 +139,20 @@ def session(
 ) -> Iterator[Session]:
     """A rig to use within the context. After it the idle pulse is on the outputs, and the log and the session are complete.
 
-    `log_name`: the full-rate log in `folder`. `watch`: show a live view if there is a terminal. `after`: the command that
-    makes a report of the log if this process can't. `on_alarm`, `adaptive` as in `Rig`. `page`: the operator's page, in real
-    time only.
+    `log_name`: the full-rate log in `folder`. `seconds`: the length of the run, for which the disk must have room (BadInput).
+    `watch`: show a live view if there is a terminal. `after`: the command that makes a report of the log if this process can't.
+    `on_alarm`, `adaptive` as in `Rig`. `page`: the operator's page, in real time only.
     """
+    columns = (*COLUMNS, *(Column(LEARNED + name) for name in (adaptive.outputs if adaptive else ())))
+    check_room(folder / log_name, columns, seconds)
     with contextlib.ExitStack() as ends:
+        reserve = Reserve(folder, seconds)
+        ends.callback(reserve.free)
         bench = setup.bench()
         ends.callback(bench.close)
         in_virtual_time = isinstance(bench.clock, VirtualClock)
-        columns = (*COLUMNS, *(Column(LEARNED + name) for name in (adaptive.outputs if adaptive else ())))
-        log = MemoryLog(folder / log_name, columns) if in_virtual_time else ProcessLog(folder / log_name, columns, after)
+        at = folder / log_name
+        log = MemoryLog(at, columns) if in_virtual_time else ProcessLog(at, columns, after, rows_of(seconds))
         if page:
             page.follow(log)
         labels = shown_beside({name: one.unit for name, one in adaptive.adapted.items()}) if adaptive else (SHOWN, WORDS)
@@ -181,6 +187,7 @@ def session(
                 yield one
             finally:
                 rig.close()
+                reserve.free()  # for the rows that still wait, and the files after the run
                 one.logged = log.close()
         if not in_virtual_time and not one.logged.failure:
             ticks = read_log(found_log(folder / log_name))

@@ -5,6 +5,7 @@ outstanding.
 """
 
 import math
+import termios
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, Protocol
 
@@ -23,6 +24,8 @@ ASK_AFTER, ASK_EVERY = 2.0, 0.25
 """A board that wasn't reset is asked for its greeting; not earlier, because bytes keep a bootloader from ending [s]."""
 ANSWER_WITHIN = 0.011
 """After this a request counts as lost: at the third tick of 4 ms the next one goes out [s]."""
+GONE = OSError, termios.error
+"""Errors of a port whose adapter has dropped out. Those of the terminal's settings are no OSError; pyserial passes them on."""
 _MOST_AT_ONCE = 512
 _ANSWER_BYTES = frames.FROM_BOARD[frames.ANSWER] + frames.OVERHEAD
 
@@ -102,7 +105,7 @@ class Tachometer:
                 if clock.now() - begun >= ASK_AFTER and clock.now() - asked >= ASK_EVERY:
                     asked = clock.now()
                     self._port.write(encoded(Frame(frames.ASK_HELLO, 0)))
-        except OSError as error:
+        except GONE as error:
             self.close()
             raise DeviceFault(self.name, FaultKind.NOT_READY, f"port {self._open}: found {_reason(error)}") from error
         self.close()
@@ -134,7 +137,7 @@ class Tachometer:
         try:
             if self._port is not None:
                 self._port.write(encoded(Frame(kind, sequence, payload)))
-        except OSError as error:
+        except GONE as error:
             raise DeviceFault(self.name, FaultKind.UNPLUGGED, f"found {_reason(error)}, expected an open port") from error
 
     def poll(self) -> Revolution | None:
@@ -145,7 +148,7 @@ class Tachometer:
         now, answer = self._clock.now(), None
         try:
             heard = self._frames()
-        except OSError as error:
+        except GONE as error:
             raise DeviceFault(self.name, FaultKind.UNPLUGGED, f"found {_reason(error)}, expected an open port") from error
         for frame in heard:
             if frame.type == frames.HELLO:
@@ -203,5 +206,5 @@ class Tachometer:
         raise DeviceFault(self.name, kind, detail)
 
 
-def _reason(error: OSError) -> str:
-    return error.strerror or str(error)
+def _reason(error: Exception) -> str:
+    return str(getattr(error, "strerror", None) or error.args[-1])

@@ -1,4 +1,4 @@
-"""The commands in real time on a disk that fills before a run, during it, at its end, or during a campaign.
+"""The commands in real time on a disk that is too small, or that fills before a run, in it, at its end, or in a campaign.
 
 Where mounting is allowed, the disk is a separate tmpfs in a namespace, and the kernel refuses with ENOSPC. Elsewhere the files
 of the processes are limited to ROOM bytes (RLIMIT_FSIZE, refused as EFBIG). Small files can still be written there, as the
@@ -20,9 +20,13 @@ from pathlib import Path
 from hil.campaign_folder import measured_so_far
 from hil.log import events_of, read_events
 from hil.session import found_log, read_log
+from tests.hil.injection import fill
 
 ROOT = Path(__file__).parents[2]
-SIZE, ROOM = "8m", 65536
+SIZE, ROOM = 16_000, 65536
+TOO_SMALL = 500
+"""kB: a disk for 14 s of log."""
+LOST = "log: log lost: "
 IDLE = b"1000000"
 PATIENCE = 120.0
 PROFILE = "time,thrust_set\n0,4\n1,8\n4,8\n"
@@ -46,9 +50,7 @@ class Disk:
             else:
                 self.words = ["sh", "-c", 'ulimit -f 0; exec "$@"', "sh"]
             return
-        with contextlib.suppress(OSError), open(self.seen / "filler", "ab", buffering=0) as file:
-            while True:
-                file.write(bytes(4096))
+        fill(self.seen)
 
     def free(self) -> None:
         """Free the disk."""
@@ -64,10 +66,10 @@ def limit(pid: int) -> None:
 
 
 @contextlib.contextmanager
-def small_disk() -> Iterator[Disk]:
-    """A disk of SIZE; without a mount, `fill` limits the files of the processes instead."""
+def small_disk(size: int = SIZE) -> Iterator[Disk]:
+    """A disk of `size` kB; without a mount, `fill` limits the files of the processes instead."""
     with tempfile.TemporaryDirectory() as name:
-        mount = ["unshare", "-m", "sh", "-c", f'mount -t tmpfs -o size={SIZE} none "$0" && echo ready && exec cat', name]
+        mount = ["unshare", "-m", "sh", "-c", f'mount -t tmpfs -o size={size}k none "$0" && echo ready && exec cat', name]
         holder = subprocess.Popen(mount, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
         try:
             mounted = holder.stdout.readline() == b"ready\n"
@@ -98,17 +100,17 @@ class Became:
 
 
 def full(phase: str) -> Became:
-    """Fill the disk in a phase: "start", "run", "end" or "campaign"."""
-    with small_disk() as disk:
-        if phase == "campaign" and not disk.mounted:
+    """Fill the disk in a phase: "start", "run", "end" or "campaign"; or give too small a one: "small"."""
+    with small_disk(TOO_SMALL if phase == "small" else SIZE) as disk:
+        if phase in ("small", "campaign") and not disk.mounted:
             return Became(0, "not tried: no tmpfs can be mounted here", None, "", "")
         (disk.seen / "step.csv").write_text(PROFILE)
         words = ["campaign", *SMALL] if phase == "campaign" else ["run", "--profile", str(disk.folder / "step.csv")]
         if phase == "start":
             disk.fill(None)
         process = command(disk, *words, "-o", str(disk.folder / "out"))
-        pulse = None
-        if phase != "start":
+        pulse = esc = None
+        if phase not in ("start", "small"):
             reached = {
                 "run": lambda event: event.get("state") == "run",
                 "end": lambda event: event.get("why") == "end of the run",
@@ -117,25 +119,38 @@ def full(phase: str) -> Became:
             esc = _until(process, disk.seen / "out", reached)
             disk.fill(process)
         _, said = process.communicate(timeout=PATIENCE)
-        if phase != "start" and esc is not None:
+        if esc is not None:
             pulse = os.pread(esc, 32, 0).split(b"\n")[0]
             os.close(esc)
+        unsaid = _unsaid(disk, said) if phase == "run" else []
         disk.free()
         kept, wrong = _kept(disk, phase)
         lines = [line for line in said.splitlines() if line.startswith("vpp")]
+        turns = phase not in ("start", "small")
+        code = 0 if phase == "end" and disk.mounted else 2  # then the reserve holds the files after the run
         wrong = [
             *wrong,
-            *["no line or more than one says so"] * (len(lines) != 1 or "Traceback" in said),
-            *["the ESC is not at idle"] * (pulse not in (IDLE, None) or (phase != "start" and pulse is None)),
-            *[f"exit code {process.returncode}, must be 2"] * (process.returncode != 2),
+            *unsaid,
+            *["no line or more than one says so"] * (len(lines) != (code == 2) or "Traceback" in said),
+            *["the ESC is not at idle"] * (pulse != (IDLE if turns else None)),
+            *[f"exit code {process.returncode}, must be {code}"] * (process.returncode != code),
+            *["does not say how much is free"] * (phase == "small" and "free space: found" not in said),
         ]
         return Became(process.returncode, lines[0] if lines else said.strip(), pulse, kept, "; ".join(wrong))
+
+
+def _unsaid(disk: Disk, said: str) -> list[str]:
+    """The places that do not give the reason of the end, while the disk is still full."""
+    out = disk.seen / "out"
+    texts = {name: (out / name).read_text() if (out / name).exists() else "" for name in ("hil.json", "report.html")}
+    unsaid = [name for name, text in (texts | {"standard error": said}).items() if LOST not in text]
+    return [f"{name} does not say why it ended" for name in unsaid if disk.mounted or name == "standard error"]
 
 
 def _kept(disk: Disk, phase: str) -> tuple[str, list[str]]:
     """(description of the data that can be read once the disk is free, violated requirements)."""
     out = disk.seen / "out"
-    if phase == "start":
+    if phase in ("start", "small"):
         turned = any("run" in path.read_text() for path in out.rglob("*.events.jsonl"))
         return "nothing was begun", ["it turned"] * turned
     if phase == "campaign":

@@ -24,6 +24,7 @@ from tests.hil.injection import (
     Watched,
     brown_out,
     bus,
+    fills,
     left_behind,
     line,
     load,
@@ -33,6 +34,7 @@ from tests.hil.injection import (
     second_opener,
     sends,
     started,
+    stops_writer,
     stuck,
     to_all,
     to_loop_and_supervisor,
@@ -59,6 +61,9 @@ on resuming, and the supervisor overwrites it with the idle pulse within 1 ms.""
 
 ALARM = 2000.0
 """ms until the twin's alarm for a change of 5 N, in whole blocks of half a second; its reaction takes additional time."""
+
+WAITS = 1200.0
+"""ms until a row on a full disk is late: a second, the rest of the file's last page, and the writer's pause."""
 
 TRIES = 3
 """Runs until the thrust settles: on a busy machine the emulation itself may starve, which is not the injected fault."""
@@ -124,6 +129,7 @@ STUCK = {
 FAST = {"limits": {"omega_max": 5500.0, "omega_trip": 5501.0}, "sabotage": "flat out"}
 """The trip speed is one rpm above the limit, closer than the speed loop can hold it."""
 
+SMALL = {"small": True, "seconds": 20}
 RELAY = {"within": OPEN, "task": {"physics": {"lingers": 8.0}}, "relay": True}
 TWIN_RAMPS, TWIN_IDLES = ({"twin": what, "seconds": 10} for what in ("ramp", "idle"))
 
@@ -167,10 +173,11 @@ ROWS = (
     Row("supervisor: SIGSTOP", "ramps down", to_supervisor(signal.SIGSTOP), cause="supervisor: supervisor lost"),
     goes_on("supervisor: SIGINT", "nothing", to_supervisor(signal.SIGINT)),
     goes_on("supervisor: SIGTERM", "nothing", to_supervisor(signal.SIGTERM)),
-    goes_on("disk full", "goes on, says what was lost", nothing, task={"full": True}),
+    Row("disk full: filled by others", "waits 1 s, ramps down", fills, cause="log: log lost", within=WAITS + RAMP, task=SMALL),
+    disk_full("small", "disk full: too small for the run", "nothing turns, one line"),
     disk_full("start", "disk full: before the start", "nothing turns, one line"),
-    disk_full("run", "disk full: in a run", "idle at its end, one line, rows kept"),
-    disk_full("end", "disk full: at the end", "idle, one line, report made later"),
+    disk_full("run", "disk full: in a run", "ramps down, says why everywhere"),
+    disk_full("end", "disk full: at the end", "idle, all files"),
     disk_full("campaign", "disk full: in a campaign", "idle, one line, goes on by --resume"),
     goes_on("clock set back by 1 h", "nothing", sends(signal.SIGUSR1), task={"sabotage": "clock back"}),
     Row("killed together", "the board opens the relay", to_all, "gone", **RELAY),
@@ -184,6 +191,7 @@ ROWS = (
     Row("FMU: crashes", "idle", now, "gone", within=CUT, task={"fmu": "crashes"}),
     Row("FMU: errs", "ramps down", now, cause="controller: failed", task={"fmu": "errs"}),
     Row("FMU: slow", "ramps down", now, cause="loop: overrun", task={"fmu": "slow"}),
+    Row("log's writer: SIGSTOP", "waits 1 s, ramps down", stops_writer, cause="log: log lost", within=WAITS + RAMP),
     Row("log's writer: SIGKILL", "ramps down", to_writer, cause="log: log lost"),
     goes_on("second opener", "refused, goes on", second_opener),
     Row("PWM: switched off by others", "idle at once", writes("enable", "0\n"), cause="esc: output lost", within=CUT),

@@ -126,6 +126,23 @@ def to_writer(rig: Injected) -> None:
     os.kill(next(pid for pid, words in children_of(rig.process.pid) if "hil.log" in words), signal.SIGKILL)
 
 
+def stops_writer(rig: Injected) -> None:
+    """The log's writer hangs, as on a network disk that is gone."""
+    os.kill(next(pid for pid, words in children_of(rig.process.pid) if "hil.log" in words), signal.SIGSTOP)
+
+
+def fills(rig: Injected) -> None:
+    """Another program fills the disk of the log."""
+    fill(Path(f"/proc/{rig.process.pid}/root{rig.folder}"))
+
+
+def fill(folder: Path) -> None:
+    """Write to a file `filler` until the disk is full."""
+    with contextlib.suppress(OSError), open(folder / "filler", "ab", buffering=0) as file:
+        while True:
+            file.write(bytes(4096))
+
+
 def now(rig: Injected) -> None:
     """Create the file for which the FMU waits."""
     (rig.folder / "now").touch()
@@ -173,11 +190,11 @@ def load(count: int) -> Iterator[None]:
 
 @contextlib.contextmanager
 def started(task: dict, folder: Path) -> Iterator[tuple[subprocess.Popen, list[dict]]]:
-    """The process in its own session, and its messages so far; on a disk of 64 kB if the task says `full`."""
+    """The process in its own session, and its messages so far; on a disk of 16 MB if the task says `small`."""
     messages: list[dict] = []
     words = [sys.executable, str(HERE / "rig_process.py"), json.dumps({"seconds": 3, **task, "folder": str(folder)})]
-    if task.get("full"):
-        words = ["unshare", "-m", "sh", "-c", 'mount -t tmpfs -o size=64k none "$0" && exec "$@"', str(folder), *words]
+    if task.get("small"):
+        words = ["unshare", "-m", "sh", "-c", 'mount -t tmpfs -o size=16m none "$0" && exec "$@"', str(folder), *words]
     environment = {**os.environ, "PYTHONPATH": str(HERE.parents[1])}
     process = subprocess.Popen(words, stdout=subprocess.PIPE, env=environment, start_new_session=True)
 

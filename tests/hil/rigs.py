@@ -35,7 +35,7 @@ class Rows:
     """A log that keeps its rows by column."""
 
     def __init__(self, columns):
-        self._names, self.rows, self.events, self.broken = [c.name for c in columns], [], [], ""
+        self._names, self.rows, self.events, self.broken, self.warning = [c.name for c in columns], [], [], "", ""
 
     def put(self, *row):
         self.rows.append(row)

@@ -130,8 +130,10 @@ def test_a_report_of_nothing_or_of_a_log_that_grows_is_refused(tmp_path):
 @pytest.mark.parametrize(("size", "rows"), [(0, 0), (300_000, 1000)], ids=["from the start", "at the end"])
 def test_a_full_disk_loses_no_row_that_was_written(tmp_path, profile, size, rows):
     words = ["hil", "run", "--virtual", "--profile", str(profile), "-o", str(tmp_path / "out")]
-    text = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)\n"
-    text += "from vpp_fmu.app.cli import main; sys.exit(main(sys.argv[2:]))"
+    text = "import resource, sys; from hil.room import Reserve; from vpp_fmu.app.cli import main; size = int(sys.argv[1])\n"
+    text += "def fill(*_): resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))\n"
+    text += "if size: Reserve.free = fill\n"  # others were quicker to take what it gave back
+    text += "else: fill()\nsys.exit(main(sys.argv[2:]))"
     command = [sys.executable, "-c", text, str(size), *words]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
     assert done.returncode == 2

@@ -254,7 +254,7 @@ def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_no
         assert json.loads((out / "hil.json").read_text())["status"] == "ended early"
         assert (out / kept).exists()
         if not resume:
-            assert "Try: --resume to go on, or another folder" in refused(*small, "-o", out)
+            assert "Try: --resume to go on with it, or --replace" in refused(*small, "-o", out)
         resume = ["--resume"]
     assert "plan: found" in refused(*small, "--resume", "--settle", "2", "-o", out)
     left[0] = 0
@@ -270,6 +270,24 @@ def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_no
             np.testing.assert_array_equal(one[name], other[name])
         assert np.abs(one["thrust"] - other["thrust"]).max() < 1.5
     np.testing.assert_array_equal(first.validation["omega_ref"], second.validation["omega_ref"])
+
+
+def test_a_campaign_is_not_overwritten_unless_that_is_asked_for(tmp_path, refused):
+    """A finished one, and records that no campaign of this program measured; a replaced one leaves none of its records."""
+    small, out = ["hil", "campaign", "--virtual", *SMALL, "-o", str(tmp_path / "out")], tmp_path / "out"
+    assert main([*small, "--parts", "static", "validation"]) == 0
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    found = refused(*small, "--parts", "static", "--seed", "5")
+    assert "campaign: found static.csv, validation.csv, expected a folder without one" in found
+    assert "--replace" in found
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    assert "not allowed with" in refused(*small, "--resume", "--replace")
+    assert main([*small, "--parts", "static", "--seed", "5", "--replace"]) == 0
+    assert (out / "static.csv").read_bytes() != before["static.csv"]
+    assert not list(out.glob("*validation*"))
+    (tmp_path / "imported").mkdir()
+    (tmp_path / "imported" / "open_loop.csv").write_text("measured elsewhere")
+    assert "found open_loop.csv" in refused(*small[:-1], str(tmp_path / "imported"))
 
 
 def test_the_log_gives_the_record_of_the_loop(tmp_path, short_steps):

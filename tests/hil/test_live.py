@@ -29,7 +29,7 @@ def test_unknown_values_are_omitted_and_a_line_fits_a_narrow_terminal():
 
 def test_every_label_of_the_rig_can_be_shown():
     text = line(SHOWN, SHOWN_WORDS, [0.0] * len(SHOWN), 500)
-    assert text.count("|") == len(SHOWN) - 4  # the twins and the page show nothing
+    assert text.count("|") == len(SHOWN) - 5  # the twins, the page and the disk show nothing
     alarmed = line(SHOWN, SHOWN_WORDS, [1.0 if name == "twin" else 0.0 for name, *_ in SHOWN], 500)
     assert "| ALARM: not as its model |" in alarmed
 

@@ -12,7 +12,8 @@ import time
 import numpy as np
 import pytest
 
-from hil.log import Column, Logged, MemoryLog, ProcessLog, Reader
+from hil.log import Column, Logged, MemoryLog, ProcessLog, Reader, largest
+from vpp_fmu.errors import BadInput
 
 COLUMNS = (Column("time"), Column("exact", exact=True), Column("short"), Column("state", words=("safe", "run")))
 ROWS = [(0.004 * k, math.pi / (k + 1), math.e * k if k % 3 else math.nan, float(k % 2)) for k in range(5000)]
@@ -113,6 +114,65 @@ print(json.dumps([done.rows, done.lost, done.failure]))
     assert lost > 0
     assert "too large" in failure  # the system's message for a file at its limit
     assert [float(c["value"]) for c in read(tmp_path / "run.csv")] == list(range(rows))  # whole lines only
+
+
+def test_a_row_that_waits_for_the_disk_for_more_than_a_second_breaks_the_log(tmp_path, monkeypatch):
+    monkeypatch.setattr("hil.log._HANGS", 0.2)
+    log = ProcessLog(tmp_path / "run.csv", COLUMNS)
+    os.kill(log.writer, signal.SIGSTOP)
+    for k in range(300):
+        log.put(0.004 * k, 0.0, 0.0, 0.0)
+        assert bool(log.broken) == (0.004 * k > 1.0), (k, log.broken)
+    assert f"process {log.writer} does not write" in log.broken
+    done = log.close()  # a writer that hangs does not hold it
+    assert (done.rows, done.lost) == (0, 300)
+    assert done.failure
+
+
+def test_a_full_disk_is_named_by_the_log_and_rows_that_found_room_again_are_kept(tmp_path):
+    log = ProcessLog(tmp_path / "run.csv", COLUMNS)
+    before = resource.prlimit(log.writer, resource.RLIMIT_FSIZE, (10_000, resource.RLIM_INFINITY))
+    deadline, k = time.monotonic() + 20.0, 0
+    while not log.broken and time.monotonic() < deadline:
+        log.put(0.004 * k, *ROWS[k][1:])
+        k += 1
+        time.sleep(0.0005)  # the writer takes rows meanwhile
+    assert "file too large: found rows that wait" in log.broken
+    resource.prlimit(log.writer, resource.RLIMIT_FSIZE, before)
+    assert log.close().lost == 0
+    assert len(read(tmp_path / "run.csv")) == k
+
+
+def test_a_log_whose_file_cannot_be_begun_is_refused(tmp_path):
+    with pytest.raises(BadInput, match="log: found not writable"):
+        ProcessLog(tmp_path / "missing" / "run.csv", COLUMNS)
+
+
+@pytest.mark.parametrize("name", ["run.csv", "run.csv.gz"])
+def test_a_disk_without_room_for_the_rest_is_warned_of(tmp_path, name):
+    """A petabyte of rows to come; a log without expected rows says nothing."""
+    for expected, warned in ((10**13, True), (0, False)):
+        log = ProcessLog(tmp_path / name, COLUMNS, rows=expected)
+        deadline = time.monotonic() + 20.0
+        for row in ROWS:
+            log.put(*row)
+        while not log._status[0] and time.monotonic() < deadline:  # packed rows wait for a second
+            time.sleep(0.05)
+            log.put(*ROWS[-1])
+        assert bool(log.warning) == warned
+        assert bool(log.close().warning) == warned
+
+
+def test_no_log_is_larger_than_its_bound(tmp_path):
+    """Digits as random as they can be, in every kind of column."""
+    rng = np.random.default_rng(0)
+    for name in ("run.csv", "run.csv.gz"):
+        log = MemoryLog(tmp_path / name, COLUMNS)
+        for k in range(20_000):
+            log.put(0.004 * k, *(-rng.standard_normal(2) * 10.0 ** rng.integers(-9, 9)), 1.0)
+        log.close()
+        bound = largest(tmp_path / name, COLUMNS, 20_000)
+        assert 0.5 * bound < (tmp_path / name).stat().st_size <= bound
 
 
 def test_a_row_costs_the_loop_little(tmp_path):

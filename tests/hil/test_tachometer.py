@@ -1,15 +1,17 @@
 import math
+import os
 import random
 import threading
 import time
 from itertools import pairwise
 
 import pytest
+import serial
 from rigs import within
 
 from hil.clock import MonotonicClock, VirtualClock
 from hil.devices.frames import ANSWER, FROM_HOST, HELLO, Answer, Frame, FrameReader, Hello, encoded
-from hil.devices.tachometer import Tachometer
+from hil.devices.tachometer import BAUD, Tachometer
 from hil.emulator.serial_line import MemoryLine, PtyLine
 from hil.emulator.uno import Uno
 from hil.safety.faults import DeviceFault, FaultKind
@@ -274,6 +276,26 @@ def test_another_firmware_is_refused():
     with pytest.raises(DeviceFault, match="firmware: found version 1 and a timer of 4 us, expected 2 and 4 us"):
         Tachometer(lambda: port, VirtualClock()).hello()
     assert port.closed
+
+
+@pytest.mark.parametrize("moment", ["before the first use", "while it waits for the greeting"])
+def test_an_adapter_that_drops_out_is_reported(moment):
+    """A real terminal whose other end closes: its settings then fail by termios.error, its bytes by OSError."""
+    ours, theirs = os.openpty()
+    other = os.fdopen(ours, "wb", buffering=0)
+
+    def opened():
+        port = serial.Serial(os.ttyname(theirs), BAUD, timeout=0, write_timeout=0)
+        os.close(theirs)
+        if moment == "before the first use":
+            other.close()
+        return port
+
+    clock = VirtualClock()
+    clock.listeners.append(lambda t: t > 1.0 and other.close())
+    with pytest.raises(DeviceFault, match=r"tachometer: not ready: port .*: found ") as failed:
+        Tachometer(opened, clock).hello()
+    assert failed.value.kind is FaultKind.NOT_READY
 
 
 def test_a_missing_port_is_reported(tmp_path):

@@ -23,6 +23,7 @@ from vpp_fmu.export.description import (
     variable_types,
 )
 from vpp_fmu.export.documentation import documents
+from vpp_fmu.export.location import decoding
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.tracer import Layout, python_source, trace
 
@@ -51,7 +52,9 @@ def python_fmu(
         {
             "modelDescription.xml": model_description(model, values, identity, flavour, experiment),
             "resources/slavemodule.txt": module.encode(),
-            f"resources/{module}.py": source.encode(),
+            # The binary executes its file for each instance and keeps the classes; an imported file is executed once.
+            f"resources/{module}.py": f"from {module}_model import GeneratedSlave, own\n\nown(globals())\n".encode(),
+            f"resources/{module}_model.py": source.encode(),
             **packed,
             **_pythonfmu(model.name),
             **documents(model, values, origins, packages=["pythonfmu"]),
@@ -66,13 +69,13 @@ TABLES = "from vpp_fmu.kernel.tables import look_up, look_up_2\n"
 def _pythonfmu(name: str) -> dict[str, bytes]:
     """pythonfmu's binaries and modules, by their place in an FMU.
 
-    They are those that pythonfmu's builder packs. The builder is not used: it takes the imported pythonfmu, which may be that
-    of a loaded FMU, without binaries; and it runs the script once more.
+    They are those that pythonfmu's builder packs, with a mend (`location`). The builder is not used: it takes the imported
+    pythonfmu, which may be that of a loaded FMU, without binaries; and it runs the script once more.
     """
     folder = Path(distribution("pythonfmu").locate_file("pythonfmu"))
     modules = {f"resources/pythonfmu/{file.name}": file.read_bytes() for file in folder.glob("*.py")}
     libraries = [file for file in folder.glob("resources/binaries/*/*") if file.suffix in (".so", ".dll", ".dylib")]
-    return modules | {f"binaries/{file.parent.name}/{name}{file.suffix}": file.read_bytes() for file in libraries}
+    return modules | {f"binaries/{file.parent.name}/{name}{file.suffix}": decoding(file.read_bytes()) for file in libraries}
 
 
 def module_source(model: Model, values: Mapping[str, float]) -> str:

@@ -163,7 +163,9 @@ def _add_campaign(parser) -> None:
     for name, field, kind, text in PLAN:
         longer = f" {kind.unit}, longer for a rig slower than the paper's" if kind.unit else ""
         add(f"--{name}", type=kind, metavar="N", help=f"{text} (default: {getattr(Plan(), field):g}{longer})")
-    add("--resume", action="store_true", help="go on with the campaign in DIR: with the same options as before")
+    again = parser.add_mutually_exclusive_group()
+    again.add_argument("--resume", action="store_true", help="go on with the campaign in DIR: with the same options as before")
+    again.add_argument("--replace", action="store_true", help="delete the campaign in DIR, and measure anew")
     _add_measurements(parser)
     add_output(parser)
 
@@ -265,7 +267,7 @@ def _campaign(options) -> Answer:
     plan = replace(plan_for(setup.allowed), **{field: value for field, value in given.items() if value is not None})
     commands = commands_of(options.commands, setup.limits) if options.commands else None
     folder, measuring = OutputFolder(options.output), Measuring(setup, plan, options.parts, commands, parquet)
-    content = measuring.begin(folder.path, _begun(options, setup), options.resume)
+    content = measuring.begin(folder.path, _begun(options, setup), options.resume, options.replace)
     lines = [allowed_words(setup.allowed)]
     with watched(options, content) as page, Lines(options) as shown:
         confirm(setup, lines)

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hil.campaign import PARTS, Plan, measure, steep
+from hil.campaign import PARTS, Plan, measure, seconds, steep
 from hil.safety.limits import Limits
 from hil.session import session
 from identification.assessment.prediction import predict
@@ -147,7 +147,7 @@ def recorded(folder: OutputFolder, plan: Plan, seed: int, stage: Callable[[str],
     content = {"format": "vpp-hil/1", "plan": asdict(plan), "parts": {}}
     for k, part in enumerate(PARTS):
         setup = emulated(steep(Limits()), 100 * seed + k, map_is_known=False)
-        with session(setup, folder.path, f"log_{part}.csv.gz", watch=False) as one:
+        with session(setup, folder.path, f"log_{part}.csv.gz", seconds(plan, [part]), watch=False) as one:
             record = measure(one.rig, part, plan, lambda share, part=part: stage(f"{part} {share:.0%}"))
         content["parts"][part] = one.summary() | {"ended": ""}
         write_record(folder, f"{part}.csv", record)

@@ -1,0 +1,167 @@
+"""The Python FMU in a folder of any name, and the memory that its instances keep."""
+
+import shutil
+import string
+import subprocess
+import sys
+import textwrap
+import zipfile
+from importlib.metadata import distribution
+from pathlib import Path
+
+import pytest
+from pythonfmu.builder import FmuBuilder
+
+import fmu_src
+from vpp_fmu.export import python_fmu
+from vpp_fmu.export.location import CODE, decoding
+from vpp_fmu.kernel.plant import BASE
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="pythonfmu's binary for Linux is changed")
+
+SIGNS = "".join(sign for sign in map(chr, range(1, 127)) if sign != "/") + "üß漢🚁é"
+"""Every ASCII character that a file system allows in a name, and others of two, three and four bytes."""
+
+NAMES = [SIGNS[:48], SIGNS[48:96], SIGNS[96:], "a%20b", "%2B", "%", "%%41%", "100%2", "a%zzb", " ", "file:"]
+
+SIMULATE = """
+import sys
+import fmpy
+
+for folder in sys.argv[2:]:
+    unpacked = fmpy.extract(sys.argv[1], unzipdir=folder)
+    found = fmpy.simulate_fmu(unpacked, stop_time=0.1, output_interval=0.01, validate=False)
+    assert found["time"][-1] == 0.1, found
+"""
+
+CYCLES = """
+import gc
+import sys
+import fmpy
+from fmpy.fmi2 import FMU2Slave
+
+description, unpacked = fmpy.read_model_description(sys.argv[1]), fmpy.extract(sys.argv[1], unzipdir=sys.argv[2])
+own = {"guid": description.guid, "unzipDirectory": unpacked, "modelIdentifier": description.coSimulation.modelIdentifier}
+
+
+def kept():
+    gc.collect()
+    return 4096 * int(open("/proc/self/statm").read().split()[1])
+
+
+def cycles(count):
+    for _ in range(count):
+        slave = FMU2Slave(instanceName="a", **own)
+        slave.instantiate()
+        slave.setupExperiment()
+        slave.enterInitializationMode()
+        slave.exitInitializationMode()
+        slave.doStep(0.0, 0.01)
+        slave.terminate()
+        slave.fmi2FreeInstance(slave.component)
+
+
+cycles(50)
+before = kept()
+cycles(1000)
+print((kept() - before) / 1000)
+"""
+
+PLAIN = """
+from pythonfmu import Fmi2Causality, Fmi2Slave, Real
+
+
+class Plain(Fmi2Slave):
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.x = self.u = 0.0
+        self.register_variable(Real("x", causality=Fmi2Causality.output))
+        self.register_variable(Real("u", causality=Fmi2Causality.input))
+
+    def do_step(self, current_time, step_size):
+        self.x += step_size * self.u
+        return True
+"""
+
+
+def ran(text, *words):
+    return subprocess.run([sys.executable, "-c", text, *map(str, words)], capture_output=True, text=True, check=False)
+
+
+@pytest.fixture
+def plant(tmp_path):
+    path = tmp_path / "plant.fmu"
+    path.write_bytes(python_fmu(BASE))
+    return path
+
+
+def test_it_runs_in_a_folder_of_any_name(plant, tmp_path):
+    assert set(string.punctuation) - {"/"} <= set(SIGNS)
+    done = ran(SIMULATE, plant, *(tmp_path / name for name in NAMES))
+    assert done.returncode == 0, done.stderr
+
+
+def test_it_runs_with_a_temporary_folder_that_a_uri_escapes(plant, tmp_path):
+    """The host's own command."""
+    (tmp_path / "a+b").mkdir()
+    command = [sys.executable, "-m", "fmpy", "simulate", str(plant), "--stop-time", "0.1"]
+    done = subprocess.run(command, env={"TMPDIR": str(tmp_path / "a+b")}, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_an_instance_keeps_no_more_memory_than_one_of_plain_pythonfmu(plant, tmp_path):
+    (tmp_path / "plain.py").write_text(textwrap.dedent(PLAIN))
+    plain = FmuBuilder.build_FMU(tmp_path / "plain.py", dest=tmp_path)
+    lost = {}
+    for fmu in (plant, plain):
+        done = ran(CYCLES, fmu, tmp_path / f"unpacked-{Path(fmu).stem}")
+        assert done.returncode == 0, done.stderr
+        lost[fmu] = float(done.stdout)
+    assert lost[plant] < 2.0 * lost[plain]
+
+
+def test_the_machine_code_is_that_of_its_source(tmp_path):
+    if not (shutil.which("as") and shutil.which("objcopy")):
+        pytest.skip("no assembler")
+    source = Path(fmu_src.__file__).parent / "location.s"
+    assembled = subprocess.run(
+        ["as", "--64", source, "-o", "location.o"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    if assembled.returncode:
+        pytest.skip(f"an assembler of another machine: {assembled.stderr}")
+    subprocess.run(["objcopy", "-O", "binary", "-j", ".text", "location.o", "location.bin"], cwd=tmp_path, check=True)
+    assert (tmp_path / "location.bin").read_bytes() == CODE
+
+
+def binary() -> bytes:
+    """pythonfmu's own."""
+    (path,) = Path(distribution("pythonfmu").locate_file("pythonfmu")).glob("resources/binaries/linux64/*.so")
+    return path.read_bytes()
+
+
+def test_a_binary_is_changed_only_where_it_must_be():
+    """By the ELF's own rules: the same size; beside the code and its pattern only a segment's size and a symbol."""
+    before, after = binary(), decoding(binary())
+    assert len(after) == len(before)
+    changed = sum(a != b for a, b in zip(before, after, strict=True))
+    assert len(CODE) - CODE.count(b"\0") - 4 <= changed <= len(CODE) + 3 + 2 * 8 + 2 * 8
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        b"MZ a library of Windows",
+        b"\x7fELF",
+        decoding(binary()),
+        binary().replace(b"\0%20\0", b"\0%21\0"),
+        binary()[:18] + b"\xb7" + binary()[19:],
+    ],
+    ids=["Windows", "cut off", "changed already", "decodes more", "ARM"],
+)
+def test_another_binary_is_left_as_it_is(other):
+    assert decoding(other) == other
+
+
+def test_the_packed_binary_is_the_changed_one(plant):
+    with zipfile.ZipFile(plant) as packed:
+        assert packed.read("binaries/linux64/VppPlant.so") == decoding(binary()) != binary()
