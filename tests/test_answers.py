@@ -141,14 +141,16 @@ def test_json_is_one_object_that_its_schema_describes(said, name):
     assert (code, "Traceback" in err) == (0, False), err
     found = json.loads(out)
     Draft202012Validator(SCHEMAS[name.partition(",")[0]]).validate(found)
+    assert found.pop("sentence") == said.answers[name].text
     if name in SAME:
-        assert out == (said.folder / SAME[name]).read_text()
+        assert found == json.loads((said.folder / SAME[name]).read_text())
 
 
 @pytest.mark.parametrize("name", SCHEMAS)
 def test_every_schema_is_valid_and_has_a_call(name):
     Draft202012Validator.check_schema(SCHEMAS[name])
-    assert name in {call.partition(",")[0] for call in CALLS} | {"paper"}  # test_paper.py has its call
+    elsewhere = {"paper", "error"}  # the call of the first is in test_paper.py, those of the second are below
+    assert name in {call.partition(",")[0] for call in CALLS} | elsewhere
     assert SCHEMAS[name]["title"].startswith(f"vpp {name.replace('-', ' ') if name != 'check-effect' else name}: ")
 
 
@@ -213,15 +215,41 @@ def test_the_answers_of_rig_verbs_report_the_loop_and_the_log(said):
     assert re.match(r"1 rounds?, ", said.answers["twin"].text)
 
 
+def test_the_object_of_a_run_has_the_steps_of_the_same_loop_as_cosim(said):
+    cosim, fmu, run = (json.loads(said.calls[name][1])["steps"] for name in ("cosim", "hil-run, fmu", "hil-run"))
+    assert ([*fmu], [*run]) == (["plant FMU"], ["rig"])
+    for found in (fmu["plant FMU"], rig := run["rig"]):
+        assert [(step["before"], step["after"]) for step in found] == [(step["before"], step["after"]) for step in cosim]
+    text = said.answers["hil-run"].text
+    assert float(re.search(r"settled after ([\d.]+) s", text)[1]) == pytest.approx(rig[0]["settling"], rel=6e-3)
+
+
+NOWHERE = {"file": "nowhere.csv", "field": "file", "found": "no such file", "expected": "a file that exists", "try": None}
+SEED = {"file": "command line", "field": "--seed", "found": "-1", "expected": "a whole number from 0 to 4294967295"}
+
+
 @pytest.mark.parametrize(
-    "words", [("simulate", "nowhere.csv", "--parameters", "out"), ("hil", "run", "--profile", "nowhere.csv")]
+    ("words", "parts"),
+    [
+        (("compare", "nowhere.csv", "nowhere.csv"), NOWHERE),
+        (("hil", "run", "--profile", "nowhere.csv"), NOWHERE),
+        (("identify", "mine", "--seed", "-1"), SEED | {"try": "vpp identify --help"}),
+        (("nothing",), {"file": "command line", "field": "VERB", "expected": None, "try": "vpp --help"}),
+        (("cosim", "a.fmu"), {"found": "the following arguments are required: CONTROLLER, --profile"}),
+        (("check", "--template", "a/b"), {"file": "a/b", "field": "output folder"}),
+    ],
 )
-def test_an_error_with_json_is_one_line_and_no_object(words, tmp_path, monkeypatch, capsys):
+def test_an_error_with_json_is_an_object_of_its_parts(words, parts, tmp_path, monkeypatch, capsys):
+    """Before and after the options are parsed, and from the system."""
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "a").touch()
     assert main([*words, "--json"]) == 2
-    found = capsys.readouterr()
-    assert (found.out, found.err.count("\n")) == ("", 1)
-    assert "found no such file, expected a file that exists" in found.err
+    out, err = capsys.readouterr()
+    Draft202012Validator(SCHEMAS["error"]).validate(found := json.loads(out))
+    assert parts.items() <= found["error"].items()
+    assert err == found["sentence"] + "\n"
+    assert main([*words]) == 2
+    assert capsys.readouterr() == ("", err)
 
 
 def test_findings_that_forbid_a_fit_are_in_the_json_and_in_the_error(said, monkeypatch, capsys):
@@ -232,6 +260,8 @@ def test_findings_that_forbid_a_fit_are_in_the_json_and_in_the_error(said, monke
     assert main(["check", "bad", "--json"]) == 2
     out, err = capsys.readouterr()
     assert json.loads(out)["errors"] > 0
+    assert json.loads(out)["error"]["file"] == "bad"
+    assert json.loads(out)["error"]["expected"].startswith("no errors")
     Draft202012Validator(SCHEMAS["check"]).validate(json.loads(out))
     assert re.search(r"quality: found \d+ errors?: .* expected no errors", err)
 

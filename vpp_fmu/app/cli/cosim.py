@@ -17,7 +17,7 @@ from vpp_fmu.loop import run as run_loop
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.plants import USUAL_STEP, FmuController, FmuPlant, FmuTwin
 from vpp_fmu.record import Record, read_profile, write_record
-from vpp_fmu.response import Step, steps
+from vpp_fmu.response import UNITS, Step, steps
 
 EXAMPLE = "vpp cosim fmus/VppPlant.fmu fmus/VppController.fmu --profile step.csv -o out"
 
@@ -58,5 +58,4 @@ def run(options):
 
 def summary(found: Sequence[Step]) -> dict:
     """The object of --json: the steps of the set-point."""
-    units = {"time": "s", "end": "s", "before": "N", "after": "N", "settling": "s", "overshoot": "%", "ringing": "%"}
-    return {"format": "vpp-loop/1", "units": units, "steps": [asdict(step) for step in found]}
+    return {"format": "vpp-loop/1", "units": UNITS, "steps": [asdict(step) for step in found]}

@@ -209,7 +209,7 @@ def _run(options) -> Answer:
             raise BadInput("command line", "--watch", "--rig fmu", "an emulated or real rig: a loop of FMUs ends in seconds")
         folder = OutputFolder(options.output)
         record, limits = _fmu_loop(rig.plant, options, profile)
-        content = finish_fmu(folder, rig.plant, record, parquet)
+        content = finish_fmu(folder, rig.plant, record, limits, parquet)
         folder.write("report.html", fmu_page(rig.plant, record, options.profile, limits).html())
         lines += step_lines({"plant FMU": record}, limits)
         return Answer(headline(judged_steps(record, limits)), content, lines, written=written(folder))
