@@ -54,6 +54,19 @@ class OutputFolder:
         return BadInput(self.path, "output folder", found, "a folder that can be written")
 
 
+@dataclass(frozen=True)
+class InFolder:
+    """From a path to the path of a file: a folder stands for the first of its files `names` that exists."""
+
+    names: tuple[str, ...]
+
+    def __call__(self, path: str | os.PathLike) -> str:
+        if not os.path.isdir(path):
+            return os.fspath(path)
+        found = [os.path.join(path, name) for name in self.names]
+        return next(filter(os.path.exists, found), found[0])
+
+
 def as_bytes(data: str | bytes) -> bytes:
     """The bytes of `data`: text as UTF-8, with "?" for each byte of a file's name that is no UTF-8."""
     return data.encode(errors="replace") if isinstance(data, str) else data

@@ -9,6 +9,7 @@ from dataclasses import asdict
 from tqdm import tqdm
 
 from vpp_fmu.app.cli.answer import Answer
+from vpp_fmu.app.cli.inputs import controller_file, plant_file, profile_file, twin_file
 from vpp_fmu.app.cli.options import real
 from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.app.report.pages.loop import add_adaptive, headline, loop_page, sentence
@@ -23,11 +24,13 @@ EXAMPLE = "vpp cosim fmus/VppPlant.fmu fmus/VppController.fmu --profile step.csv
 
 
 def configure(parser):
-    parser.add_argument("plant", metavar="PLANT", help="plant FMU: omega_ref, beta_ref to thrust, omega, beta")
-    parser.add_argument("controller", metavar="CONTROLLER", help="controller FMU: thrust_set, thrust to omega_ref, beta_ref")
-    parser.add_argument("--profile", metavar="P", required=True, help="CSV with time [s], thrust_set [N]")
+    parser.add_argument("plant", type=plant_file, metavar="PLANT", help="plant FMU: omega_ref, beta_ref to thrust, omega, beta")
+    text = "controller FMU: thrust_set, thrust to omega_ref, beta_ref; each FMU is a file, or its folder of vpp export"
+    parser.add_argument("controller", type=controller_file, metavar="CONTROLLER", help=text)
+    text = "CSV with time [s], thrust_set [N], or the folder of its profile.csv"
+    parser.add_argument("--profile", type=profile_file, metavar="P", required=True, help=text)
     text = "twin FMU that monitors the loop (vpp export --twin): its outputs in the CSV and on the page"
-    parser.add_argument("--twin", metavar="TWIN", help=text)
+    parser.add_argument("--twin", type=twin_file, metavar="TWIN", help=text)
     text = f"communication step in s (default: the controller's sample_time, else {USUAL_STEP:g})"
     parser.add_argument("--step", type=real(1e-6, 1.0, "s"), metavar="S", help=text)
     add_output(parser)
