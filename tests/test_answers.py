@@ -4,10 +4,12 @@ import io
 import json
 import math
 import re
+import shlex
 import string
 import sys
 from functools import partial
 from importlib.resources import files
+from pathlib import Path
 
 import pytest
 from builders import shorten_tuning
@@ -266,6 +268,37 @@ def test_findings_that_forbid_a_fit_are_in_the_json_and_in_the_error(said, monke
     assert json.loads(out)["error"]["expected"].startswith("no errors")
     Draft202012Validator(SCHEMAS["check"]).validate(json.loads(out))
     assert re.search(r"quality: found \d+ errors?: .* expected no errors", err)
+
+
+SILENT = ("effects", "check-effect", "cache")
+"""Calls that write no file."""
+
+
+@pytest.mark.parametrize("name", sorted({*CALLS} - {*SILENT}))
+def test_each_verb_ends_with_a_next_command_that_reads_its_files(said, name, monkeypatch):
+    monkeypatch.chdir(said.folder)
+    assert said.answers[name].written[-1].startswith("next: ")
+    first, *words = shlex.split(said.answers[name].written[-1].removeprefix("next: "))
+    if first == "vpp":
+        parser_of(words[0])[0].parse_args(words[1:])
+    else:
+        assert (first, words[0]) in {("fmpy", "simulate"), ("python", "-m")}
+    output = words[words.index("-o") + 1] if "-o" in words else None
+    read = [word for word in words if word != output and ("/" in word or Path(word).is_dir())]
+    assert read
+    assert all(Path(word).exists() for word in read)
+
+
+FOLLOWED = ("check, template", "simulate", "tune", "demo", "plan", "allocate", "import-csv", "hil-calibrate")
+
+
+@pytest.mark.parametrize("name", FOLLOWED)
+def test_the_next_command_succeeds(said, name, monkeypatch, tmp_path):
+    monkeypatch.chdir(said.folder)
+    first, *words = shlex.split(said.answers[name].written[-1].removeprefix("next: "))
+    if "-o" in words:
+        words[words.index("-o") + 1] = str(tmp_path / "next")
+    assert (first, main(words)) == ("vpp", 0)
 
 
 SMALL = ("identify", "template", "--starts", "1", "-o", "again")

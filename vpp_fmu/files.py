@@ -39,6 +39,11 @@ class OutputFolder:
         """Names of files that `write` replaced and whose content was different."""
         return tuple(name for name, other in self._others.items() if other)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the files that `write` wrote."""
+        return tuple(self._others)
+
     def write(self, name: str, data: str | bytes) -> Path:
         """Write `data` (text as UTF-8) to the file `name`; returns its path.
 

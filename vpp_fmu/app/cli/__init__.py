@@ -13,10 +13,9 @@ from typing import TextIO
 
 from vpp_fmu import __version__
 from vpp_fmu.app.cli.answer import LEVELS, SCHEMAS, add_levels, level
-from vpp_fmu.campaign import NAMES
+from vpp_fmu.app.cli.next_command import next_step
 from vpp_fmu.errors import BadInput, VppError, near
 from vpp_fmu.files import reason
-from vpp_fmu.parameters import FILE
 from vpp_fmu.record import RecordWarning
 from vpp_fmu.stopping import Stopped, said, stoppable
 from vpp_fmu.structured import as_json
@@ -140,7 +139,8 @@ def _run(arguments: list[str]) -> VppError | None:
     parser.add_argument("--version", action="version", version=f"vpp {__version__}")
     parser.add_argument("verb", choices=verbs, metavar="VERB")
     if not arguments:
-        raise BadCall("vpp", f"no verb. Next: {next_step(Path.cwd())}", "vpp --help")
+        command, why = next_step(Path())
+        raise BadCall("vpp", f"no verb. Next: {command} ({why})", "vpp --help")
     count = next((k for k, word in enumerate(arguments, 1) if not word.startswith("-")), len(arguments))
     verb = parser.parse_args(arguments[:count]).verb
     parser, module = parser_of(verb)
@@ -152,24 +152,6 @@ def _run(arguments: list[str]) -> VppError | None:
     for line in answer.printed(options):
         print(line)
     return answer.failure
-
-
-def next_step(folder: Path) -> str:
-    """A command and its reason: for FMUs, parameters, a campaign, a log, or an empty folder, in this order."""
-    names = {path.name for path in folder.iterdir()}
-    files = {name.removesuffix(".gz").removesuffix(".csv") for name in names if name.removesuffix(".gz").endswith(".csv")}
-    if {"VppPlant.fmu", "VppController.fmu"} <= names and "profile.csv" in names:
-        return "vpp cosim VppPlant.fmu VppController.fmu --profile profile.csv -o run (two FMUs and a profile are here)"
-    if FILE in names:
-        return "vpp export --parameters . -o fmus (parameters are here)"
-    if own := sorted(files & set(NAMES)):
-        return f"vpp diagnose . -o out (a campaign is here: {', '.join(own)})"
-    if folders := sorted(path.name for path in folder.iterdir() if path.is_dir() and any(path.glob("open_loop.csv*"))):
-        return f"vpp diagnose {folders[0]} -o out (a campaign is in {folders[0]})"
-    if files:
-        log = min(name for name in names if name.removesuffix(".gz").endswith(".csv"))
-        return f"vpp import csv {log} -o mine --as open_loop (a log is here)"
-    return "vpp demo -o demo (nothing of a campaign is here)"
 
 
 def known_verbs() -> dict[str, str]:

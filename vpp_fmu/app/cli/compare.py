@@ -25,4 +25,4 @@ def run(options):
     folder.write("comparison.json", as_json(found.summary()))
     folder.write("report.html", page.html())
     text = f"Over {found.time[-1] - found.time[0]:.4g} s that both records have: {titles[0] if titles else 'no shared column'}."
-    return Answer(text, found.summary(), titles[1:], written=written(folder))
+    return Answer(text, found.summary(), titles[1:], written=written(options, folder))

@@ -56,7 +56,7 @@ def run(options):
     folder.write("report.html", page.html())
     found = steps(done, limits=controller.limits)
     lines = [sentence(step) for step in found] if len(found) > 1 else []
-    return Answer(headline(found), summary(found), lines, written=written(folder))
+    return Answer(headline(found), summary(found), lines, written=written(options, folder))
 
 
 def summary(found: Sequence[Step]) -> dict:

@@ -82,7 +82,7 @@ def run(options):
         files["cross_check.zip"] = _cross_check(parts, files)
     for name, content in files.items():
         folder.write(name, content)
-    place = written(folder, parts[0])
+    place = written(options, folder, parts[0])
     if flavours == ("python",):
         lines.append("the Python FMUs need a host that runs in Python, such as fmpy; any other runs those of --flavour native")
     if wanted := oldest_glibc(files):

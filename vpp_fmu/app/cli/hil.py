@@ -234,7 +234,7 @@ def _run(options) -> Answer:
         content = finish_fmu(folder, rig.plant, record, limits, parquet)
         folder.write("report.html", fmu_page(rig.plant, record, options.profile, limits).html())
         lines += step_lines({"plant FMU": record}, limits)
-        return Answer(headline(judged_steps(record, limits)), content, lines, written=written(folder))
+        return Answer(headline(judged_steps(record, limits)), content, lines, written=written(options, folder))
     setup, controller = setup_of(options), controller_of(options)
     check_profile(profile, setup.limits)
     start = start_of(options.start, setup.limits, setup.allowed)
@@ -252,7 +252,7 @@ def _run(options) -> Answer:
     with watched(options, content) as page, Lines(options) as shown:
         confirm(setup, lines)
         done, folder, found = carry_out(task, content | {"begun": now()}, parent, page, shown, _page_of)
-        return _answer(found, [*lines, *shown], written(folder), done.judge)
+        return _answer(found, [*lines, *shown], written(options, folder), done.judge)
 
 
 def _answer(found: Outcome, lines: list[str], place: list[str], judge: Callable[[], None] = lambda: None) -> Answer:
@@ -297,7 +297,7 @@ def _campaign(options) -> Answer:
     parts = content["parts"]
     lost, rows = (sum(part["log"][name] for part in parts.values()) for name in ("lost", "rows"))
     text = f"Measured {', '.join(parts)} in {folder.path}: {rows} rows of the log, {lost} lost."
-    return Answer(text, content, [*lines, *shown], written=written(folder))
+    return Answer(text, content, [*lines, *shown], written=written(options, folder))
 
 
 def _calibrate(options) -> Answer:
@@ -323,7 +323,7 @@ def _calibrate(options) -> Answer:
     unknown = never_measured(found)
     lines = [f"not measured yet: {', '.join(unknown)}; --rig real wants all"] if unknown else []
     text = f"Measured {', '.join(options.parts)}; calibration.json is {'not yet ' * bool(unknown)}ready for --rig real."
-    return Answer(text, json.loads(content), lines, written=written(folder))
+    return Answer(text, json.loads(content), lines, written=written(options, folder))
 
 
 def _selftest(options) -> Answer:
@@ -339,7 +339,7 @@ def _selftest(options) -> Answer:
         lines.insert(0, f"loop: {content['real_time']}; {busy}\n{found.session.timing.text()}")
     good = sum(one.good for one in found.checks)
     text = f"{good} of {len(found.checks)} checks of the rig are good."
-    return Answer(text, content, lines, written=written(folder), failure=_failure(found.judge))
+    return Answer(text, content, lines, written=written(options, folder), failure=_failure(found.judge))
 
 
 def _report(options) -> Answer:
@@ -354,7 +354,7 @@ def _report(options) -> Answer:
         say(options, f"vpp hil: the run ended: {content['ended']}")
     found = finish(folder, content, record, _page_of)
     say(options, f"made from the log: {kept_of(log.parent)}")
-    return _answer(found, [], written(folder))
+    return _answer(found, [], written(options, folder))
 
 
 def _replay(options) -> Answer:
@@ -372,7 +372,7 @@ def _replay(options) -> Answer:
     text = f"{options.controller} on the {len(recorded)} rows of {options.recorded}: {found.said()}"
     folder.write("replay.json", as_json(found.summary()))
     folder.write("report.html", replay_page(found, text + ".").html())
-    return Answer(f"{text}.", found.summary(), written=written(folder))
+    return Answer(f"{text}.", found.summary(), written=written(options, folder))
 
 
 @dataclass(frozen=True)

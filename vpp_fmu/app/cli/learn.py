@@ -76,7 +76,7 @@ def run(options):
             lambda share: bar.update(round(100 * share) - bar.n),
         )
     write_learning(folder, found, parameters.label)
-    return Answer(headline(found), summary(found), figures=key_figures(found), written=written(folder, parameters))
+    return Answer(headline(found), summary(found), figures=key_figures(found), written=written(options, folder, parameters))
 
 
 def write_learning(folder: OutputFolder, found: Learned, source: str) -> None:

@@ -107,7 +107,7 @@ def run(options):
     basis = [f"commands within {', '.join(rig.command_lines())}", f"noise of a thrust reading {noise:.3g} N ({noise_from})"]
     write_plan(folder, found, basis, remarks, parameters.label)
     lines = [*basis, *(f"note: {remark}" for remark in remarks)]
-    return Answer(headline(found), found.summary(), lines, key_figures(found), written=written(folder, parameters))
+    return Answer(headline(found), found.summary(), lines, key_figures(found), written=written(options, folder, parameters))
 
 
 def remarks_on(found: Plan, inflation: float = 1.0) -> list[str]:

@@ -34,4 +34,4 @@ def run(options):
     content = {"format": "vpp-simulation/1", "rows": len(record), "seconds": seconds}
     content |= {"units": {"rmse_thrust": "N", "rmse_omega": "rpm", "fit_thrust": "%"}, "rmse_omega": shown.rmse_omega}
     content |= {name: getattr(shown, name) if measured else None for name in ("rmse_thrust", "fit_thrust")}
-    return Answer(text, content, written=written(folder, parameters))
+    return Answer(text, content, written=written(options, folder, parameters))

@@ -128,7 +128,7 @@ def run(options):
     setting = _setting(task, starts)
     found = tune(task, starts, options.workers, options.scheduler)
     write_tuning(folder, found, **came)
-    place = written(folder, parameters)
+    place = written(options, folder, parameters)
     return Answer(headline(found), summary(found), setting, key_figures(found), [*_details(found)], place)
 
 

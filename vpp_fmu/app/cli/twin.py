@@ -20,7 +20,7 @@ from vpp_fmu.app.cli.answer import Answer, Lines
 from vpp_fmu.app.cli.hil import allowed_words
 from vpp_fmu.app.cli.inputs import add_gains, read_gains, read_plant
 from vpp_fmu.app.cli.options import WORKERS, whole
-from vpp_fmu.app.cli.output import dated, stages
+from vpp_fmu.app.cli.output import dated, stages, written
 from vpp_fmu.app.day.day import BOTH, POLICIES, Day, Rig, Round, diagnosed, new_day, next_round
 from vpp_fmu.app.report.pages.day import day_page
 from vpp_fmu.app.report.sentences import change
@@ -68,7 +68,7 @@ def run(options):
         shown(allowed_words(setup.allowed))
         for number in range(1, options.rounds + 1):
             content = _round(options, day, rig, band, number, folder, shown)
-    return Answer(headline(day), content, shown, written=[f"written to {folder.path}"])
+    return Answer(headline(day), content, shown, written=written(options, folder))
 
 
 def _round(options, day: Day, rig: Rig, band: Band, number: int, folder: OutputFolder, shown: Lines) -> dict:
