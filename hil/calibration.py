@@ -12,9 +12,12 @@ from hil.devices.ads1115 import FULL_SCALES, INPUTS, LARGEST, SMALLEST
 from hil.devices.supply import NAMES, Input
 from hil.entries import Entries, Number
 from vpp_fmu.errors import BadInput
+from vpp_fmu.files import InFolder
 from vpp_fmu.structured import as_json, read_json, shown
 
 FORMAT = "vpp-calibration/1"
+
+calibration_file = InFolder(("calibration.json",))
 
 ADDRESSES = (0x49, 0x4A, 0x4B)
 """Addresses of the second ADC: ADDR pin on VDD, SDA or SCL. The first one's is on ground."""

@@ -31,7 +31,7 @@ from vpp_fmu.loop import run as run_loop
 from vpp_fmu.parquet import as_parquet
 from vpp_fmu.plants import Controller, FmuPlant
 from vpp_fmu.record import Record
-from vpp_fmu.response import Step, smoothed, steps
+from vpp_fmu.response import UNITS, Step, smoothed, steps
 from vpp_fmu.structured import as_json, check_kinds, read_object
 
 Say = Callable[[str], None]
@@ -196,12 +196,15 @@ def fmu_loop(plant: str, controller: Controller, profile: Record, start: tuple[f
     return record
 
 
-def finish_fmu(folder: OutputFolder, plant: str, record: Record, parquet: bool) -> dict:
-    """Write the files of a run with a plant FMU instead of the rig, except its page; returns the content of hil.json."""
+def finish_fmu(
+    folder: OutputFolder, plant: str, record: Record, limits: Mapping[str, tuple[float, float]], parquet: bool
+) -> dict:
+    """Write the files of a run with a plant FMU instead of the rig, except its page; returns the content of hil.json. `limits`:
+    as of `judged_steps`."""
     write_run(folder.path / "run.csv", record)
     if parquet:
         folder.write("run.parquet", as_parquet(record))
-    content = {"format": "vpp-hil/1", "rig": "fmu", "plant": Path(plant).name}
+    content = {"format": "vpp-hil/1", "rig": "fmu", "plant": Path(plant).name, **_settling({"plant FMU": record}, limits)}
     folder.write("hil.json", as_json(content))
     return content
 
@@ -230,6 +233,7 @@ def finish(
         rms = float(np.sqrt(np.mean(difference(*reversed(loops.values()))["thrust"] ** 2)))
         content["beside"] = {"plant": beside[0], "rms_thrust": rms}
     found = Outcome(content, log, loops, timing(log["late"], log["busy"], log["missed"]) if real_time else None)
+    content |= _settling(loops, found.reach)
     refusals: list[BadInput] = []
     with _collected(refusals):
         folder.write("hil.json", as_json(content))  # first: on a full disk the reason of the end is worth most
@@ -302,6 +306,12 @@ def limits_by_end(limits: Mapping[str, tuple[float, float]]) -> dict[str, float]
 def judged_steps(run: Record, limits: Mapping[str, tuple[float, float]]) -> list[Step]:
     """Every change of the set-point, evaluated on the smoothed thrust; `limits` as of `vpp_fmu.response.steps`."""
     return steps(smoothed(run, SPAN), BAND, limits)
+
+
+def _settling(loops: Mapping[str, Record], limits: Mapping[str, tuple[float, float]]) -> dict:
+    """Entries of hil.json about the changes of the set-point in each loop."""
+    judged = {name: [asdict(step) for step in judged_steps(loop, limits)] for name, loop in loops.items()}
+    return {"units": UNITS, "steps": judged}
 
 
 def said(step: Step, name: str) -> str:

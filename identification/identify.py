@@ -99,6 +99,7 @@ class Identification:
         uncertainty = self.uncertainty
         static = self.static
         return {
+            "format": "vpp-identification/1",
             "effects": list(self.parameters.model.optional),
             **uncertainty.summary(),
             "at_bounds": self.at_bounds,

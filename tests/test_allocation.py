@@ -244,6 +244,7 @@ def test_a_plant_without_power_is_refused_and_nothing_is_written(tmp_path, refus
     (tmp_path / "parameters.json").write_text(to_json(pitch_only()))
     said = refused("allocate", "--parameters", tmp_path / "parameters.json", "-o", tmp_path / "out")
     assert "torque_map or power_map" in said
+    assert "Try: vpp hil campaign --power" in said
     assert not (tmp_path / "out").exists()
 
 

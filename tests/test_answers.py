@@ -4,10 +4,12 @@ import io
 import json
 import math
 import re
+import shlex
 import string
 import sys
 from functools import partial
 from importlib.resources import files
+from pathlib import Path
 
 import pytest
 from builders import shorten_tuning
@@ -36,13 +38,14 @@ CALLS = {
     "identify": ("identify", EXAMPLE, "--starts", "1", "-o", "identified"),
     "diagnose": ("diagnose", EXAMPLE, *FEW, "-o", "out"),
     "diagnose, fleet": ("diagnose", "template", "template", "--effects", "pitch_backlash", "-o", "fleet"),
-    "simulate": ("simulate", f"{EXAMPLE}/validation.csv.gz", "--parameters", "out", "-o", "predicted"),
-    "compare": ("compare", f"{EXAMPLE}/validation.csv.gz", "predicted/prediction.csv", "-o", "compared"),
-    "export": ("export", "--parameters", "out", "-o", "fmus"),
-    "cosim": ("cosim", "fmus/VppPlant.fmu", "fmus/VppController.fmu", "--profile", "step.csv", "-o", "loop"),
+    "simulate": ("simulate", EXAMPLE, "--parameters", "out", "-o", "predicted"),
+    "compare": ("compare", f"{EXAMPLE}/validation.csv.gz", "predicted", "-o", "compared"),
+    "export": ("export", "--parameters", "out", "--twin", "out", "-o", "fmus"),
+    "cosim": ("cosim", "fmus", "fmus", "--twin", "fmus", "--profile", "step.csv", "-o", "loop"),
     "tune": ("tune", "--parameters", "identified", "--assume", "tau_beta_2=0.05", "-o", "tuned"),
+    "cosim, tuned": ("cosim", "fmus", "fmus", "--profile", "tuned", "-o", "loop_tuned"),
     "plan": ("plan", "--parameters", "identified", "--seconds", "20", "-o", "next"),
-    "learn": ("learn", "out", "--generations", "3", "--plants", "4", "--gains", "tuned/gains.json", "-o", "learned"),
+    "learn": ("learn", "out", "--generations", "3", "--plants", "4", "--gains", "tuned", "--knowledge", "out", "-o", "learned"),
     "identify, power": ("identify", "power", "-o", "powered"),
     "allocate": ("allocate", "--parameters", "powered", "--points", "5", "-o", "pairs"),
     "effects": ("effects",),
@@ -50,13 +53,14 @@ CALLS = {
     "cache": ("cache",),
     "import-csv": ("import", "csv", "log.csv", "-o", "mine", "--as", "open_loop"),
     "import-rcbenchmark": ("import", "rcbenchmark", "stand.csv", "-o", "stand"),
-    "hil-run": ("hil", "run", "--parameters", "out", "--twin", "--profile", "step.csv", "--virtual", "-o", "run"),
-    "hil-run, fmu": ("hil", "run", "--rig", "fmu", "fmus/VppPlant.fmu", "--profile", "step.csv", "-o", "run_fmu"),
+    "export, policy": ("export", "--parameters", "out", "--policy", "learned", "--gains", "tuned", "-o", "laws"),
+    "hil-run": ("hil", "run", "--parameters", "out", "--twin", "out", "--profile", "step.csv", "--virtual", "-o", "run"),
+    "hil-run, fmu": ("hil", "run", "--rig", "fmu", "fmus", "--controller", "fmus", "--profile", "step.csv", "-o", "run_fmu"),
     "hil-campaign": ("hil", "campaign", "--virtual", *SHORT, "-o", "measured"),
     "hil-calibrate": ("hil", "calibrate", "--virtual", "--parts", "pitch", "--answers", "answers.txt", "-o", "calibrated"),
     "hil-selftest": ("hil", "selftest", "--virtual", "--seconds", "1", "-o", "tested"),
     "hil-report": ("hil", "report", "RUN"),
-    "hil-replay": ("hil", "replay", "run/run.csv", "fmus/VppController.fmu", "-o", "replayed"),
+    "hil-replay": ("hil", "replay", "run", "fmus", "-o", "replayed"),
     "twin": ("twin", "day", "--virtual", "--rounds", "1", "--policy", "fixed", "--parameters", "out"),
     "demo": ("demo", "-o", "demo"),
 }
@@ -141,14 +145,16 @@ def test_json_is_one_object_that_its_schema_describes(said, name):
     assert (code, "Traceback" in err) == (0, False), err
     found = json.loads(out)
     Draft202012Validator(SCHEMAS[name.partition(",")[0]]).validate(found)
+    assert found.pop("sentence") == said.answers[name].text
     if name in SAME:
-        assert out == (said.folder / SAME[name]).read_text()
+        assert found == json.loads((said.folder / SAME[name]).read_text())
 
 
 @pytest.mark.parametrize("name", SCHEMAS)
 def test_every_schema_is_valid_and_has_a_call(name):
     Draft202012Validator.check_schema(SCHEMAS[name])
-    assert name in {call.partition(",")[0] for call in CALLS} | {"paper"}  # test_paper.py has its call
+    elsewhere = {"paper", "error"}  # the call of the first is in test_paper.py, those of the second are below
+    assert name in {call.partition(",")[0] for call in CALLS} | elsewhere
     assert SCHEMAS[name]["title"].startswith(f"vpp {name.replace('-', ' ') if name != 'check-effect' else name}: ")
 
 
@@ -213,15 +219,41 @@ def test_the_answers_of_rig_verbs_report_the_loop_and_the_log(said):
     assert re.match(r"1 rounds?, ", said.answers["twin"].text)
 
 
+def test_the_object_of_a_run_has_the_steps_of_the_same_loop_as_cosim(said):
+    cosim, fmu, run = (json.loads(said.calls[name][1])["steps"] for name in ("cosim", "hil-run, fmu", "hil-run"))
+    assert ([*fmu], [*run]) == (["plant FMU"], ["rig"])
+    for found in (fmu["plant FMU"], rig := run["rig"]):
+        assert [(step["before"], step["after"]) for step in found] == [(step["before"], step["after"]) for step in cosim]
+    text = said.answers["hil-run"].text
+    assert float(re.search(r"settled after ([\d.]+) s", text)[1]) == pytest.approx(rig[0]["settling"], rel=6e-3)
+
+
+NOWHERE = {"file": "nowhere.csv", "field": "file", "found": "no such file", "expected": "a file that exists", "try": None}
+SEED = {"file": "command line", "field": "--seed", "found": "-1", "expected": "a whole number from 0 to 4294967295"}
+
+
 @pytest.mark.parametrize(
-    "words", [("simulate", "nowhere.csv", "--parameters", "out"), ("hil", "run", "--profile", "nowhere.csv")]
+    ("words", "parts"),
+    [
+        (("compare", "nowhere.csv", "nowhere.csv"), NOWHERE),
+        (("hil", "run", "--profile", "nowhere.csv"), NOWHERE),
+        (("identify", "mine", "--seed", "-1"), SEED | {"try": "vpp identify --help"}),
+        (("nothing",), {"file": "command line", "field": "VERB", "expected": None, "try": "vpp --help"}),
+        (("cosim", "a.fmu"), {"found": "the following arguments are required: CONTROLLER, --profile"}),
+        (("check", "--template", "a/b"), {"file": "a/b", "field": "output folder"}),
+    ],
 )
-def test_an_error_with_json_is_one_line_and_no_object(words, tmp_path, monkeypatch, capsys):
+def test_an_error_with_json_is_an_object_of_its_parts(words, parts, tmp_path, monkeypatch, capsys):
+    """Before and after the options are parsed, and from the system."""
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "a").touch()
     assert main([*words, "--json"]) == 2
-    found = capsys.readouterr()
-    assert (found.out, found.err.count("\n")) == ("", 1)
-    assert "found no such file, expected a file that exists" in found.err
+    out, err = capsys.readouterr()
+    Draft202012Validator(SCHEMAS["error"]).validate(found := json.loads(out))
+    assert parts.items() <= found["error"].items()
+    assert err == found["sentence"] + "\n"
+    assert main([*words]) == 2
+    assert capsys.readouterr() == ("", err)
 
 
 def test_findings_that_forbid_a_fit_are_in_the_json_and_in_the_error(said, monkeypatch, capsys):
@@ -232,8 +264,41 @@ def test_findings_that_forbid_a_fit_are_in_the_json_and_in_the_error(said, monke
     assert main(["check", "bad", "--json"]) == 2
     out, err = capsys.readouterr()
     assert json.loads(out)["errors"] > 0
+    assert json.loads(out)["error"]["file"] == "bad"
+    assert json.loads(out)["error"]["expected"].startswith("no errors")
     Draft202012Validator(SCHEMAS["check"]).validate(json.loads(out))
     assert re.search(r"quality: found \d+ errors?: .* expected no errors", err)
+
+
+SILENT = ("effects", "check-effect", "cache")
+"""Calls that write no file."""
+
+
+@pytest.mark.parametrize("name", sorted({*CALLS} - {*SILENT}))
+def test_each_verb_ends_with_a_next_command_that_reads_its_files(said, name, monkeypatch):
+    monkeypatch.chdir(said.folder)
+    assert said.answers[name].written[-1].startswith("next: ")
+    first, *words = shlex.split(said.answers[name].written[-1].removeprefix("next: "))
+    if first == "vpp":
+        parser_of(words[0])[0].parse_args(words[1:])
+    else:
+        assert (first, words[0]) in {("fmpy", "simulate"), ("python", "-m")}
+    output = words[words.index("-o") + 1] if "-o" in words else None
+    read = [word for word in words if word != output and ("/" in word or Path(word).is_dir())]
+    assert read
+    assert all(Path(word).exists() for word in read)
+
+
+FOLLOWED = ("check, template", "simulate", "tune", "demo", "plan", "allocate", "import-csv", "hil-calibrate")
+
+
+@pytest.mark.parametrize("name", FOLLOWED)
+def test_the_next_command_succeeds(said, name, monkeypatch, tmp_path):
+    monkeypatch.chdir(said.folder)
+    first, *words = shlex.split(said.answers[name].written[-1].removeprefix("next: "))
+    if "-o" in words:
+        words[words.index("-o") + 1] = str(tmp_path / "next")
+    assert (first, main(words)) == ("vpp", 0)
 
 
 SMALL = ("identify", "template", "--starts", "1", "-o", "again")

@@ -11,7 +11,7 @@ import pytest
 from builders import refusal
 
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import OutputFolder, read_table, read_text
+from vpp_fmu.files import InFolder, OutputFolder, read_table, read_text
 
 NOBODY = 65534
 
@@ -214,3 +214,13 @@ def test_bad_input_in_a_worker_process_arrives_as_what_it_is():
     sent = BadInput("steps.csv", "omega", 7, "less")
     found = pickle.loads(pickle.dumps(sent))
     assert (type(found), str(found), found.allowed) == (BadInput, str(sent), "less")
+
+
+def test_a_folder_stands_for_the_first_of_its_files_that_exists(tmp_path):
+    file = InFolder(("a.csv", "b.csv"))
+    assert file(tmp_path) == str(tmp_path / "a.csv"), "a message names the file that is missing"
+    (tmp_path / "b.csv").touch()
+    assert file(tmp_path) == str(tmp_path / "b.csv")
+    (tmp_path / "a.csv").touch()
+    assert file(tmp_path) == str(tmp_path / "a.csv")
+    assert file(tmp_path / "c.csv") == str(tmp_path / "c.csv")

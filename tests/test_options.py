@@ -7,7 +7,7 @@ import pytest
 
 from vpp_fmu.app.cli import VERBS, parser_of
 from vpp_fmu.app.cli.options import Number, real, whole
-from vpp_fmu.parameters import parameters_file
+from vpp_fmu.files import InFolder
 
 NO_NUMBERS = ("-1e9", "1e400", "nan", "inf", "-inf", "", "two", "1,5", "0x10", "9" * 5000)
 
@@ -29,7 +29,7 @@ NUMBERS = [(verb, action) for verb, action in EVERY if isinstance(action.type, N
 def test_no_option_takes_a_number_without_bounds():
     assert len(NUMBERS) > 40
     for verb, action in EVERY:
-        assert action.type in (None, str, parameters_file) or isinstance(action.type, Number), (verb, action.dest)
+        assert action.type in (None, str) or isinstance(action.type, Number | InFolder), (verb, action.dest)
         default = action.default if isinstance(action.default, list | tuple) else [action.default]
         if not isinstance(action.type, Number):
             assert {type(value) for value in default}.isdisjoint({int, float}), (verb, action.dest)

@@ -24,7 +24,8 @@ class Comparison:
             if len(d):
                 worst = int(np.argmax(np.abs(d)))
                 figures[name] = {"rms": float(np.sqrt(np.mean(d**2))), "mean": float(d.mean()), "largest": float(d[worst])}
-        return {"rows": len(self.time), "seconds": float(self.time[-1] - self.time[0]), "columns": figures}
+        seconds = float(self.time[-1] - self.time[0])
+        return {"format": "vpp-comparison/1", "rows": len(self.time), "seconds": seconds, "columns": figures}
 
 
 def compare(first: Record, second: Record) -> Comparison:

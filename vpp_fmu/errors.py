@@ -9,6 +9,11 @@ class VppError(Exception):
 
     code = 2
 
+    @property
+    def parts(self) -> dict[str, str | None]:
+        """The error's parts, as --json prints them; None for an unknown one."""
+        return {"file": None, "field": None, "found": str(self), "expected": None, "try": None}
+
 
 class BadInput(VppError):
     """A file, folder or option holds something that is not allowed.
@@ -20,6 +25,16 @@ class BadInput(VppError):
     def __init__(self, where: object, field: str, found: object, allowed: str, hint: str = ""):
         self.where, self.field, self.found, self.allowed, self.hint = str(where), field, str(found), allowed, hint
         super().__init__(f"{where}: {field}: found {found}, expected {allowed}" + (f". Try: {hint}" if hint else ""))
+
+    @property
+    def parts(self) -> dict[str, str | None]:
+        return {
+            "file": self.where,
+            "field": self.field,
+            "found": self.found,
+            "expected": self.allowed,
+            "try": self.hint or None,
+        }
 
     def __reduce__(self) -> tuple[type, tuple[str, str, str, str, str]]:  # pickled by worker processes
         return type(self), (self.where, self.field, self.found, self.allowed, self.hint)

@@ -39,6 +39,11 @@ class OutputFolder:
         """Names of files that `write` replaced and whose content was different."""
         return tuple(name for name, other in self._others.items() if other)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the files that `write` wrote."""
+        return tuple(self._others)
+
     def write(self, name: str, data: str | bytes) -> Path:
         """Write `data` (text as UTF-8) to the file `name`; returns its path.
 
@@ -52,6 +57,19 @@ class OutputFolder:
 
     def _refused(self, found: str) -> BadInput:
         return BadInput(self.path, "output folder", found, "a folder that can be written")
+
+
+@dataclass(frozen=True)
+class InFolder:
+    """From a path to the path of a file: a folder stands for the first of its files `names` that exists."""
+
+    names: tuple[str, ...]
+
+    def __call__(self, path: str | os.PathLike) -> str:
+        if not os.path.isdir(path):
+            return os.fspath(path)
+        found = [os.path.join(path, name) for name in self.names]
+        return next(filter(os.path.exists, found), found[0])
 
 
 def as_bytes(data: str | bytes) -> bytes:

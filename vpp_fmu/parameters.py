@@ -12,7 +12,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import OutputFolder
+from vpp_fmu.files import InFolder, OutputFolder
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.kernel.power import NAMES as POWER
 from vpp_fmu.kernel.scales import PAPER, Scales
@@ -24,7 +24,9 @@ from vpp_fmu.units import base_unit
 
 FORMAT = "vpp-parameters/1"
 
-FILE, KNOWLEDGE = "parameters.json", "identification.json"
+FILE, GAINS, KNOWLEDGE = "parameters.json", "gains.json", "identification.json"
+
+parameters_file, gains_file, knowledge_file = InFolder((FILE,)), InFolder((GAINS,)), InFolder((KNOWLEDGE,))
 
 LONGEST = 1e6
 """Maximum duration of a record, and of its sampling period [s]: eleven days."""
@@ -138,11 +140,6 @@ class ParameterSet:
         units = {p.name: p.unit for p in self.model.parameters}
         new = {name: Estimate(float(value), (std or {}).get(name), units[name]) for name, value in values.items()}
         return replace(self, estimates={**self.estimates, **new})
-
-
-def parameters_file(path: str | os.PathLike) -> str:
-    """The parameter file of a path: the path, or the parameters.json of a folder."""
-    return os.path.join(path, FILE) if os.path.isdir(path) else os.fspath(path)
 
 
 def beside(path: str | os.PathLike) -> Path:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from vpp_fmu.errors import BadInput, ExtraMissing
-from vpp_fmu.files import OutputFolder, read_bytes
+from vpp_fmu.files import InFolder, OutputFolder, read_bytes
 from vpp_fmu.kernel.effects.dual_pid import ALLOCATED, ALLOCATION, DUAL
 from vpp_fmu.kernel.effects.policy import OBSERVABLE, Law
 from vpp_fmu.kernel.policy import policy_model
@@ -30,6 +30,8 @@ from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.structured import as_json, check_kinds, read_object, shown
 
 FORMAT, FILE = "vpp-policy/1", "policy.json"
+
+policy_file = InFolder((FILE,))
 
 WIDEST, DEEPEST, LONGEST_HISTORY = 64, 4, 32
 """Largest number of units in a layer, of layers, and of earlier readings: the law becomes straight-line code."""

@@ -16,6 +16,9 @@ TAIL = 0.1
 """A set-point is out of reach if the commands are at their limits and the thrust is constant over this last share of the
 step's duration."""
 
+UNITS = {"time": "s", "end": "s", "before": "N", "after": "N", "settling": "s", "overshoot": "%", "ringing": "%"}
+"""Of the numbers of a `Step`."""
+
 
 @dataclass(frozen=True)
 class Step:

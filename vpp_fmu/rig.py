@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from vpp_fmu.errors import BadInput
+from vpp_fmu.files import InFolder
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, THRUST
 from vpp_fmu.kernel.scales import PAPER, Scales
 from vpp_fmu.record import Record
@@ -20,6 +21,7 @@ MOST_MARKS = 1000
 
 FORMAT = "vpp-rig/1"
 FILE = "rig.json"
+rig_file = InFolder((FILE,))
 
 RANGES = {"speed": OMEGA_REF, "pitch": BETA_REF, "thrust": THRUST}
 SLEWS = {"speed": "rpm/s", "pitch": "deg/s"}

@@ -20,7 +20,8 @@ def index() -> str:
         "The first line of every verb is its answer. `--quiet` prints that line alone, `--verbose` all figures with their "
         "notes, `--json` one JSON object. Its keys are on the verb's page; the JSON Schemas are in the package, "
         "`vpp_fmu/app/cli/schemas`.\n\n"
-        "Errors are one line on standard error: FILE: FIELD: found X, expected Y. Try: Z.\n\n"
+        "Errors are one line on standard error: FILE: FIELD: found X, expected Y. Try: Z. With `--json` they are an object on "
+        "standard output as well, `error.json` of these schemas.\n\n"
         "Exit codes: 0 success, 2 bad input after one line on standard error, 3 an alarm of the twin in `vpp hil`, 141 the "
         "reader of the output has closed it, 128 plus the number of the signal that ended the verb.\n"
     )

@@ -67,6 +67,7 @@ class Plan:
         """The content of `plan.json`."""
         forecasts = {"before": self.before, "after": self.after, "paper_plan": self.paper}
         return {
+            "format": "vpp-plan/1",
             "seconds": float(self.commands.time[-1]),
             "step": self.step,
             "rig": self.rig.summary(),

@@ -65,7 +65,8 @@ class PowerModel:
         outputs = {y.name for y in parameters.model.outputs}
         if not outputs & {"torque", "power"}:
             allowed = "torque_map or power_map, identified from a campaign with torque, power, or voltage and current"
-            raise BadInput("parameters", "effects", ", ".join(parameters.model.optional) or "none", allowed)
+            hint = "vpp hil campaign --power, which measures it; then vpp identify"
+            raise BadInput("parameters", "effects", ", ".join(parameters.model.optional) or "none", allowed, hint)
         own = {e.full(p.name) for e in EFFECTS if e.name in parameters.model.optional for p in e.parameters}
         std = {n: e.std for n, e in parameters.estimates.items() if n in own and e.std}
         names, covariance = tuple(std), np.diag(np.square(list(std.values())))

@@ -29,6 +29,7 @@ def summary(found: Tuning) -> dict:
     task, first = found.task, next(iter(found.tuned.values())).objective
     measurement = {name: value for name, value in first.chain.items() if name != "sample_time"}
     return {
+        "format": "vpp-tuning/1",
         "objective": {
             "cost": "integral of the squared normalised thrust error [s] + alpha |gains|^2",
             "alpha": task.alpha,

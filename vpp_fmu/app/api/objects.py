@@ -102,9 +102,9 @@ def as_parameters(given: Any, effects_from: Iterable[PathLike] = ()) -> Paramete
 
 
 def as_gains(given: Any) -> ParameterSet:
-    """A controller's values: a set, a gains.json, or values by name."""
+    """A controller's values: a set, a gains.json or its folder, or values by name."""
     if isinstance(given, str | os.PathLike):
-        return parameter_files.read_parameters(given, lambda _: CONTROLLER)
+        return parameter_files.read_parameters(parameter_files.gains_file(given), lambda _: CONTROLLER)
     if isinstance(given, Mapping):
         return changed(ParameterSet(CONTROLLER), given)
     return as_parameters(given)

@@ -4,6 +4,7 @@ import argparse
 import importlib
 import io
 import os
+import re
 import sys
 import warnings
 from importlib.metadata import entry_points
@@ -12,12 +13,12 @@ from typing import TextIO
 
 from vpp_fmu import __version__
 from vpp_fmu.app.cli.answer import LEVELS, SCHEMAS, add_levels, level
-from vpp_fmu.campaign import NAMES
+from vpp_fmu.app.cli.next_command import next_step
 from vpp_fmu.errors import BadInput, VppError, near
 from vpp_fmu.files import reason
-from vpp_fmu.parameters import FILE
 from vpp_fmu.record import RecordWarning
 from vpp_fmu.stopping import Stopped, said, stoppable
+from vpp_fmu.structured import as_json
 
 VERBS = {
     "demo": "all steps on the campaign that ships with the project",
@@ -51,7 +52,20 @@ READER_GONE = 141
 
 
 class BadCall(VppError):
-    """The command line is invalid."""
+    """The command line is invalid. `said`: what argparse, or the type of an option, says of it; `hint`: what to type."""
+
+    def __init__(self, program: str, said: str, hint: str):
+        super().__init__(f"{program}: {said} (see {hint})")
+        self._said, self._hint = said, hint
+
+    @property
+    def parts(self) -> dict[str, str | None]:
+        option = re.match(r"argument ([^:]+): ", self._said)
+        said = self._said[option.end() :] if option else self._said
+        found = re.fullmatch(r"found (.*), expected (.*)", said, re.DOTALL)
+        what, expected = found.groups() if found else (said, None)
+        field = option and option[1]
+        return {"file": "command line", "field": field, "found": what, "expected": expected, "try": self._hint}
 
 
 class Parser(argparse.ArgumentParser):
@@ -78,7 +92,7 @@ class Parser(argparse.ArgumentParser):
         super()._check_value(action, value)
 
     def error(self, message):
-        raise BadCall(f"{self.prog}: {message} (see {self.prog} --help)")
+        raise BadCall(self.prog, message, f"{self.prog} --help")
 
 
 class SilentParser(Parser):
@@ -88,8 +102,8 @@ class SilentParser(Parser):
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one verb; returns the exit code: 0; 2 for bad input, after one line on standard error; 128 plus the number of the
-    signal that ended it."""
+    """Run one verb; returns the exit code: 0; 2 for bad input, after one line on standard error and, with --json, an object on
+    standard output; 128 plus the number of the signal that ended it."""
     _prepare_streams()
     arguments = sys.argv[1:] if arguments is None else arguments
     first = next((word for word in arguments if not word.startswith("-")), "")
@@ -98,27 +112,26 @@ def main(arguments: list[str] | None = None) -> int:
         with stoppable(verb), warnings.catch_warnings():
             warnings.simplefilter("always", RecordWarning)
             warnings.showwarning = _one_line
-            _run(arguments)
+            failure = _run(arguments)
             sys.stdout.flush()  # a full disk or a closed pipe is reported here, not when the interpreter ends
-    except BadCall as error:
-        return _refused(str(error))
+        return _refused(verb, failure) if failure else 0
     except VppError as error:
-        words = str(error)  # messages begin with the verb if no file is at fault
-        return _refused(words if words.startswith((f"{verb}:", f"{verb} ")) else f"{verb}: {words}", error.code)
+        return _refused(verb, error, "--json" in arguments)  # the options may be what is refused
     except BrokenPipeError:
         _give_up(sys.stdout)
         return READER_GONE
     except OSError as error:  # errors that no reader or writer of a file has handled
         _give_up(sys.stdout)
         where, field = (error.filename, "file or folder") if error.filename else ("the system", "output")
-        return _refused(f"{verb}: {BadInput(where, field, f'not usable ({reason(error)})', 'what can be read and written')}")
+        refused = BadInput(where, field, f"not usable ({reason(error)})", "what can be read and written")
+        return _refused(verb, refused, "--json" in arguments)
     except Stopped as why:
         _complain(said(verb, why))
         return why.code
-    return 0
 
 
-def _run(arguments: list[str]) -> None:
+def _run(arguments: list[str]) -> VppError | None:
+    """Run one verb and print its answer; returns the failure that it tells, if any."""
     verbs = known_verbs()
     listing = "\n".join(f"  {verb:13} {text}" for verb, text in verbs.items())
     parser = Parser("vpp", description="Rig data to FMUs.", formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -126,7 +139,8 @@ def _run(arguments: list[str]) -> None:
     parser.add_argument("--version", action="version", version=f"vpp {__version__}")
     parser.add_argument("verb", choices=verbs, metavar="VERB")
     if not arguments:
-        raise BadCall(f"vpp: no verb. Next: {next_step(Path.cwd())}; vpp --help lists all verbs")
+        command, why = next_step(Path())
+        raise BadCall("vpp", f"no verb. Next: {command} ({why})", "vpp --help")
     count = next((k for k, word in enumerate(arguments, 1) if not word.startswith("-")), len(arguments))
     verb = parser.parse_args(arguments[:count]).verb
     parser, module = parser_of(verb)
@@ -134,29 +148,10 @@ def _run(arguments: list[str]) -> None:
     with level(options):
         answer = module.run(options)
     if answer is None:
-        return
+        return None
     for line in answer.printed(options):
         print(line)
-    if answer.failure is not None:
-        raise answer.failure
-
-
-def next_step(folder: Path) -> str:
-    """A command and its reason: for FMUs, parameters, a campaign, a log, or an empty folder, in this order."""
-    names = {path.name for path in folder.iterdir()}
-    files = {name.removesuffix(".gz").removesuffix(".csv") for name in names if name.removesuffix(".gz").endswith(".csv")}
-    if {"VppPlant.fmu", "VppController.fmu"} <= names and "profile.csv" in names:
-        return "vpp cosim VppPlant.fmu VppController.fmu --profile profile.csv -o run (two FMUs and a profile are here)"
-    if FILE in names:
-        return "vpp export --parameters . -o fmus (parameters are here)"
-    if own := sorted(files & set(NAMES)):
-        return f"vpp diagnose . -o out (a campaign is here: {', '.join(own)})"
-    if folders := sorted(path.name for path in folder.iterdir() if path.is_dir() and any(path.glob("open_loop.csv*"))):
-        return f"vpp diagnose {folders[0]} -o out (a campaign is in {folders[0]})"
-    if files:
-        log = min(name for name in names if name.removesuffix(".gz").endswith(".csv"))
-        return f"vpp import csv {log} -o mine --as open_loop (a log is here)"
-    return "vpp demo -o demo (nothing of a campaign is here)"
+    return answer.failure
 
 
 def known_verbs() -> dict[str, str]:
@@ -208,9 +203,17 @@ def _give_up(stream: TextIO) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-def _refused(line: str, code: int = VppError.code) -> int:
-    _complain(" ".join(line.split()))
-    return code
+def _refused(verb: str, error: VppError, as_object: bool = False) -> int:
+    """Print an error, with its object on standard output if the verb has printed none; returns the exit code."""
+    words = " ".join(str(error).split())  # they begin with the verb if no file is at fault
+    line = words if isinstance(error, BadCall) or words.startswith((f"{verb}:", f"{verb} ")) else f"{verb}: {words}"
+    if as_object:
+        try:
+            print(as_json({"format": "vpp-error/1", "sentence": line, "error": error.parts}), end="", flush=True)
+        except OSError:
+            _give_up(sys.stdout)
+    _complain(line)
+    return error.code
 
 
 def _one_line(message, *_):

@@ -39,7 +39,7 @@ def run(options):
     found = allocate(parameters, power, options.weight, options.points, options.seed)
     folder = OutputSet(options.output, "allocate")
     write_allocation(folder, found, parameters=(options.parameters, parameters))
-    return Answer(headline(found), summary(found), figures=key_figures(found), written=written(folder, parameters))
+    return Answer(headline(found), summary(found), figures=key_figures(found), written=written(options, folder, parameters))
 
 
 def write_allocation(folder: OutputFolder, found: Allocation, **came: tuple[str | os.PathLike[str], ParameterSet]) -> None:

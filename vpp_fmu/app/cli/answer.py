@@ -26,9 +26,10 @@ LEVELS = {"json": False, "quiet": False, "verbose": False}
 
 @dataclass(frozen=True)
 class Answer:
-    """`text`: the finding in a sentence. `content`: the object of --json, as in the verb's JSON file. `lines`: warnings and
+    """`text`: the finding in a sentence. `content`: the object of --json, as in the verb's JSON file; the
+    sentence and the parts of the failure are added. `lines`: warnings and
     other important lines; `figures`: (label, value, note); `more`: lines for --verbose only; `written`: lines about the files.
-    `failure`: an error to raise after the answer is printed."""
+    `failure`: an error that is reported after the answer."""
 
     text: str
     content: Mapping[str, Any]
@@ -41,7 +42,8 @@ class Answer:
     def printed(self, options: argparse.Namespace) -> Iterator[str]:
         """The lines for standard output."""
         if options.json:
-            yield as_json(dict(self.content)).rstrip("\n")
+            why = {"error": self.failure.parts} if self.failure else {}
+            yield as_json({"sentence": self.text, **self.content, **why}).rstrip("\n")
             return
         yield self.text
         if options.quiet:

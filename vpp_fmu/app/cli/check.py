@@ -5,6 +5,7 @@ their reports. Without errors the model is fitted as by identify, to find proble
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from tqdm import tqdm
 
@@ -16,6 +17,7 @@ from identification.gate.template import write_template
 from identification.identify import identify
 from identification.logger import Logger
 from vpp_fmu.app.cli.answer import Answer
+from vpp_fmu.app.cli.next_command import next_step
 from vpp_fmu.app.cli.output import add_accept, written
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.errors import BadInput, VppError
@@ -46,15 +48,17 @@ def run(options):
         write_template(folder)
         names = sorted(path.name for path in folder.path.iterdir())
         text = f"{folder.path} holds a small valid campaign; its README.md explains every column."
-        return Answer(text, {"format": FORMAT, "template": names}, written=written(folder))
+        return Answer(text, {"format": FORMAT, "template": names}, written=written(options, folder))
     accept, folder = check_accepted(options.accept), OutputFolder(options.output) if options.output else None
     with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
         bar.set_description("read")
         found = checked(read_campaign(options.campaign), accept, bar.set_description)
     if folder is not None:
         write_check(folder, found)
-    lines = [] if folder is None else written(folder)
-    return Answer(headline(found), found.summary(), _lines(found), written=lines, failure=_failure(options.campaign, found))
+    lines, failure = [] if folder is None else written(options, folder), _failure(options.campaign, found)
+    if folder is None and failure is None:
+        lines = [f"next: {next_step(Path(options.campaign), ('check.json',), options)[0]}"]
+    return Answer(headline(found), found.summary(), _lines(found), written=lines, failure=failure)
 
 
 @dataclass(frozen=True, eq=False)

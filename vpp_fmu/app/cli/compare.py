@@ -1,6 +1,7 @@
 """Compare two records, at the times of the first."""
 
 from vpp_fmu.app.cli.answer import Answer
+from vpp_fmu.app.cli.inputs import run_file
 from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.app.report.pages.loop import comparison_page
 from vpp_fmu.comparison import compare
@@ -12,8 +13,8 @@ EXAMPLE = "vpp compare measured.csv out/prediction.csv -o out"
 
 
 def configure(parser):
-    parser.add_argument("first", metavar="A", help="a record")
-    parser.add_argument("second", metavar="B", help="a record")
+    parser.add_argument("first", type=run_file, metavar="A", help="a record, or the folder of a run or a prediction")
+    parser.add_argument("second", type=run_file, metavar="B", help="the same")
     add_output(parser)
 
 
@@ -24,4 +25,4 @@ def run(options):
     folder.write("comparison.json", as_json(found.summary()))
     folder.write("report.html", page.html())
     text = f"Over {found.time[-1] - found.time[0]:.4g} s that both records have: {titles[0] if titles else 'no shared column'}."
-    return Answer(text, found.summary(), titles[1:], written=written(folder))
+    return Answer(text, found.summary(), titles[1:], written=written(options, folder))

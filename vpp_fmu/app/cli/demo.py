@@ -50,7 +50,7 @@ def run(options):
     seconds = time.perf_counter() - began
     content = {"format": "vpp-demo/1", "diagnosis": diagnosed(done.diagnosis), "rmse_thrust_fmu": {**done.rmse, "unit": "N"}}
     content |= {"loops": {name: summary(found) for name, found in loops.items()}, "seconds": seconds}
-    place = written(folder, done.diagnosis.parameters(done.diagnosis.final))
+    place = written(options, folder, done.diagnosis.parameters(done.diagnosis.final))
     return Answer(headline(done), content, lines, key_figures(done), written=[f"{seconds:.1f} s", *place])
 
 

@@ -79,7 +79,7 @@ def _one(options, campaign: str) -> Answer:
     lines += [power_line(found.power)] if found.power else []
     lines += [f"your logger: {line}" for line in found.logger.lines]
     lines.append(f"next_experiment.csv: commands within {', '.join(found.rig.command_lines())}")
-    place = written(folder, found.parameters(found.final))
+    place = written(options, folder, found.parameters(found.final))
     return Answer(headline(found), summary(found), lines, key_figures(found), written=place)
 
 
@@ -136,7 +136,7 @@ def _fleet(options) -> Answer:
     verdicts = Counter(e.verdict or "refused" for e in entries)
     text = f"{len(entries)} campaigns: {', '.join(f'{count} {verdict}' for verdict, count in verdicts.most_common())}."
     content = {"format": "vpp-fleet/1", "campaigns": [asdict(e) for e in entries]}
-    return Answer(text, content, [one.line for one in entries], written=written(folder), failure=failure)
+    return Answer(text, content, [one.line for one in entries], written=written(options, folder), failure=failure)
 
 
 def _names(campaigns: Sequence[Path]) -> list[str]:

@@ -15,7 +15,7 @@ from identification.tune.controllers import rig_controller, said_of
 from identification.tune.profile import reach
 from vpp_fmu import __version__
 from vpp_fmu.app.cli.answer import Answer
-from vpp_fmu.app.cli.inputs import ADAPT, GAINS, add_plant, read_gains, read_plant
+from vpp_fmu.app.cli.inputs import ADAPT, GAINS, add_gains, add_plant, read_gains, read_plant
 from vpp_fmu.app.cli.options import real
 from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.errors import BadInput
@@ -26,8 +26,8 @@ from vpp_fmu.export.own_model import FORM, find_model
 from vpp_fmu.export.toolchain import host, needs_glibc
 from vpp_fmu.export.trial import step_dependence, try_fmu
 from vpp_fmu.outputs import OutputSet
-from vpp_fmu.parameters import ParameterSet, beside, check_same_model, read_parameters, to_ssv
-from vpp_fmu.policy import read_policy
+from vpp_fmu.parameters import ParameterSet, beside, check_same_model, knowledge_file, read_parameters, to_ssv
+from vpp_fmu.policy import policy_file, read_policy
 from vpp_fmu.ssp import NAME, loop_ssp
 
 EXAMPLE = "vpp export --parameters out/parameters.json --flavour both -o fmus"
@@ -54,11 +54,11 @@ ABOUT: Mapping[str, tuple[Callable, str]] = {
 
 def configure(parser):
     add_plant(parser, " (default: the paper's fine-tuned set)")
-    parser.add_argument("--gains", metavar="G", help=GAINS)
+    add_gains(parser, GAINS)
     text = "a learned law in the controller's place: a .json or .npz of arrays (vpp_fmu/policy.py); --gains are its fallback's"
-    parser.add_argument("--policy", metavar="FILE", help=text)
+    parser.add_argument("--policy", type=policy_file, metavar="FILE", help=text)
     text = "also the adaptive twin of the parameters' rig; I: identification.json of --parameters (default: the one beside F)"
-    parser.add_argument("--twin", nargs="?", const="", metavar="I", help=text)
+    parser.add_argument("--twin", nargs="?", const="", type=knowledge_file, metavar="I", help=text)
     parser.add_argument("--adapt", nargs="+", metavar="NAME", help=ADAPT)
     parser.add_argument("--flavour", choices=("python", "native", "both"), default="python", help="default: python")
     text = "what native FMUs run on: this machine (default), or Linux, Windows and macOS (needs the extra 'cross')"
@@ -96,7 +96,7 @@ def run(options):
         files["cross_check.zip"] = _cross_check(parts, files)
     for name, content in files.items():
         folder.write(name, content)
-    place = written(folder, parts[0])
+    place = written(options, folder, parts[0])
     if flavours == ("python",):
         lines.append("the Python FMUs need a host that runs in Python, such as fmpy; any other runs those of --flavour native")
     if wanted := oldest_glibc(files):

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from hil import calibrate
 from hil.bench import Wiring, check_limits
-from hil.calibration import Calibration, check, never_measured, read_calibration, to_json
+from hil.calibration import Calibration, calibration_file, check, never_measured, read_calibration, to_json
 from hil.campaign import PARTS, Plan, limits_for, plan_for
 from hil.campaign_folder import Measuring, commands_of
 from hil.commands import PAPERS
@@ -50,7 +50,18 @@ from hil.twin.band import Band, read_band
 from hil.twin.twin import Twin
 from identification.tune.controllers import rig_controller, said_of
 from vpp_fmu.app.cli.answer import Answer, Lines, say
-from vpp_fmu.app.cli.inputs import ADAPT, GAINS, read_gains, read_plant
+from vpp_fmu.app.cli.inputs import (
+    ADAPT,
+    GAINS,
+    add_gains,
+    commands_file,
+    controller_file,
+    plant_file,
+    profile_file,
+    read_gains,
+    read_plant,
+    run_file,
+)
 from vpp_fmu.app.cli.options import SEED, Number, real, whole
 from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.app.cli.prompts import Prompts
@@ -60,11 +71,11 @@ from vpp_fmu.date import now
 from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.files import OutputFolder, read_text
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
-from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file
+from vpp_fmu.parameters import ParameterSet, beside, check_same_model, knowledge_file, parameters_file
 from vpp_fmu.parquet import check_parquet
 from vpp_fmu.plants import COMMANDS, Controller, FmuController, KernelController, KernelPlant
 from vpp_fmu.record import Record, RecordWarning, read_profile, read_record
-from vpp_fmu.rig import FILE, Rig, declared_rig
+from vpp_fmu.rig import FILE, Rig, declared_rig, rig_file
 from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp hil run --profile step.csv --virtual -o out"
@@ -96,7 +107,12 @@ def add_rig(parser, fmu: bool = False) -> None:
     text = f"{kinds}; and the rig's rig.json, which declares what it may do (default: what --parameters tells of its campaign, "
     text += "the paper's rig for the emulated one; the real rig needs one of the two)"
     add("--rig", nargs="+", default=["emulated"], metavar=("KIND", "FILE"), help=text)
-    add("--calibration", metavar="C", help="the rig's calibration (default for the emulated rig: its own)")
+    add(
+        "--calibration",
+        type=calibration_file,
+        metavar="C",
+        help="the rig's calibration (default for the emulated rig: its own)",
+    )
     add("--limits", metavar="L", help="limits outside the controller (default: what follows from the rig)")
     add("--virtual", action="store_true", help="emulated rig on a clock of its own: fast, the same every time")
     text = "hide an effect in the emulated rig: NAME, NAME=SIZE or NAME.PARAMETER=SIZE; more than one may be given"
@@ -123,20 +139,22 @@ def _add_measurements(parser) -> None:
 
 def _add_run(parser) -> None:
     add = parser.add_argument
-    add("--profile", metavar="P", required=True, help="CSV with time [s], thrust_set [N]")
-    add("--gains", metavar="G", help=GAINS)
-    add("--controller", metavar="FMU", help="a controller FMU instead; it runs its author's code")
+    text = "CSV with time [s], thrust_set [N], or the folder of its profile.csv"
+    add("--profile", type=profile_file, metavar="P", required=True, help=text)
+    add_gains(parser, GAINS)
+    text = "a controller FMU instead, or its folder; it runs its author's code"
+    add("--controller", type=controller_file, metavar="FMU", help=text)
     add_rig(parser, fmu=True)
     text = "the plant's parameters, for --twin and for what the rig may do (default: the paper's)"
     add("--parameters", type=parameters_file, metavar="F", help=text)
     text = "run the plant's model beside the rig and tell when the rig leaves its band; I: identification.json of --parameters"
-    add("--twin", nargs="?", const="", metavar="I", help=f"{text} (default: the one beside F)")
+    add("--twin", nargs="?", const="", type=knowledge_file, metavar="I", help=f"{text} (default: the one beside F)")
     add("--adapt", nargs="+", metavar="NAME", help=ADAPT)
     text = "what the twin's alarm does: tell (note), ramp down, idle at once (default: note); the exit code is 3 either way"
     add("--on-alarm", choices=tuple(ON_ALARM), default="note", metavar="WHAT", help=text)
     _add_measurements(parser)
     text = "the same loop with this plant FMU too, which runs its author's code, and the difference in N"
-    add("--beside", metavar="PLANT.fmu", help=text)
+    add("--beside", type=plant_file, metavar="PLANT.fmu", help=text)
     text = "commands that the run starts from, rpm and deg (default: the rig's lowest speed, the pitch next to 0)"
     add("--start", nargs=2, type=EITHER, metavar=("RPM", "DEG"), help=text)
     add_output(parser)
@@ -159,7 +177,9 @@ def _add_campaign(parser) -> None:
     add_rig(parser)
     add("--parameters", type=parameters_file, metavar="F", help="of an earlier campaign on this rig: what it may do")
     add("--parts", nargs="+", choices=PARTS, default=PARTS, metavar="PART", help=f"of {', '.join(PARTS)} (default: all)")
-    add("--commands", metavar="R", help="instead: any record of time, omega_ref, beta_ref; gives record.csv")
+    add(
+        "--commands", type=commands_file, metavar="R", help="instead: any record of time, omega_ref, beta_ref; gives record.csv"
+    )
     for name, field, kind, text in PLAN:
         longer = f" {kind.unit}, longer for a rig slower than the paper's" if kind.unit else ""
         add(f"--{name}", type=kind, metavar="N", help=f"{text} (default: {getattr(Plan(), field):g}{longer})")
@@ -193,8 +213,10 @@ def _add_report(parser) -> None:
 
 
 def _add_replay(parser) -> None:
-    parser.add_argument("recorded", metavar="RUN", help="run.csv of vpp hil run: time, thrust_set, thrust and the commands")
-    parser.add_argument("controller", metavar="CONTROLLER", help="controller FMU: thrust_set, thrust to omega_ref, beta_ref")
+    text = "run.csv of vpp hil run, or its folder: time, thrust_set, thrust and the commands"
+    parser.add_argument("recorded", type=run_file, metavar="RUN", help=text)
+    text = "controller FMU, or its folder: thrust_set, thrust to omega_ref, beta_ref"
+    parser.add_argument("controller", type=controller_file, metavar="CONTROLLER", help=text)
     add_output(parser)
 
 
@@ -211,10 +233,10 @@ def _run(options) -> Answer:
             raise BadInput("command line", "--watch", "--rig fmu", "an emulated or real rig: a loop of FMUs ends in seconds")
         folder = OutputFolder(options.output)
         record, limits = _fmu_loop(rig.plant, options, profile)
-        content = finish_fmu(folder, rig.plant, record, parquet)
+        content = finish_fmu(folder, rig.plant, record, limits, parquet)
         folder.write("report.html", fmu_page(rig.plant, record, options.profile, limits).html())
         lines += step_lines({"plant FMU": record}, limits)
-        return Answer(headline(judged_steps(record, limits)), content, lines, written=written(folder))
+        return Answer(headline(judged_steps(record, limits)), content, lines, written=written(options, folder))
     setup, controller = setup_of(options), controller_of(options)
     check_profile(profile, setup.limits)
     start = start_of(options.start, setup.limits, setup.allowed)
@@ -232,7 +254,7 @@ def _run(options) -> Answer:
     with watched(options, content) as page, Lines(options) as shown:
         confirm(setup, lines)
         done, folder, found = carry_out(task, content | {"begun": now()}, parent, page, shown, _page_of)
-        return _answer(found, [*lines, *shown], written(folder), done.judge)
+        return _answer(found, [*lines, *shown], written(options, folder), done.judge)
 
 
 def _answer(found: Outcome, lines: list[str], place: list[str], judge: Callable[[], None] = lambda: None) -> Answer:
@@ -277,7 +299,7 @@ def _campaign(options) -> Answer:
     parts = content["parts"]
     lost, rows = (sum(part["log"][name] for part in parts.values()) for name in ("lost", "rows"))
     text = f"Measured {', '.join(parts)} in {folder.path}: {rows} rows of the log, {lost} lost."
-    return Answer(text, content, [*lines, *shown], written=written(folder))
+    return Answer(text, content, [*lines, *shown], written=written(options, folder))
 
 
 def _calibrate(options) -> Answer:
@@ -303,7 +325,7 @@ def _calibrate(options) -> Answer:
     unknown = never_measured(found)
     lines = [f"not measured yet: {', '.join(unknown)}; --rig real wants all"] if unknown else []
     text = f"Measured {', '.join(options.parts)}; calibration.json is {'not yet ' * bool(unknown)}ready for --rig real."
-    return Answer(text, json.loads(content), lines, written=written(folder))
+    return Answer(text, json.loads(content), lines, written=written(options, folder))
 
 
 def _selftest(options) -> Answer:
@@ -319,7 +341,7 @@ def _selftest(options) -> Answer:
         lines.insert(0, f"loop: {content['real_time']}; {busy}\n{found.session.timing.text()}")
     good = sum(one.good for one in found.checks)
     text = f"{good} of {len(found.checks)} checks of the rig are good."
-    return Answer(text, content, lines, written=written(folder), failure=_failure(found.judge))
+    return Answer(text, content, lines, written=written(options, folder), failure=_failure(found.judge))
 
 
 def _report(options) -> Answer:
@@ -334,7 +356,7 @@ def _report(options) -> Answer:
         say(options, f"vpp hil: the run ended: {content['ended']}")
     found = finish(folder, content, record, _page_of)
     say(options, f"made from the log: {kept_of(log.parent)}")
-    return _answer(found, [], written(folder))
+    return _answer(found, [], written(options, folder))
 
 
 def _replay(options) -> Answer:
@@ -352,7 +374,7 @@ def _replay(options) -> Answer:
     text = f"{options.controller} on the {len(recorded)} rows of {options.recorded}: {found.said()}"
     folder.write("replay.json", as_json(found.summary()))
     folder.write("report.html", replay_page(found, text + ".").html())
-    return Answer(f"{text}.", found.summary(), written=written(folder))
+    return Answer(f"{text}.", found.summary(), written=written(options, folder))
 
 
 @dataclass(frozen=True)
@@ -368,8 +390,8 @@ def which(options, fmu: bool = False) -> Which:
     """The rig of the option --rig. BadInput."""
     words = list(options.rig)
     kind = words.pop(0) if words[0] in ("emulated", "real", "fmu") else "emulated"
-    plant = words.pop(0) if kind == "fmu" and words else None
-    file = words.pop(0) if words else None
+    plant = plant_file(words.pop(0)) if kind == "fmu" and words else None
+    file = rig_file(words.pop(0)) if words else None
     if words or (kind == "fmu" and not (fmu and plant)) or (file and not Path(file).is_file()):
         allowed = "emulated or real" + (", or fmu PLANT.fmu" if fmu else "") + ", and a rig.json that is there"
         raise BadInput("command line", "--rig", " ".join(options.rig), allowed)

@@ -58,7 +58,7 @@ def run(options):
         write_identification(folder, found)
     lines = [*(finding.text for finding in found.quality), *remarks(found), *not_identifiable(found)]
     lines += [f"your logger: {line}" for line in found.logger.lines]
-    place = written(folder, found.parameters)
+    place = written(options, folder, found.parameters)
     return Answer(headline(found), found.summary(), lines, key_figures(found), written=place)
 
 

@@ -118,7 +118,7 @@ def run(options):
     folder, put, said = _placed(options, plan, taken)
     lines += [*_columns(plan, taken), *_unused(table, plan.columns), *taken.said, *said]
     content = {"format": FORMAT, options.kind: plan.section(Path(options.log).name)}
-    return Answer(headline(folder, options.kind, put.columns, options.log), content, lines, written=written(folder))
+    return Answer(headline(folder, options.kind, put.columns, options.log), content, lines, written=written(options, folder))
 
 
 def _section(options) -> dict:

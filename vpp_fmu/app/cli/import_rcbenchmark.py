@@ -68,7 +68,7 @@ def run(options):
     lines = [said_of_rows(figures), *said_of_averages(log, kind), *said_of_thrust(figures)]
     lines += said_of_map(figures["speed_map"], known, taken_over) if known else ["omega_ref: the measured speed"]
     lines += beyond + said
-    return Answer(headline(folder, kind, put.columns, options.log), figures, lines, written=written(folder))
+    return Answer(headline(folder, kind, put.columns, options.log), figures, lines, written=written(options, folder))
 
 
 def _pitch(options, log: Log) -> float:

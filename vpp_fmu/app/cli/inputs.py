@@ -6,16 +6,43 @@ from identification.assessment.information import read_knowledge, read_noise
 from identification.fit.problem import Prior
 from vpp_fmu.app.cli.output import add_effects_from
 from vpp_fmu.errors import BadInput
+from vpp_fmu.files import InFolder
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.own_effects import library_with
-from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, read_parameters
+from vpp_fmu.parameters import (
+    ParameterSet,
+    beside,
+    check_same_model,
+    gains_file,
+    knowledge_file,
+    parameters_file,
+    read_parameters,
+)
 from vpp_fmu.record import RecordWarning
 
 GAINS = "the controller's parameters (default: the published gains, within the limits and at the pace of the parameters' rig)"
 
 ADAPT = "the plant's parameters that the twin adapts (default: thrust gain, pitch and reading offset, the slower lags)"
 """Help of --gains and of --adapt."""
+
+
+FMU = "VppPlant", "VppController", "VppTwin"
+plant_file, controller_file, twin_file = (InFolder((f"{name}.fmu", f"{name}.native.fmu")) for name in FMU)
+profile_file = InFolder(("profile.csv",))
+run_file = InFolder(("run.csv", "prediction.csv"))
+commands_file = InFolder(("plan.csv", "next_experiment.csv", "validation.csv", "validation.csv.gz"))
+"""Files of folders that verbs wrote, for arguments that name one of them."""
+
+
+def add_gains(parser, text: str) -> None:
+    """The option --gains."""
+    parser.add_argument("--gains", type=gains_file, metavar="G", help=f"{text}; G: a file or its folder")
+
+
+def add_knowledge(parser, text: str) -> None:
+    """The option --knowledge."""
+    parser.add_argument("--knowledge", type=knowledge_file, metavar="F", help=text)
 
 
 def add_plant(parser, more: str = "", required: bool = False) -> None:

@@ -15,7 +15,7 @@ from identification.tune.learn import Learned, learn, random_steps
 from identification.tune.profile import rig_profile
 from identification.tune.tune import Task, chain_of, tune
 from vpp_fmu.app.cli.answer import Answer
-from vpp_fmu.app.cli.inputs import knowledge_of, noise_in, read_gains, read_plant
+from vpp_fmu.app.cli.inputs import add_gains, add_knowledge, knowledge_of, noise_in, read_gains, read_plant
 from vpp_fmu.app.cli.options import SEED, Number, whole
 from vpp_fmu.app.cli.output import add_effects_from, add_output, written
 from vpp_fmu.app.report.pages.learning import headline, key_figures, learning_page
@@ -35,9 +35,9 @@ def configure(parser):
     parser.add_argument("parameters", type=parameters_file, metavar="PARAMETERS", help=text)
     add_effects_from(parser)
     text = "the PID to compare with and to fall back on (default: tuned here on set-points of the same kind)"
-    parser.add_argument("--gains", metavar="G", help=text)
+    add_gains(parser, text)
     text = "identification.json: correlation of the parameters, noise of thrust (default: the one beside PARAMETERS)"
-    parser.add_argument("--knowledge", metavar="F", help=text)
+    add_knowledge(parser, text)
     text = "generations of the search (default: %(default)s, a minute or two)"
     parser.add_argument("--generations", type=whole(1, 10**6), default=1000, metavar="N", help=text)
     text = "units of the network's hidden layer (default: %(default)s)"
@@ -76,7 +76,7 @@ def run(options):
             lambda share: bar.update(round(100 * share) - bar.n),
         )
     write_learning(folder, found, parameters.label)
-    return Answer(headline(found), summary(found), figures=key_figures(found), written=written(folder, parameters))
+    return Answer(headline(found), summary(found), figures=key_figures(found), written=written(options, folder, parameters))
 
 
 def write_learning(folder: OutputFolder, found: Learned, source: str) -> None:

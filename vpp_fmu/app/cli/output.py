@@ -1,5 +1,6 @@
 """Output common to all verbs: the folder, the provenance of results, progress, and the written files."""
 
+import argparse
 import contextlib
 import os
 import sys
@@ -11,6 +12,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from vpp_fmu import __version__
+from vpp_fmu.app.cli.next_command import next_step
 from vpp_fmu.date import now
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.outputs import OutputSet
@@ -76,9 +78,9 @@ class Stages:
         self._bar.set_postfix_str(f"best so far: {best}")
 
 
-def written(folder: OutputFolder, parameters: ParameterSet | None = None) -> list[str]:
-    """Put a set of files into its place; returns lines about the written, replaced and removed files. `parameters`:
-    those of the results. Files are in place before anything is printed, since standard output may fail."""
+def written(options: argparse.Namespace, folder: OutputFolder, parameters: ParameterSet | None = None) -> list[str]:
+    """Put a set of files into its place; returns lines about the written, replaced and removed files, and the next command.
+    `parameters`: those of the results. Files are in place before anything is printed, since standard output may fail."""
     lines = []
     if isinstance(folder, OutputSet):
         folder.finish(parameters and parameters.identity)
@@ -87,4 +89,4 @@ def written(folder: OutputFolder, parameters: ParameterSet | None = None) -> lis
         lines += [f"in {folder.path}, {what}: {', '.join(names)}" for what, names in notes.items() if names]
     if folder.replaced:
         lines.append(f"replaced in {folder.path}: {', '.join(folder.replaced)}")
-    return [*lines, f"written to {folder.path}"]
+    return [*lines, f"written to {folder.path}", f"next: {next_step(folder.path, folder.names, options)[0]}"]

@@ -45,7 +45,7 @@ def run(options):
         folder.write("paper.json", as_json(summary(done, total)))
         folder.write("report.html", paper_page(done, total).html())
     more = [f"{name}: {seconds:.1f} s" for name, seconds in done.seconds.items()]
-    place = [f"the whole study: {time.perf_counter() - began:.1f} s", *written(folder, done.found.parameters)]
+    place = [f"the whole study: {time.perf_counter() - began:.1f} s", *written(options, folder, done.found.parameters)]
     return Answer(verdict(done), summary(done, total), figures=tiles(done, total), more=more, written=place)
 
 

@@ -13,7 +13,7 @@ from identification.assessment.prediction import predict
 from identification.assessment.reading_noise import reading_noise
 from identification.plan.plan import NOISE, Plan, plan, step_of
 from vpp_fmu.app.cli.answer import Answer
-from vpp_fmu.app.cli.inputs import add_plant, knowledge_of, read_plant
+from vpp_fmu.app.cli.inputs import add_knowledge, add_plant, knowledge_of, read_plant
 from vpp_fmu.app.cli.options import SEED, Number
 from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.app.cli.prompts import Prompts
@@ -26,7 +26,7 @@ from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import write_record
-from vpp_fmu.rig import DECLARED, RANGES, SLEWS, Rig, declared_rig
+from vpp_fmu.rig import DECLARED, RANGES, SLEWS, Rig, declared_rig, rig_file
 from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp plan --parameters out/parameters.json --knowledge out/identification.json --omega-slew 20000 -o next"
@@ -56,11 +56,11 @@ def configure(parser):
 
     add_plant(parser, required=True)
     text = "identification.json of the data there are (default: the one beside --parameters; without it nothing is known)"
-    parser.add_argument("--knowledge", metavar="F", help=text)
+    add_knowledge(parser, text)
     text = "take range, sampling and noise from this campaign (default: what --parameters tells of its own)"
     parser.add_argument("--campaign", metavar="DIR", help=text)
     text = "a rig.json: the range and slew that it declares go before what was measured"
-    parser.add_argument("--rig", metavar="FILE", help=text)
+    parser.add_argument("--rig", type=rig_file, metavar="FILE", help=text)
     number("--seconds", "120 time scales of the rig, a minute for the paper's", "length of the experiment", "S")
     for name, what in (("--omega", "speed in rpm"), ("--pitch", "pitch in deg")):
         text = f"range of {what}, within the rig's (default: the rig's)"
@@ -107,7 +107,7 @@ def run(options):
     basis = [f"commands within {', '.join(rig.command_lines())}", f"noise of a thrust reading {noise:.3g} N ({noise_from})"]
     write_plan(folder, found, basis, remarks, parameters.label)
     lines = [*basis, *(f"note: {remark}" for remark in remarks)]
-    return Answer(headline(found), found.summary(), lines, key_figures(found), written=written(folder, parameters))
+    return Answer(headline(found), found.summary(), lines, key_figures(found), written=written(options, folder, parameters))
 
 
 def remarks_on(found: Plan, inflation: float = 1.0) -> list[str]:

@@ -2,7 +2,7 @@
 
 from identification.assessment.prediction import predict
 from vpp_fmu.app.cli.answer import Answer
-from vpp_fmu.app.cli.inputs import add_plant, read_plant
+from vpp_fmu.app.cli.inputs import add_plant, commands_file, read_plant
 from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.app.report.sentences import size
 from vpp_fmu.outputs import OutputSet
@@ -12,7 +12,8 @@ EXAMPLE = "vpp simulate campaigns/monday/validation.csv --parameters out/paramet
 
 
 def configure(parser):
-    parser.add_argument("record", metavar="RECORD", help="CSV with time, omega_ref, beta_ref")
+    text = "CSV with time, omega_ref, beta_ref, or the folder of a campaign or a plan"
+    parser.add_argument("record", type=commands_file, metavar="RECORD", help=text)
     add_plant(parser, required=True)
     add_output(parser)
 
@@ -33,4 +34,4 @@ def run(options):
     content = {"format": "vpp-simulation/1", "rows": len(record), "seconds": seconds}
     content |= {"units": {"rmse_thrust": "N", "rmse_omega": "rpm", "fit_thrust": "%"}, "rmse_omega": shown.rmse_omega}
     content |= {name: getattr(shown, name) if measured else None for name in ("rmse_thrust", "fit_thrust")}
-    return Answer(text, content, written=written(folder, parameters))
+    return Answer(text, content, written=written(options, folder, parameters))

@@ -18,7 +18,16 @@ from identification.tune.summary import NAMES, change_rows, headline, key_figure
 from identification.tune.tune import Task, Tuning, chain_of, tune
 from identification.tune.verdict import UNITS
 from vpp_fmu.app.cli.answer import Answer
-from vpp_fmu.app.cli.inputs import add_plant, knowledge_of, noise_in, read_gains, read_plant
+from vpp_fmu.app.cli.inputs import (
+    add_gains,
+    add_knowledge,
+    add_plant,
+    knowledge_of,
+    noise_in,
+    profile_file,
+    read_gains,
+    read_plant,
+)
 from vpp_fmu.app.cli.options import SEED, WORKERS, Number, whole
 from vpp_fmu.app.cli.output import add_output, dated, written
 from vpp_fmu.app.report.pages.tuning import tuning_page
@@ -83,12 +92,12 @@ def configure(parser):
     text = "a parameter that the design assumes instead, as the paper does with tau_beta_2=0.05; may be repeated"
     parser.add_argument("--assume", action="append", default=[], metavar="NAME=VALUE", help=text)
     text = "limits, filter, sample time and first gains of the controller (default: the rig's limits, the paper's gains)"
-    parser.add_argument("--gains", metavar="G", help=text)
+    add_gains(parser, text)
     text = "tune the law that rests on the best pairs of speed and pitch instead (vpp allocate): those of least power, of the "
     text += "largest reserve of thrust by pitch, or a weight between 0 (power) and 1 (agility); for parameters with power"
     parser.add_argument("--objective", type=Weight(0.0, 1.0), metavar="power|agility|W", help=text)
     text = "CSV with time, thrust_set (default: 0.1 to 0.8 of the thrust scale and back, as far as the rig reaches)"
-    parser.add_argument("--profile", metavar="P", help=text)
+    parser.add_argument("--profile", type=profile_file, metavar="P", help=text)
     text = (
         "period of the controller in s (default: the campaign's, else 0.004; other where the plant's faster channel needs it)"
     )
@@ -104,7 +113,7 @@ def configure(parser):
     number("draws", 200, "plants to tune over", "N")
     number("spread", 0.1, "standard deviation, as a share, of assumed parameters and of those whose file has none")
     text = "identification.json: correlation of the parameters, noise of thrust (default: the one beside --parameters)"
-    parser.add_argument("--knowledge", metavar="F", help=text)
+    add_knowledge(parser, text)
     number("seed", 0, "of plants and noise", "N")
     number("workers", 1, "number of parallel searches", "N")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler to run the searches on instead")
@@ -119,7 +128,7 @@ def run(options):
     setting = _setting(task, starts)
     found = tune(task, starts, options.workers, options.scheduler)
     write_tuning(folder, found, **came)
-    place = written(folder, parameters)
+    place = written(options, folder, parameters)
     return Answer(headline(found), summary(found), setting, key_figures(found), [*_details(found)], place)
 
 

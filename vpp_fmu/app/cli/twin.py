@@ -18,9 +18,9 @@ from identification.tune.controllers import controllers
 from vpp_fmu.app.cli import hil
 from vpp_fmu.app.cli.answer import Answer, Lines
 from vpp_fmu.app.cli.hil import allowed_words
-from vpp_fmu.app.cli.inputs import read_gains, read_plant
+from vpp_fmu.app.cli.inputs import add_gains, read_gains, read_plant
 from vpp_fmu.app.cli.options import WORKERS, whole
-from vpp_fmu.app.cli.output import dated, stages
+from vpp_fmu.app.cli.output import dated, stages, written
 from vpp_fmu.app.day.day import BOTH, POLICIES, Day, Rig, Round, diagnosed, new_day, next_round
 from vpp_fmu.app.report.pages.day import day_page
 from vpp_fmu.app.report.sentences import change
@@ -40,7 +40,7 @@ def configure(parser):
     text = "the initial model; its band is in the identification.json beside it"
     parser.add_argument("--parameters", type=parameters_file, metavar="F", required=True, help=text)
     text = "the controller's that fly first (default: the published ones, at the pace of the parameters' rig)"
-    parser.add_argument("--gains", metavar="G", help=text)
+    add_gains(parser, text)
     text = "source of the next law (default: %(default)s, model-based and model-free; fixed: the gains stay; learned: a "
     text += "network that is learned on plants of the model; all: the three of them)"
     parser.add_argument("--policy", choices=POLICIES, default=BOTH, help=text)
@@ -68,7 +68,7 @@ def run(options):
         shown(allowed_words(setup.allowed))
         for number in range(1, options.rounds + 1):
             content = _round(options, day, rig, band, number, folder, shown)
-    return Answer(headline(day), content, shown, written=[f"written to {folder.path}"])
+    return Answer(headline(day), content, shown, written=written(options, folder))
 
 
 def _round(options, day: Day, rig: Rig, band: Band, number: int, folder: OutputFolder, shown: Lines) -> dict:
