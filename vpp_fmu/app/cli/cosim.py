@@ -58,5 +58,6 @@ def run(options):
 
 def summary(found: Sequence[Step]) -> dict:
     """The object of --json: the steps of the set-point."""
-    units = {"time": "s", "end": "s", "before": "N", "after": "N", "settling": "s", "overshoot": "%", "ringing": "%"}
+    units = {"time": "s", "end": "s", "before": "N", "after": "N", "settling": "s", "overshoot": "%"}
+    units |= {"ringing": "%", "duration": "s", "largest": "%"}
     return {"format": "vpp-loop/1", "units": units, "steps": [asdict(step) for step in found]}

@@ -16,7 +16,7 @@ from vpp_fmu.app.report.canvas import add_band, figure, panels, places, thinning
 from vpp_fmu.app.report.figures.loop import add_twin_residual
 from vpp_fmu.app.report.figures.time import closed_loop, two_records
 from vpp_fmu.app.report.page import Page
-from vpp_fmu.app.report.pages.loop import add_adaptive, headline, row
+from vpp_fmu.app.report.pages.loop import add_adaptive, headline, percent, row
 from vpp_fmu.digits import number, signed
 from vpp_fmu.record import QUANTITIES, Record
 from vpp_fmu.response import smoothed
@@ -177,7 +177,7 @@ def _tiles(page: Page, run: Outcome) -> None:
         if judged := judged_steps(loop, run.reach):
             settled = [step.settling for step in judged if step.settling is not None]
             slowest = f"{number(max(settled))} s" if settled else "none"
-            of = f"{len(settled)} of {len(judged)} steps settle; overshoot up to {max(s.overshoot for s in judged):.0f} %"
+            of = f"{len(settled)} of {len(judged)} steps settle; overshoot up to {percent(max(s.overshoot for s in judged))}"
             page.tiles([(f"slowest settling, {name}", slowest, of)])
     if "energy" in content:
         page.tiles([("energy from the supply", *energy_words(content["energy"]))])
