@@ -124,7 +124,11 @@ _TABLE = {"pulse": ("pulses", _PULSE), "pitch": ("pitches", _PITCH)}
 
 def read_calibration(path: str | os.PathLike) -> Calibration:
     """Read a calibration file; `hil/emulator/calibration.json` is one. BadInput names file, field, found and allowed."""
-    file = Entries(path, read_json(path), ("format", *_NUMBERS), optional=("source", "supply"))
+    content = read_json(path)
+    if content == {}:
+        hint = "vpp hil calibrate, which writes one; without --calibration the emulated rig has its own"
+        raise BadInput(path, "file", "an empty object", "a calibration: load cell, ESC and pitch", hint)
+    file = Entries(path, content, ("format", *_NUMBERS), optional=("source", "supply"))
     file.choice("format", (FORMAT,))
     extra = {"load_cell": tuple(_CHOICES), "pitch": ("table",)}
     sections = {name: file.entries(name, (*numbers, *extra.get(name, ()))) for name, numbers in _NUMBERS.items()}

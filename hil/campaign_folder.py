@@ -34,6 +34,19 @@ SAME = ("plan", "rig", "hidden", "physics", "seed", "limits", "allowed", "calibr
 """Entries of hil.json that must be unchanged to resume a campaign."""
 
 
+def _difference(before: object, now: object, where: str) -> tuple[str, str, str]:
+    """(path, earlier value, present value) of the first entry of two JSON values that differs; `where`: their own path."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        for name in [*before, *(name for name in now if name not in before)]:
+            if before.get(name) != now.get(name):
+                return _difference(before.get(name), now.get(name), f"{where}.{name}")
+    if isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
+        for k, pair in enumerate(zip(before, now, strict=True)):
+            if pair[0] != pair[1]:
+                return _difference(*pair, f"{where}[{k}]")
+    return where, *(json.dumps(value)[:80] for value in (before, now))
+
+
 @dataclass(frozen=True, eq=False)
 class Measuring:
     """A campaign: the rig, the plan and its parts; or instead `commands`, a record to apply."""
@@ -62,8 +75,9 @@ class Measuring:
             raise BadInput(folder, "--resume", "no campaign", "the folder of an earlier vpp hil campaign")
         for name in SAME:
             if before.get(name) != content.get(name):
-                allowed = f"{json.dumps(content.get(name))[:80]}, as this call has it"
-                raise BadInput(path, name, json.dumps(before.get(name))[:80], allowed)
+                where, was, wanted = _difference(before.get(name), content.get(name), name)
+                hint = "the options of the first call, or another folder"
+                raise BadInput(path, where, was, f"{wanted}, as this call has it", hint)
         return before | {"resumed": [*before.get("resumed", []), content["begun"]]}
 
     def run(self, folder: OutputFolder, content: dict, page: OperatorPage | None, say: Callable[[str], None]) -> dict:

@@ -1,11 +1,21 @@
 """Replay a recorded run through a controller, and compare its commands with the recorded ones."""
 
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import isclose
+from pathlib import Path
 
 import numpy as np
 
+from vpp_fmu.digits import number
+from vpp_fmu.errors import BadInput
 from vpp_fmu.plants import COMMANDS, Controller
 from vpp_fmu.record import Record
+from vpp_fmu.structured import read_object
+
+SHOWN = 3
+"""Number of different settings that a comparison names."""
 
 WANTED = {"omega_ref": "omega_wanted", "beta_ref": "beta_wanted"}
 """Columns of a rig's run with the controller's commands; `omega_ref` and `beta_ref` are those after the limits."""
@@ -40,13 +50,31 @@ class Replay:
             "largest": self.largest,
         }
 
-    def said(self) -> str:
-        """The comparison in words."""
+    def said(self, other: Sequence[str] = ()) -> str:
+        """The comparison in words; `other`: settings that differ from the run's, as from `other_settings`."""
         row = self.first_difference
         if row is None:
             return "the same commands to the bit"
+        if other:
+            shown = ", ".join(other[:SHOWN]) + (f" and {len(other) - SHOWN} more" if len(other) > SHOWN else "")
+            return f"not the run's controller: {shown}. Its commands differ from {self.record.time[row]:.3f} s on"
         omega, beta = self.largest.values()
         return f"other commands from {self.record.time[row]:.3f} s on, at most {omega:.3g} rpm and {beta:.3g} deg off"
+
+
+def other_settings(run: str | os.PathLike, settings: Mapping[str, float]) -> list[str]:
+    """Each of a controller's `settings`, by name, that differs from the one in the hil.json beside `run`; none if unknown."""
+    path = Path(run).with_name("hil.json")
+    try:
+        controller = read_object(path, "vpp-hil/1").get("controller", {}) if path.is_file() else {}
+    except BadInput:
+        return []
+    recorded = controller.get("parameters", {})
+    return [
+        f"{name} {number(recorded[name])} in the run, {number(value)} here"
+        for name, value in settings.items()
+        if name in recorded and not isclose(recorded[name], value, rel_tol=1e-9, abs_tol=1e-12)
+    ]
 
 
 def replay(run: Record, controller: Controller) -> Replay:

@@ -174,6 +174,12 @@ def rehearse(controller: FmuController, thrust_set: float) -> None:
     controller.prepare()
 
 
+def profile_start(log: Record) -> float:
+    """Time [s] in a log of the first row with an active controller, where `loop_part` begins; 0 without one."""
+    rows = np.flatnonzero(np.isfinite(log["omega_wanted"]))
+    return float(log.time[rows[0]]) if len(rows) else 0.0
+
+
 def loop_part(log: Record) -> Record:
     """The rows of a log with an active controller, from time 0: the columns of `hil.columns.RUN` and the supply's readings."""
     rows = np.flatnonzero(np.isfinite(log["omega_wanted"]))
@@ -181,7 +187,7 @@ def loop_part(log: Record) -> Record:
         return Record({name: np.empty(0) for name in ("time", *RUN)}, log.source)
     read = [name for name in NAMES if name in log and np.isfinite(log[name][rows]).any()]
     columns = {name: log[name][rows] for name in (*RUN, *read)}
-    return Record({"time": np.round(log.time[rows] - log.time[rows[0]], 9), **columns}, log.source)
+    return Record({"time": np.round(log.time[rows] - profile_start(log), 9), **columns}, log.source)
 
 
 def write_run(path: Path, record: Record) -> None:

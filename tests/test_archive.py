@@ -58,7 +58,7 @@ def test_closing_an_fmu_removes_its_folder(fmu_files, temporary):
 
 
 def test_an_fmu_without_the_required_variables_leaves_no_files(fmu_files, temporary):
-    with pytest.raises(BadInput, match="no such input"):
+    with pytest.raises(BadInput, match="role: found a plant FMU"):
         FmuController(fmu_files["plain"])
     with pytest.raises(BadInput, match="no such parameter"):
         FmuPlant(fmu_files["plain"], {"tau_gamma": 1.0})

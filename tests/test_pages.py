@@ -1,5 +1,6 @@
 """Every kind of report as a reader sees it, on a phone and on a desk, light and dark: nothing overlaps, nothing is empty."""
 
+import re
 from datetime import date, timedelta
 
 import numpy as np
@@ -95,12 +96,13 @@ def figures_page() -> Page:
     return page
 
 
-def rig_page() -> Page:
-    """The page of a run on the rig."""
+def rig_page(begin: float = 0.0) -> Page:
+    """The page of a run on the rig, whose profile begins at `begin` s of its log."""
     run = test_report.record(2000)
     rng = np.random.default_rng(2)
     alarm = (run["time"] > 6.0).astype(float)
-    log = Record({"time": run["time"], "residual": 0.1 * rng.normal(size=2000), "alarm": alarm}, "log")
+    columns = {"residual": 0.1 * rng.normal(size=2000), "alarm": alarm, "omega_wanted": run["omega_ref"]}
+    log = Record({"time": begin + run["time"]} | columns, "log")
     ticks = timing(rng.exponential(2e-4, 2000), rng.exponential(1e-4, 2000), np.zeros(2000))
     content = {
         "ended": "",
@@ -109,10 +111,21 @@ def rig_page() -> Page:
         "log": {"rows": 2000, "ticks": 2000, "lost": 0},
         "tares": [{"zero_counts": 12.0, "noise_N": 0.1}],
         "counters": {"adc": {"repeated": 3}},
-        "transitions": [{"time": 0.0, "state": "safe", "why": "start"}, {"time": 0.1, "state": "running", "why": "all answer"}],
+        "transitions": [
+            {"time": begin, "state": "safe", "why": "start"},
+            {"time": begin + 0.1, "state": "running", "why": "all answer"},
+        ],
         "twin": {"false_alarms_per_hour": 0.1, "smallest_found": 0.2, "delay": 1.0, "noise": 0.1},
     }
     return run_page(Outcome(content, log, {"rig": Record(run, "run")}, ticks))
+
+
+def test_all_times_of_a_run_count_from_the_start_of_its_profile():
+    assert run_html(5.0) == run_html(12.5)
+
+
+def run_html(begin: float) -> str:
+    return re.sub(r'id="[^"]*"', "", rig_page(begin).html())
 
 
 def campaigns_page() -> Page:

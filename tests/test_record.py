@@ -140,7 +140,7 @@ BAD = {
         "time,omega_ref,thrust\n0,1,2\n",
         "column beta_ref: found only time, omega_ref, thrust, expected a header with time, omega_ref, beta_ref, thrust",
     ),
-    "semicolons": ("time;omega_ref;beta_ref;thrust\n0;1;2;3\n", "column time: found only time;omega_ref;beta_ref;thrust, "),
+    "semicolons": ("time;omega_ref;beta_ref;thrust\n0;1;2;3\n", "header: found cells separated by semicolons, "),
     "empty cell": (changed(3, "0.004,,5,7"), "omega_ref, line 3: found an empty cell, expected a finite number"),
     "NaN": (changed(3, "0.004,4000,nan,7"), "beta_ref, line 3: found 'nan', expected a finite number"),
     "no number": (changed(2, "0,4000,5,7 N"), "thrust, line 2: found '7 N', expected a finite number"),

@@ -212,7 +212,7 @@ def test_the_command_writes_gains_that_export_takes(tmp_path, capsys, short_sear
     arguments += ("--knowledge", str(tmp_path / "known.json"))
     assert vpp(tmp_path, *arguments, "--assume", "tau_beta_1=0.15", "--verbose") == 0
     said = capsys.readouterr().out
-    assert "through the FMUs: 0 N" in said
+    assert "exported FMUs against the loop of the search: the same thrust to the bit" in said
     assert said.count("  2 → 10 N at 0.4 s: settling ") == said.count("  gain margin ") == 2
     content = json.loads((tmp_path / "out" / "tuning.json").read_text())
     assert content["objective"]["assumed"] == {"tau_beta_1": 0.15}

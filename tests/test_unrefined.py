@@ -143,7 +143,10 @@ def test_a_page_without_a_record_has_values_and_no_prediction():
     page = identification_page(found).html()
     assert "How well the model predicts" not in page
     assert "The step responses" in page
-    assert ("identifiable parameters", "9 of 9", "all fitted parameters") in key_figures(found)
+    figures = key_figures(found)
+    assert ("identifiable parameters", "9 of 9", "all fitted parameters") in figures
+    (value,) = [value for label, value, _ in figures if label == "fit of the static map"]
+    assert value == f"adjusted R² {found.static.r2_adjusted:.4f}"
 
 
 def test_means_of_runs_scatter_as_their_covariance_says():

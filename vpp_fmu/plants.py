@@ -114,6 +114,7 @@ class KernelController:
 class _FmuRole:
     """An FMU file with one instance at a time. `start` makes a new one, since FMI 2.0 cannot restart an instance."""
 
+    word: str
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
 
@@ -122,12 +123,23 @@ class _FmuRole:
         self._fmu, self._instance, self._step = Fmu(path), None, None
         self._ready: FmuInstance | None = None
         try:
+            self._check_role(path)
             for names, causality in ((self.inputs, "input"), (self.outputs, "output"), (self._parameters, "parameter")):
                 self._fmu.references(names, causality)
             self._fmu.check_first_step(dt)
         except BadInput:
             self._fmu.close()
             raise
+
+    def _check_role(self, path: str | Path) -> None:
+        """BadInput if the FMU takes and gives the signals of the other role."""
+        causalities = {name: variable.causality for name, variable in self._fmu.variables.items()}
+        for other in (FmuPlant, FmuController):
+            swapped = dict.fromkeys(other.inputs, "input") | dict.fromkeys(other.outputs[:1], "output")
+            if other is not type(self) and all(causalities.get(name) == c for name, c in swapped.items()):
+                takes = f"a {other.word} FMU, which takes {', '.join(other.inputs)}"
+                allowed = f"a {self.word} FMU, which takes {', '.join(self.inputs)}"
+                raise BadInput(path, "role", takes, allowed, "the two FMUs in the other order")
 
     def _restart(self, values):
         ready = self._ready or self._made()
@@ -169,7 +181,7 @@ class _FmuRole:
 class FmuPlant(_FmuRole):
     """A plant FMU of either flavour, or any other with the same variables."""
 
-    inputs, outputs = COMMANDS, MEASURED
+    word, inputs, outputs = "plant", COMMANDS, MEASURED
 
     def start(self, omega_ref, beta_ref):
         return Sample._make(self._restart((omega_ref, beta_ref)))
@@ -182,7 +194,7 @@ class FmuController(_FmuRole):
     """A controller FMU. `limits`: of each command, as from `limits_of`; none if its parameters have none. `sample_time` s: its
     own, None if it has none; `dt` None: the same."""
 
-    inputs, outputs = WANTED, COMMANDS
+    word, inputs, outputs = "controller", WANTED, COMMANDS
 
     def __init__(self, path: str | Path, parameters: Mapping[str, float] | None = None, dt: float | None = USUAL_STEP):
         super().__init__(path, parameters, 0.0 if dt is None else dt)

@@ -215,6 +215,10 @@ def checked_columns(table: Table, need: Sequence[str], holes: Sequence[str] = ()
             allowed = f"a header with {', '.join(need)}, separated by commas"
             allowed += near(name, [other for other in table.columns if other not in need])
             hint = "vpp import csv, which makes a record of a log" if name in COMMANDS else ""
+            if len(table.columns) == 1 and ";" in next(iter(table.columns)):
+                if "omega_ref" not in need:
+                    hint = "save the file with commas between cells and points in numbers"
+                raise BadInput(table.source, "header", "cells separated by semicolons", "cells separated by commas", hint)
             raise BadInput(table.source, f"column {name}", f"only {', '.join(table.columns)}"[:200], allowed, hint)
     measured = {signal.name for signal in MEASURED}
     columns, unknown = {}, []

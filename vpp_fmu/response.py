@@ -12,12 +12,30 @@ from vpp_fmu.record import Record
 BAND = 0.02
 """Settling band, as a share of the step."""
 
+QUIET = 5
+"""A step has settled once the thrust stays in the band this many times as long as it took; departures after that have other
+causes. A loop's own next swing comes within one settling time."""
+
+LEAST_QUIET = 1.0
+"""s for which the thrust stays in the band at least: noise can enter the band early for a sample."""
+
 TAIL = 0.1
 """A set-point is out of reach if the commands are at their limits and the thrust is constant over this last share of the
 step's duration."""
 
 UNITS = {"time": "s", "end": "s", "before": "N", "after": "N", "settling": "s", "overshoot": "%", "ringing": "%"}
-"""Of the numbers of a `Step`."""
+UNITS |= {"duration": "s", "largest": "%"}
+"""Of the numbers of a `Step` and of its departures."""
+
+
+@dataclass(frozen=True)
+class Departure:
+    """A disturbance: thrust outside the settling band after it has settled, from `time` [s] for `duration` s, by at most
+    `largest` % of the step."""
+
+    time: float
+    duration: float
+    largest: float
 
 
 @dataclass(frozen=True)
@@ -26,7 +44,8 @@ class Step:
 
     `last`: whether it is the last step of the run. `settling` [s]: settling time; None if it never settles. `stuck`: thrust
     [N] and commands of speed [rpm] and pitch [deg] at its end if the set-point is out of reach. `overshoot`: largest thrust
-    beyond the set-point, and `ringing`: its largest deviation to either side after the overshoot, both in % of the step.
+    beyond the set-point before the first of the `departures`, and `ringing`: largest deviation to either side after the
+    overshoot until the end, departures included, both in % of the step.
     """
 
     time: float
@@ -38,6 +57,7 @@ class Step:
     ringing: float
     last: bool = False
     stuck: tuple[float, float, float] | None = None
+    departures: tuple[Departure, ...] = ()
 
     @property
     def reached(self) -> str:
@@ -56,16 +76,39 @@ def steps(run: Record, band: float = BAND, limits: Mapping[str, tuple[float, flo
         before, after = wanted[start - 1], wanted[start]
         size = after - before
         missing = (after - thrust[start:end]) / size
-        outside = np.flatnonzero(np.abs(missing) > band)
-        settled = len(outside) == 0 or outside[-1] + 1 < end - start
-        after_last = start + (outside[-1] + 1 if len(outside) else 0)
-        settling = float(time[after_last] - time[start]) if settled else None
-        overshoot = 100.0 * max(0.0, float(np.max(-missing)))
+        outside, clock = np.abs(missing) > band, time[start:end] - time[start]
+        settled, departed = _settled(outside, clock)
+        settling = None if settled is None else float(clock[settled])
+        own = missing[: departed[0].start] if departed else missing
+        overshoot = 100.0 * max(0.0, float(np.max(-own)))
+        departures = tuple(
+            Departure(
+                float(time[start + rows.start]),
+                float(clock[rows.stop] - clock[rows.start]),
+                100.0 * float(np.max(np.abs(missing[rows]))),
+            )
+            for rows in departed
+        )
         ringing, until = 100.0 * swing(missing), float(time[min(end, len(time) - 1)])
-        stuck = None if settled or not limits else _stuck(run, slice(start, end), band * abs(size), limits)
+        stuck = None if settling is not None or not limits else _stuck(run, slice(start, end), band * abs(size), limits)
         ends = float(time[start]), until, float(before), float(after)
-        found.append(Step(*ends, settling, overshoot, ringing, bool(end == len(wanted)), stuck))
+        found.append(Step(*ends, settling, overshoot, ringing, bool(end == len(wanted)), stuck, departures))
     return found
+
+
+def _settled(outside: np.ndarray, clock: np.ndarray) -> tuple[int | None, list[slice]]:
+    """The row at which a step has settled, None if it ends outside the band, and the rows of each later departure.
+
+    `outside`: (n,) whether the thrust is outside the band; `clock`: (n,) time since the step [s].
+    """
+    edges = np.flatnonzero(np.diff(outside, prepend=True))
+    entries, exits = edges[::2], edges[1::2]
+    if len(entries) == len(exits):
+        return None, []
+    quiet = clock[exits] - clock[entries[:-1]]
+    long = np.flatnonzero(quiet >= np.maximum(QUIET * clock[entries[:-1]], LEAST_QUIET))
+    first = int(long[0]) if len(long) else len(exits)
+    return int(entries[first]), [slice(a, b) for a, b in zip(exits[first:], entries[first + 1 :], strict=True)]
 
 
 def _stuck(

@@ -57,6 +57,28 @@ TRAVEL = _RANGES["beta_low"], _RANGES["beta_high"]
 BYSTANDER, PULLED = ("relay", "omega", "thrust"), ("force",)
 
 
+NEAREST = {
+    "lac_command_delay": "pitch_delay",
+    "lac_pulse_average": "pitch_delay",
+    "lac_command_deadband": "pitch_command_deadband",
+    "rod_speed_limit": "pitch_speed_limits",
+    "lac_stop_band": "pitch_stop_band",
+    "rod_stuck": "pitch_stall_latch",
+    "linkage_play": "pitch_backlash",
+    "supply_droop": "supply_sag",
+    "blade_torsion": "map_terms",
+    "motor_heating": "speed_saturation",
+    "esc_freewheel": "speed_asymmetry",
+    "room_recirculation": "recirculation",
+    "stand_swing": "stand_resonance",
+    "rotor_imbalance": "rotor_vibration",
+    "amplifier_low_pass": "sensor_lag",
+    "load_cell_gain": "sensor_gain",
+    "load_cell_drift": "sensor_drift",
+}
+"""Hidden effects by name, and the effect of the model's library that acts most alike; the others have none."""
+
+
 @dataclass(frozen=True)
 class Rig:
     """The emulated rig: changes to the physics' defaults, hidden effects by name, and the seed of all random numbers.
@@ -76,13 +98,28 @@ def with_effects(words: Iterable[str], seed: int = 0) -> Rig:
     return Rig({name: value for _, values in hidden for name, value in values.items()}, tuple(name for name, _ in hidden), seed)
 
 
+def effects_to_hide() -> list[str]:
+    """The effects of --hide, one a line: sizes with their ranges, and the nearest effect of the model's library."""
+    lines = []
+    for effect in (e for e in library(commanded=False) if e.off is not None):
+        sizes = []
+        for p in effect.parameters:
+            size, unit = effect.probe.get(p.name, p.default), "" if p.unit == "1" else f" {p.unit}"
+            sizes.append(f"{p.name}={size:g} ({p.minimum:g} to {p.maximum:g}{unit})")
+        nearest = NEAREST.get(effect.name) or "none"
+        lines.append(f"{effect.name}: {effect.description}; {', '.join(sizes)}; nearest in vpp effects: {nearest}")
+    return lines
+
+
 def _hidden(text: str) -> tuple[str, dict[str, float]]:
     """A hidden effect's name and its parameters."""
     known = {e.name: e for e in library(commanded=False) if e.off is not None}
     left, _, size = text.partition("=")
     name, _, parameter = left.partition(".")
     if name not in known:
-        raise BadInput("command line", "--hide", name, f"one of {', '.join(known)}{near(name, known)}")
+        close = near(name, known)
+        hint = "" if close else "--hide ? for sizes"
+        raise BadInput("command line", "--hide", name, f"one of {', '.join(known)}{close}", hint)
     effect = known[name]
     values = dict(effect.probe)
     if size or parameter:

@@ -139,7 +139,8 @@ def key_figures(found: Tuning) -> list[tuple[str, str, str]]:
             note = f"{found.task.robust} of {JUDGED} other plants, nominal against robust; on the nominal plant {price}"
             figures.append((f"robust, {NAMES[name]}", f"{number(costs[0])} → {number(costs[1])}", note))
     largest = max(tuned.fmu_difference for tuned in found.tuned.values())
-    figures.append(("through the FMUs", f"{largest:.2g} N", "largest difference of thrust to the compiled loop"))
+    same = "the same thrust to the bit" if largest == 0.0 else f"thrust within {largest:.2g} N"
+    figures.append(("exported FMUs against the loop of the search", same, "the chosen gains, over the profile"))
     return figures
 
 

@@ -256,7 +256,7 @@ def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_no
         if not resume:
             assert "Try: --resume to go on with it, or --replace" in refused(*small, "-o", out)
         resume = ["--resume"]
-    assert "plan: found" in refused(*small, "--resume", "--settle", "2", "-o", out)
+    assert "plan.settle: found 1.0, expected 2.0" in refused(*small, "--resume", "--settle", "2", "-o", out)
     left[0] = 0
     assert main([*small, "--resume", "-o", str(out)]) == 0
     assert not list(out.glob("*.partial.csv"))

@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -31,7 +32,7 @@ from vpp_fmu.app.report.figures.time import measured_against_predicted
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages import allocation, diagnosis, learning, plan
 from vpp_fmu.app.report.pages import identification as identified
-from vpp_fmu.app.report.pages.loop import loop_page
+from vpp_fmu.app.report.pages.loop import loop_page, percent
 from vpp_fmu.app.report.pages.tuning import tuning_page
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
@@ -360,13 +361,13 @@ class LoopResult(Result):
         def words(step: Step) -> str:
             never = "out of reach" if step.stuck else "not settled"
             when = never if step.settling is None else f"{number(step.settling, 3)} s"
-            return f"{when}, overshoot {step.overshoot:.1f} %"
+            return f"{when}, overshoot {percent(step.overshoot)}"
 
         return [(f"{number(s.before)} → {number(s.after)} N", words(s), f"at {number(s.time)} s") for s in self.steps]
 
     def to_dict(self) -> dict[str, Any]:
         columns = {name: column.tolist() for name, column in self.record.columns.items()}
-        return {"steps": [vars(step) for step in self.steps], "columns": columns}
+        return {"steps": [asdict(step) for step in self.steps], "columns": columns}
 
     def page(self) -> Page:
         return loop_page(self.record, self._title, self._limits)

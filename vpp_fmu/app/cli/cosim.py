@@ -17,6 +17,7 @@ from vpp_fmu.loop import STANDSTILL
 from vpp_fmu.loop import run as run_loop
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.plants import USUAL_STEP, FmuController, FmuPlant, FmuTwin
+from vpp_fmu.reach import warn_beyond_reach
 from vpp_fmu.record import Record, read_profile, write_record
 from vpp_fmu.response import UNITS, Step, steps
 
@@ -46,6 +47,7 @@ def run(options):
         tqdm(total=100, unit="%", disable=None, leave=False) as bar,
     ):
         plant.dt = controller.dt
+        warn_beyond_reach(profile, plant, controller.limits)
         done = run_loop(plant, controller, profile, progress=lambda share: bar.update(round(100 * share) - bar.n))
         watched = twin.beside(done, STANDSTILL) if twin else {}
     page = loop_page(done, f"{options.plant} under {options.controller} over {options.profile}.", controller.limits)

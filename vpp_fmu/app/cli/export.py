@@ -169,6 +169,9 @@ def _twin(options, parameters: ParameterSet) -> ParameterSet:
     """The adaptive twin of the plant, with the band from the identification.json of --twin (default: the one beside the
     parameters). BadInput."""
     known_in = options.twin or beside(options.parameters)
+    if not Path(known_in).is_file():
+        hint = "vpp identify CAMPAIGN -o out, then --parameters out/parameters.json --twin"
+        raise BadInput(known_in, "file", "no such file", "the identification.json of --parameters: noise and model error", hint)
     band = read_band(known_in)
     check_same_model(known_in, parameters, options.parameters)
     own = adaptable(parameters, "vpp export", options.adapt)

@@ -3,6 +3,7 @@
 Run a closed loop, measure a campaign, test the rig itself, or replay a recorded run with a controller. Before the first run on
 a real rig read hil/README.md."""
 
+import argparse
 import contextlib
 import getpass
 import inspect
@@ -22,7 +23,7 @@ from hil.campaign import PARTS, Plan, limits_for, plan_for
 from hil.campaign_folder import Measuring, commands_of
 from hil.commands import PAPERS
 from hil.cycle import PERIOD
-from hil.emulator.rig import CALIBRATION, POWERED, calibrated_for, with_effects
+from hil.emulator.rig import CALIBRATION, POWERED, calibrated_for, effects_to_hide, with_effects
 from hil.outcome import (
     Outcome,
     Task,
@@ -39,7 +40,7 @@ from hil.outcome import (
     step_lines,
 )
 from hil.page.operator_page import OperatorPage, served
-from hil.replay import replay
+from hil.replay import other_settings, replay
 from hil.run import ON_ALARM, check_profile, start_of
 from hil.runs import begun, file_entry
 from hil.safety.limits import Limits
@@ -73,7 +74,8 @@ from vpp_fmu.files import OutputFolder, read_text
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
 from vpp_fmu.parameters import ParameterSet, beside, check_same_model, knowledge_file, parameters_file
 from vpp_fmu.parquet import check_parquet
-from vpp_fmu.plants import COMMANDS, Controller, FmuController, KernelController, KernelPlant
+from vpp_fmu.plants import COMMANDS, Controller, FmuController, FmuPlant, KernelController, KernelPlant
+from vpp_fmu.reach import warn_beyond_reach
 from vpp_fmu.record import Record, RecordWarning, read_profile, read_record
 from vpp_fmu.rig import FILE, Rig, declared_rig, rig_file
 from vpp_fmu.structured import as_json
@@ -115,8 +117,8 @@ def add_rig(parser, fmu: bool = False) -> None:
     )
     add("--limits", metavar="L", help="limits outside the controller (default: what follows from the rig)")
     add("--virtual", action="store_true", help="emulated rig on a clock of its own: fast, the same every time")
-    text = "hide an effect in the emulated rig: NAME, NAME=SIZE or NAME.PARAMETER=SIZE; more than one may be given"
-    add("--hide", action="append", default=[], metavar="EFFECT[=SIZE]", help=text)
+    text = "hide an effect in the emulated rig: NAME, NAME=SIZE or NAME.PARAMETER=SIZE; may be repeated; ? lists them"
+    add("--hide", action=_Hide, default=[], metavar="EFFECT[=SIZE]", help=text)
     add("--seed", type=SEED, default=0, help="of everything random in the emulated rig (default: 0)")
     add("--bus", type=whole(0, 255), default=wiring.bus, help=f"the real ADC's I2C bus (default: {wiring.bus})")
     add("--port", default=wiring.port, help=f"the real tachometer's port (default: {wiring.port})")
@@ -240,6 +242,10 @@ def _run(options) -> Answer:
     setup, controller = setup_of(options), controller_of(options)
     check_profile(profile, setup.limits)
     start = start_of(options.start, setup.limits, setup.allowed)
+    if options.parameters or (rig.kind == "emulated" and setup.allowed == PAPERS):
+        known = read_plant(options)
+        plant = KernelPlant(known.model, known.values, PERIOD)
+        warn_beyond_reach(profile, plant, reach(asdict(setup.limits), limits_by_end(controller.limits)))
     if options.parameters:
         setup = replace(setup, plant=read_plant(options).values)
     twin = _twin(options, setup.allowed)
@@ -369,12 +375,23 @@ def _replay(options) -> Answer:
     if len(recorded) < 2:
         raise BadInput(options.recorded, "rows", len(recorded), "two or more")
     folder, controller = OutputFolder(options.output), FmuController(options.controller)
+    other = other_settings(options.recorded, controller.starts())
     found = replay(recorded, controller)
     controller.close()
-    text = f"{options.controller} on the {len(recorded)} rows of {options.recorded}: {found.said()}"
+    text = f"{options.controller} on the {len(recorded)} rows of {options.recorded}: {found.said(other)}"
     folder.write("replay.json", as_json(found.summary()))
     folder.write("report.html", replay_page(found, text + ".").html())
     return Answer(f"{text}.", found.summary(), written=written(options, folder))
+
+
+class _Hide(argparse.Action):
+    """Appends an effect to hide. `?` prints the list of effects, and ends with exit code 0."""
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        if values == "?":
+            print(*effects_to_hide(), sep="\n")
+            parser.exit()
+        setattr(namespace, self.dest, [*getattr(namespace, self.dest), values])
 
 
 @dataclass(frozen=True)
@@ -495,7 +512,10 @@ def _fmu_loop(path: str, options, profile: Record) -> tuple[Record, dict[str, tu
     limits, allowed = _limits(options, allowed_of(options))
     check_profile(profile, limits)
     start, controller = start_of(options.start, limits, allowed), controller_of(options)
-    return fmu_loop(path, controller, profile, start, limits), reach(asdict(limits), limits_by_end(controller.limits))
+    reached = reach(asdict(limits), limits_by_end(controller.limits))
+    with contextlib.closing(FmuPlant(path)) as plant:
+        warn_beyond_reach(profile, plant, reached)
+    return fmu_loop(path, controller, profile, start, limits), reached
 
 
 def _twin(options, allowed: Rig) -> tuple[Twin, Band, Adaptive] | None:

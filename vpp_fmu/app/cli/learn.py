@@ -38,7 +38,7 @@ def configure(parser):
     add_gains(parser, text)
     text = "identification.json: correlation of the parameters, noise of thrust (default: the one beside PARAMETERS)"
     add_knowledge(parser, text)
-    text = "generations of the search (default: %(default)s, a minute or two)"
+    text = "generations of the search (default: %(default)s, about five minutes on two cores)"
     parser.add_argument("--generations", type=whole(1, 10**6), default=1000, metavar="N", help=text)
     text = "units of the network's hidden layer (default: %(default)s)"
     parser.add_argument("--hidden", type=whole(1, 64), default=6, metavar="N", help=text)

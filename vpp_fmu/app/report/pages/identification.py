@@ -86,9 +86,9 @@ def key_figures(found: Identification) -> list[tuple[str, str, str]]:
         spent = f"{r.evaluations} evaluations, {r.starts} starts, {number(r.seconds, 3)} s"
         figures.append(("cost", f"{number(r.cost_start, 3)} → {number(r.cost_final, 3)}", f"mean(e²)/2, {spent}"))
     if found.static is not None:
-        note = f"adjusted R², {_newton(found.static.rmse)} rms of {found.static.used.sum()} steady points"
+        note = f"{_newton(found.static.rmse)} rms of {found.static.used.sum()} steady points"
         known = found.static.r2_adjusted
-        figures.append(("static map", "–" if known is None else f"{known:.6f}", note))
+        figures.append(("fit of the static map", "–" if known is None else f"adjusted R² {known:.4f}", note))
     unidentified = found.not_identifiable
     names = {*found.uncertainty.names, *unidentified}
     note = f"not: {', '.join(map(words, unidentified))}" if unidentified else "all fitted parameters"
@@ -343,7 +343,7 @@ def _count(values: np.ndarray, word: str) -> str:
 
 
 def _quality(static: StaticFit) -> str:
-    return "" if static.r2_adjusted is None else f" (adjusted R² {static.r2_adjusted:.6f})"
+    return "" if static.r2_adjusted is None else f" (adjusted R² {static.r2_adjusted:.4f})"
 
 
 def _add_grid(page: Page, static: StaticFit, points: StaticMap, scales) -> None:

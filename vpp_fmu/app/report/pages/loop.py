@@ -26,7 +26,7 @@ def loop_page(done: Record, summary: str, limits: Mapping[str, tuple[float, floa
         slowest = f"{number(max(settled))} s" if settled else "none"
         error = float(np.sqrt(np.mean((done["thrust_set"] - done["thrust"]) ** 2)))
         page.tiles([("slowest settling", slowest, f"{len(settled)} of {len(found)} steps settle")])
-        page.tiles([("largest overshoot", f"{max(step.overshoot for step in found):.1f} %", "of the step")])
+        page.tiles([("largest overshoot", percent(max(step.overshoot for step in found)), "of the step")])
         page.tiles([("error", f"{number(error)} N", "rms of set-point less thrust, the steps themselves included")])
     title = sentence(found[0]) if found else "Thrust under a constant set-point"
     drawn = closed_loop({"loop": done}, title, limits)
@@ -39,7 +39,7 @@ def row(step: Step) -> tuple:
     """A step as cells of a table."""
     never = "out of reach" if step.stuck else "not by the end" if step.last else "not before the next"
     settled = never if step.settling is None else step.settling
-    return step.time, step.before, step.after, settled, f"{step.overshoot:.1f}"
+    return step.time, step.before, step.after, settled, percent(step.overshoot).removesuffix(" %")
 
 
 def sentence(step: Step) -> str:
@@ -49,7 +49,7 @@ def sentence(step: Step) -> str:
         return f"{change}: the set-point of {number(step.after)} N is out of reach: {step.reached}"
     never = "has not settled " + ("by the end of the run" if step.last else "before the next")
     when = never if step.settling is None else f"has settled after {number(step.settling)} s"
-    return f"{change} {when}, overshoot {step.overshoot:.1f} %"
+    return f"{change} {when}, overshoot {percent(step.overshoot)}{_later([step])}"
 
 
 def headline(found: Sequence[Step]) -> str:
@@ -64,7 +64,24 @@ def headline(found: Sequence[Step]) -> str:
     slowest, largest = max(found, key=lambda s: s.settling), max(step.overshoot for step in found)
     change = f"{number(slowest.before)} to {number(slowest.after)} N at {number(slowest.time, 4)} s"
     within = f"{number(slowest.settling)} s (slowest: {change})"
-    return f"All {len(found)} steps settle within {within}; overshoot {largest:.1f} % at most."
+    return f"All {len(found)} steps settle within {within}; overshoot {percent(largest)} at most{_later(found)}."
+
+
+def percent(share: float) -> str:
+    """An overshoot as text, the same in a tile, a table and a sentence."""
+    return f"{share:.1f} %"
+
+
+def _later(found: Sequence[Step]) -> str:
+    """Departures after the steps have settled, in words; empty without one."""
+    departures = [d for step in found for d in step.departures]
+    if not departures:
+        return ""
+    largest = max(departures, key=lambda d: d.largest)
+    size = f"by {percent(largest.largest)} of the step for {number(largest.duration)} s at {number(largest.time, 4)} s"
+    if len(departures) == 1:
+        return f"; later a disturbance {size}"
+    return f"; later {len(departures)} disturbances, the largest {size}"
 
 
 def add_adaptive(

@@ -9,6 +9,7 @@ from hil.calibration import Calibration
 from hil.columns import LEARNED
 from hil.outcome import SPAN, Outcome, difference, energy_words, judged_steps, said
 from hil.replay import Replay
+from hil.run import profile_start
 from hil.selftest import SelfTest
 from hil.timing import EDGES, Timing
 from vpp_fmu.app.report import style
@@ -16,7 +17,7 @@ from vpp_fmu.app.report.canvas import add_band, figure, panels, places, thinning
 from vpp_fmu.app.report.figures.loop import add_twin_residual
 from vpp_fmu.app.report.figures.time import closed_loop, two_records
 from vpp_fmu.app.report.page import Page
-from vpp_fmu.app.report.pages.loop import add_adaptive, headline, row
+from vpp_fmu.app.report.pages.loop import add_adaptive, headline, percent, row
 from vpp_fmu.digits import number, signed
 from vpp_fmu.record import QUANTITIES, Record
 from vpp_fmu.response import smoothed
@@ -27,6 +28,10 @@ STEP_COLUMNS = ("loop", "at [s]", "from [N]", "to [N]", "within 5 % after [s]", 
 def run_page(found: Outcome) -> Page:
     """The page of a run."""
     content, loops, log = found.content, found.loops, found.log
+    begin = 0.0
+    if log is not None:
+        begin = profile_start(log)
+        log = log.with_columns(time=np.round(log.time - begin, 9))
     result = headline(judged_steps(next(iter(loops.values())), found.reach)) if loops else "There is no closed loop to judge."
     page = Page("Hardware in the loop", result, _summary(content))
     _tiles(page, found)
@@ -42,7 +47,7 @@ def run_page(found: Outcome) -> Page:
         _add_adaptive(page, log, content["adaptive_twin"])
     if found.timing:
         _add_timing(page, found.timing, content.get("real_time", "not known"))
-    _add_counts(page, content)
+    _add_counts(page, content, begin)
     return page
 
 
@@ -113,10 +118,11 @@ def _add_timing(page: Page, found: Timing, granted: str) -> None:
     page.figure(fig, f"How late each tick began, on logarithmic axes. The loop had: {granted}.")
 
 
-def _add_counts(page: Page, content: Mapping) -> None:
-    """Recovered device errors, and the states of the rig; `content`: hil.json."""
-    states = [(one["time"], one["state"], one["why"]) for one in content["transitions"]]
-    page.table(("at [s]", "state", "why"), states, "States of the rig.")
+def _add_counts(page: Page, content: Mapping, begin: float = 0.0) -> None:
+    """Recovered device errors, and the states of the rig; `content`: hil.json, `begin`: time [s] of the profile's first row."""
+    states = [(round(one["time"] - begin, 9), one["state"], one["why"]) for one in content["transitions"]]
+    since = "; times count from the begin of the profile" if begin else ""
+    page.table(("at [s]", "state", "why"), states, f"States of the rig{since}.")
     log = content["log"]
     rows = [("log", "rows", log["rows"]), ("log", "ticks lost", log["lost"])]
     rows += [("load cell", "zero at the last tare [counts]", tare["zero_counts"]) for tare in content["tares"][-1:]]
@@ -177,7 +183,7 @@ def _tiles(page: Page, run: Outcome) -> None:
         if judged := judged_steps(loop, run.reach):
             settled = [step.settling for step in judged if step.settling is not None]
             slowest = f"{number(max(settled))} s" if settled else "none"
-            of = f"{len(settled)} of {len(judged)} steps settle; overshoot up to {max(s.overshoot for s in judged):.0f} %"
+            of = f"{len(settled)} of {len(judged)} steps settle; overshoot up to {percent(max(s.overshoot for s in judged))}"
             page.tiles([(f"slowest settling, {name}", slowest, of)])
     if "energy" in content:
         page.tiles([("energy from the supply", *energy_words(content["energy"]))])
