@@ -2,6 +2,7 @@
 
 import json
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -24,7 +25,7 @@ from vpp_fmu.date import now
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.parquet import as_parquet
-from vpp_fmu.record import Record, read_record, write_record
+from vpp_fmu.record import Record, RecordWarning, read_record, write_record
 from vpp_fmu.structured import as_json, read_object
 
 PARTIAL = ".partial.csv"
@@ -179,6 +180,14 @@ def _keep(folder: OutputFolder, part: str, power: Sequence[str], say: Callable[[
         what = "points" if part == "static" else "steps" if part == "steps" else "rows"
         count = len(have) if part in ("static", "steps") else len(record)
         say(f"{part}: {count} {what} kept in {part}{PARTIAL}; --resume goes on")
+
+
+def records_of(folder: Path) -> dict[str, Record]:
+    """The complete parts of a campaign by name. BadInput."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecordWarning)  # the verbs that fit them say it
+        files = ((part, folder / f"{part}.csv") for part in (*PARTS, "record"))
+        return {part: read_record(file) for part, file in files if file.exists() and part not in ("static", "steps")}
 
 
 def commands_of(path: str, limits: Limits) -> Record:

@@ -26,6 +26,7 @@ from vpp_fmu.app.report.sentences import clause
 from vpp_fmu.campaign import write_static
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import LIBRARY, plant
+from vpp_fmu.rig import SLEWS, read_rig
 
 SCHEMAS = {path.name.removesuffix(".json"): json.loads(path.read_text()) for path in files("vpp_fmu.app.cli.schemas").iterdir()}
 EXAMPLE = str(example_folder())
@@ -226,6 +227,19 @@ def test_the_object_of_a_run_has_the_steps_of_the_same_loop_as_cosim(said):
         assert [(step["before"], step["after"]) for step in found] == [(step["before"], step["after"]) for step in cosim]
     text = said.answers["hil-run"].text
     assert float(re.search(r"settled after ([\d.]+) s", text)[1]) == pytest.approx(rig[0]["settling"], rel=6e-3)
+
+
+def test_a_measured_campaign_declares_its_rig_and_has_a_report(said, monkeypatch, capsys):
+    """The emulated rig is the paper's: 2000 to 6000 rpm, -10 to 10 deg."""
+    monkeypatch.chdir(said.folder)
+    assert {n: read_rig("measured/rig.json")[n] for n in SLEWS} == {"speed": (2000.0, 6000.0), "pitch": (-10.0, 10.0)}
+    page = Path("measured/report.html").read_text()
+    assert said.answers["hil-campaign"].text in page
+    assert "Commands and thrust of validation" in page
+    main(["check", "measured"])
+    out = capsys.readouterr().out
+    assert "missing steps.csv" in out
+    assert "missing rig.json" not in out
 
 
 NOWHERE = {"file": "nowhere.csv", "field": "file", "found": "no such file", "expected": "a file that exists", "try": None}

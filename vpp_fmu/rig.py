@@ -76,6 +76,13 @@ class Rig:
             "origin": dict(self.origin),
         }
 
+    @property
+    def commanded(self) -> dict:
+        """The content of a rig.json that declares what the rig's commands may do, and no more."""
+        content = self.summary()
+        names = ("format", "name", *SLEWS, "slew", "sensors", "rotor")
+        return {name: content[name] for name in names if content.get(name)}
+
     def lines(self) -> list[str]:
         """One text for each entry, with its source."""
         s = self.scales

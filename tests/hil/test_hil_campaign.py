@@ -155,7 +155,8 @@ def test_the_command_writes_a_campaign_that_reads_back(tmp_path, capsys):
 def test_parts_can_be_chosen_and_any_commands_followed(tmp_path):
     out = tmp_path / "one"
     assert main(["hil", "campaign", "--virtual", *SMALL, "--parts", "validation", "-o", str(out)]) == 0
-    assert sorted(os.listdir(out)) == ["hil.json", "log_validation.csv.gz", "log_validation.events.jsonl", "validation.csv"]
+    logs = ["log_validation.csv.gz", "log_validation.events.jsonl"]
+    assert sorted(os.listdir(out)) == ["hil.json", *logs, "report.html", "rig.json", "validation.csv"]
     given = {"time": np.array([0.0, 1.0, 2.0]), "omega_ref": np.array([3e3, 4e3, 4e3]), "beta_ref": np.array([0.0, 5.0, 5.0])}
     write_record(OutputFolder(tmp_path), "orders.csv", Record(given, ""))
     out = tmp_path / "own"
@@ -230,7 +231,7 @@ def test_a_part_ended_by_a_fault_is_reported_and_its_log_kept(tmp_path, refused)
     part = json.loads((out / "hil.json").read_text())["parts"]["validation"]
     assert "run time" in part["ended"]
     assert part["log"]["rows"] == part["log"]["ticks"] > 1250
-    names = ["hil.json", "log_validation.csv.gz", "log_validation.events.jsonl"]
+    names = ["hil.json", "log_validation.csv.gz", "log_validation.events.jsonl", "rig.json"]
     assert sorted(set(os.listdir(out)) - {"validation.partial.csv"}) == names
 
 

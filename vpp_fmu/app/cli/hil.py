@@ -20,7 +20,7 @@ from hil import calibrate
 from hil.bench import Wiring, check_limits
 from hil.calibration import Calibration, calibration_file, check, never_measured, read_calibration, to_json
 from hil.campaign import PARTS, Plan, limits_for, plan_for
-from hil.campaign_folder import Measuring, commands_of
+from hil.campaign_folder import Measuring, commands_of, records_of
 from hil.commands import PAPERS
 from hil.cycle import PERIOD
 from hil.emulator.rig import CALIBRATION, POWERED, calibrated_for, effects_to_hide, with_effects
@@ -67,7 +67,7 @@ from vpp_fmu.app.cli.options import SEED, Number, real, whole
 from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.app.cli.prompts import Prompts
 from vpp_fmu.app.report.pages.loop import headline
-from vpp_fmu.app.report.pages.rig import calibration_page, fmu_page, replay_page, run_page, selftest_page
+from vpp_fmu.app.report.pages.rig import calibration_page, campaign_page, fmu_page, replay_page, run_page, selftest_page
 from vpp_fmu.date import now
 from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.files import OutputFolder, read_text
@@ -299,12 +299,13 @@ def _campaign(options) -> Answer:
     lines = [allowed_words(setup.allowed)]
     with watched(options, content) as page, Lines(options) as shown:
         confirm(setup, lines)
-        if file := which(options).file:
-            folder.write(FILE, read_text(file))  # readers of the campaign need it, too
+        if (file := which(options).file) or not (folder.path / FILE).exists():  # readers of the campaign need it, too
+            folder.write(FILE, read_text(file) if file else as_json(setup.allowed.commanded))
         content = measuring.run(folder, content, page, shown)
     parts = content["parts"]
     lost, rows = (sum(part["log"][name] for part in parts.values()) for name in ("lost", "rows"))
     text = f"Measured {', '.join(parts)} in {folder.path}: {rows} rows of the log, {lost} lost."
+    folder.write("report.html", campaign_page(content, text, records_of(folder.path)).html())
     return Answer(text, content, [*lines, *shown], written=written(options, folder))
 
 

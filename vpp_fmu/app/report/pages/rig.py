@@ -15,7 +15,7 @@ from hil.timing import EDGES, Timing
 from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import add_band, figure, panels, places, thinning
 from vpp_fmu.app.report.figures.loop import add_twin_residual
-from vpp_fmu.app.report.figures.time import closed_loop, two_records
+from vpp_fmu.app.report.figures.time import closed_loop, stacked, two_records
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.loop import add_adaptive, headline, percent, row
 from vpp_fmu.digits import number, signed
@@ -197,6 +197,23 @@ def _tiles(page: Page, run: Outcome) -> None:
     healed = sum(n for device in counters.values() for name, n in device.items() if name != "pulses")
     if log["lost"] or healed:
         page.tiles([("not as planned", f"{log['lost'] + healed}", f"{log['lost']} ticks lost, {healed} transfers repeated")])
+
+
+def campaign_page(content: Mapping, summary: str, records: Mapping[str, Record]) -> Page:
+    """The page of a measured campaign; `content`: hil.json, `records`: its parts over time by name."""
+    hidden = f" with {', '.join(content['hidden'])} hidden in it" if content.get("hidden") else ""
+    page = Page("Campaign", summary, f"The {content['rig']} rig{hidden}. Begun {content['begun']}.")
+    rows = [
+        (name, part["log"]["rows"], part["log"]["lost"], part["attempts"], part["ended"] or "as planned")
+        for name, part in content["parts"].items()
+    ]
+    page.table(("part", "rows of the log", "lost", "attempts", "ended"), rows, "The parts, each with its log.")
+    for name, record in records.items():
+        lines = {"omega_ref": "command", "beta_ref": "command", "thrust": "measured"}
+        kept = places([record[signal] for signal in lines])
+        rows = {style.label(signal): {kind: record[signal][kept]} for signal, kind in lines.items()}
+        page.figure(stacked(record.time[kept], rows, f"Commands and thrust of {name}"), thinning(len(record)))
+    return page
 
 
 def calibration_page(before: Calibration, found: Calibration, measured: Measured) -> Page:
