@@ -94,7 +94,7 @@ class Page:
 
     def findings(self, lines: Sequence[str]) -> None:
         """Add a short list under the tiles."""
-        items = "".join(f"<li>{escape(_whole(line))}</li>" for line in lines)
+        items = "".join(f"<li>{_html(line) if isinstance(line, Link) else escape(_whole(line))}</li>" for line in lines)
         self._parts += [f'<ul class="findings">{items}</ul>'] if lines else []
 
     def section(self, title: str, text: str = "") -> None:
