@@ -159,7 +159,7 @@ def test_the_parameters_name_the_given_model_as_their_origin(tmp_path):
 def test_first_screen_says_effect_error_and_verdict(example):
     html = diagnosis_page(example).html()
     tiles = html[html.index('class="tiles"') : html.index("<nav>")].replace("<wbr>", "")
-    assert 'class="findings"' in html
+    assert 'class="findings"><li>Speed: ' in tiles
     assert tiles.count('class="tile"') <= 6
     for label, value, _ in key_figures(example)[:1]:
         assert label in tiles

@@ -78,6 +78,7 @@ class Page:
         self.source = source
         self.summary = summary.replace(" -> ", " → ")  # plain text has no arrow
         self._tiles: list[str] = []
+        self._findings = ""
         self._parts: list[str] = []
         self._sections: list[str] = []
         self.figures: list[go.Figure] = []
@@ -95,7 +96,7 @@ class Page:
     def findings(self, lines: Sequence[str]) -> None:
         """Add a short list under the tiles."""
         items = "".join(f"<li>{_html(line) if isinstance(line, Link) else escape(_whole(line))}</li>" for line in lines)
-        self._parts += [f'<ul class="findings">{items}</ul>'] if lines else []
+        self._findings = f'<ul class="findings">{items}</ul>\n' if lines else ""
 
     def section(self, title: str, text: str = "") -> None:
         """A heading and its paragraphs, separated by empty lines."""
@@ -144,7 +145,7 @@ class Page:
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
             f"<title>{escape(self.title)}</title>\n<style>{_STYLE}</style>\n{script}</head>\n<body>\n<main>\n"
             f'<header><p class="source">{escape(source)}</p>\n<h1>{escape(self.title)}</h1>\n'
-            f"{_paragraphs(self.summary)}</header>\n{tiles}{self._contents()}{hint}"
+            f"{_paragraphs(self.summary)}</header>\n{tiles}{self._findings}{self._contents()}{hint}"
             + "\n".join(self._parts)
             + f"\n</main>\n<footer>Made by vpp-fmu {escape(version('vpp-fmu'))}.</footer>\n</body>\n</html>\n"
         )
