@@ -19,7 +19,7 @@ from identification.diagnose.judgement import ALPHA_BASE
 from identification.identify import identify
 from identification.static.static_map import TERMS, design
 from vpp_fmu.app.cli.diagnose import write_diagnosis
-from vpp_fmu.app.report.pages.diagnosis import diagnosis_page, headline, key_figures
+from vpp_fmu.app.report.pages.diagnosis import diagnosis_page, findings, headline, key_figures
 from vpp_fmu.app.report.pages.effect import at_rest
 from vpp_fmu.app.report.pages.residual import moves
 from vpp_fmu.app.report.summary import identification_of, summary
@@ -159,12 +159,32 @@ def test_the_parameters_name_the_given_model_as_their_origin(tmp_path):
 def test_first_screen_says_effect_error_and_verdict(example):
     html = diagnosis_page(example).html()
     tiles = html[html.index('class="tiles"') : html.index("<nav>")].replace("<wbr>", "")
-    for label, value, _ in key_figures(example):
+    assert 'class="findings"><li>Speed: ' in tiles
+    assert tiles.count('class="tile"') <= 6
+    for label, value, _ in key_figures(example)[:1]:
         assert label in tiles
         assert value.split(" ")[0] in tiles
     (before, _), (after, _) = example.errors(example.base), example.errors(example.final)
-    assert f"{number(before, 3)} → {number(after, 3)} N" in tiles
+    assert f"{number(before, 3)} → {number(after, 3)}\u00a0N" in tiles
     assert html.index("<h1>") < html.index('class="tiles"') < html.index("<h2")
+
+
+def test_effects_that_explain_too_little_are_not_to_be_trusted():
+    """The error falls by half of what exceeds the noise: from 2 to sqrt(2.5) at a floor of 1."""
+    effects = ("pitch_backlash", "speed_delay")
+    base, final = SimpleNamespace(effects=()), SimpleNamespace(effects=effects)
+    found = SimpleNamespace(base=base, final=final, unseen=None, noise=SimpleNamespace(floor=1.0), explained=0.5)
+    found.errors = lambda fit: (2.0 if fit is base else np.sqrt(2.5), None)
+    said = headline(found)
+    assert said.startswith("Do not trust the names: together pitch backlash and speed delay explain 50 %")
+    assert len(re.findall(r"\.(?: |$)", said)) == 2
+
+
+def test_a_channel_has_the_effects_that_act_on_it(example):
+    told = summary(example)["channels"]
+    assert sorted(name for one in told.values() for name in one["effects"]) == sorted(example.final.effects)
+    assert all(name.startswith("speed") for name in told.get("speed", {"effects": []})["effects"])
+    assert "Thrust: " in diagnosis_page(example).html()
 
 
 def test_every_figure_of_the_page_has_a_title_of_its_own(example):
@@ -302,8 +322,8 @@ def test_a_refuted_effect_is_reported_as_the_best_guess_with_the_reason():
     assert (label, shown in value, found.refuted in note) == ("best guess", True, True)
     assert "next_experiment.csv distinguishes it from the model without it" in note
     page = diagnosis_page(found).html()
-    assert f"Best guess: {name.replace('_', ' ')}, half gap {shown}" in headline(found)
-    assert headline(found) in page
+    assert f"Best guess: {name.replace('_', ' ')}, half gap {shown}" in page.replace("\u00a0", " ")
+    assert headline(found) in page.replace("\u00a0", " ")
     assert "refuted" in page
     assert '<a href="next_experiment.csv">' in page
 
@@ -323,13 +343,13 @@ def test_the_report_says_if_no_candidate_explains_the_lack_of_fit():
     assert not guess.near
     assert guess.explains <= guess.most < 0.5
     assert guess.against
-    assert f"No candidate explains more than {100.0 * guess.most:.0f} % of the lack of fit" in headline(found)
+    assert f"No candidate explains more than {100.0 * guess.most:.0f} % of the lack of fit" in " ".join(findings(found))
     assert not summary(found)["best_guess"]["near"]
 
 
 def test_the_answer_comes_before_what_was_refuted(nothing_missing):
     said = headline(replace(nothing_missing, refuted="the error increases"))
-    assert said.startswith("Nothing is missing. The best set of effects is refuted and not used: the error increases. ")
+    assert said.startswith("Nothing is missing; the best set of effects is refuted and not used: the error increases. ")
 
 
 def test_a_validation_record_of_another_logger_is_reported(nothing_missing):

@@ -253,3 +253,15 @@ def test_what_cannot_be_drawn_is_refused():
     fig.data[0].line.color = "#123456"
     with pytest.raises(ValueError, match="#123456 is in no scheme"):
         drawing(fig, Arrays())
+
+
+def test_a_band_is_under_the_lines_and_its_edges_are_above(pages, browser):
+    browser.show(pages["figures"], *READERS["desk"], dark=False)
+    orders = browser.run("""[...document.querySelectorAll(".sheet g[clip-path]")].map((panel) =>
+      [...panel.children].map((each) => each.tagName === "rect" ? "band" : each.classList.contains("mark") ? "line" :
+        each.classList.contains("line") ? "edge" : "").filter(Boolean)
+    ).filter((found) => found.includes("band") && found.includes("line") && found.includes("edge"))""")
+    assert orders
+    for order in orders:
+        assert order[0] == "band"
+        assert order[-2:] == ["edge", "edge"]

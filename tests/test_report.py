@@ -526,3 +526,11 @@ def test_an_effect_left_out_of_the_model_is_in_the_headline_with_the_reason(ship
     for part in ("he rotor shakes the load cell by 0.31 N once a revolution (", LEFT_OUT, *errors):
         assert part in said
     assert ("backlash" in said) == ("->" in said) == bool(shipped)
+
+
+def test_no_line_ends_between_a_number_and_its_unit():
+    page = Page("t", "The error is 0.12 N of 3 runs.")
+    page.tiles([("error", "0.18 → 0.13 N", "noise 9 rpm, 95 % of it")])
+    html = page.html()
+    for text in ("0.12\u00a0N of 3 runs", "0.13\u00a0N", "9\u00a0rpm, 95\u00a0% of"):
+        assert text in html

@@ -111,7 +111,7 @@ def add_envelope(fig: go.Figure, x, low, high, name: str, colour: str, panel: in
 
 
 def add_band(fig: go.Figure, panel: int, half_width: float, name: str) -> None:
-    """A band around zero, drawn over the lines of a panel, because a dense residual would hide it."""
+    """A band around zero under the lines of a panel. Its dotted edges are above them: a dense residual hides the rest."""
     fig.add_shape(
         type="rect",
         xref="x domain",

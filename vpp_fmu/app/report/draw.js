@@ -299,8 +299,10 @@ function paint(figure, forced) {
     bottom = Math.max(bottom, under);
     const inner = svg("g", { "clip-path": `url(#${host.id}-${k})` }, root);
     const own = spec.marks.filter((mark) => mark.axes.x === panel.x && mark.axes.y === panel.y && !figure.hidden.has(mark.key));
-    for (const shape of spec.shapes) if (belongs(shape, panel) && !figure.hidden.has(shape.key)) shaped(inner, shape, panel);
+    const shapes = spec.shapes.filter((shape) => belongs(shape, panel) && !figure.hidden.has(shape.key));
+    for (const shape of shapes) shaped(inner, shape, panel);
     own.forEach((mark) => PAINTERS[mark.kind](inner, mark, panel, own, root, width));
+    for (const shape of shapes) if (shape.edge) shape.ends.forEach((end) => level(inner, shape, panel, end, shape.edge));
     if (panel.heading) {
       const middle = (panel.x0 + panel.x1) / 2;
       svg("text", { x: middle, y: panel.y0 - 7, "text-anchor": "middle", class: "heading" }, root, panel.heading);
@@ -529,16 +531,18 @@ function tinted(mark, value) {
   return mixed(mark.stops, (value - mark.least) / (mark.most - mark.least));
 }
 
+// A line across the panel: a shape of its own, or the edge of a band.
+function level(parent, shape, panel, end, colour) {
+  const at = panel.axes[shape.axis[0]].at(end);
+  const d = shape.axis[0] === "y" ? `M${panel.x0} ${at}H${panel.x1}` : `M${at} ${panel.y0}V${panel.y1}`;
+  svg("path", { d, class: "line", "stroke-dasharray": DASHES[shape.dash], style: `stroke:${colour};stroke-width:${shape.wide}` }, parent);
+}
+
 function shaped(parent, shape, panel) {
   const axis = panel.axes[shape.axis[0]];
   const [low, high] = shape.ends.map((end) => axis.at(end));
   const lying = shape.axis[0] === "y";
-  if (shape.line) {
-    const style = `stroke:${shape.colour};stroke-width:${shape.wide}`;
-    const d = lying ? `M${panel.x0} ${low}H${panel.x1}` : `M${low} ${panel.y0}V${panel.y1}`;
-    svg("path", { d, class: "line", "stroke-dasharray": DASHES[shape.dash], style }, parent);
-    return;
-  }
+  if (shape.line) return level(parent, shape, panel, shape.ends[0], shape.colour);
   const [from, size] = [Math.min(low, high), Math.abs(high - low)];
   const box = lying
     ? { x: panel.x0, y: from, width: panel.x1 - panel.x0, height: size }

@@ -272,6 +272,7 @@ def _shape(shape, key: str) -> dict[str, Any]:
         "ends": [float(end) for end in ((shape.y0, shape.y1) if lying else (shape.x0, shape.x1))],
         "line": shape.type == "line",
         "colour": style.ink(shape.line.color if shape.type == "line" else shape.fillcolor),
+        "edge": style.ink(shape.line.color) if shape.type == "rect" and shape.line.width else None,
         "wide": shape.line.width,
         "dash": shape.line.dash,
         "opacity": shape.opacity,

@@ -21,6 +21,9 @@ _WORDS, _PROSE = 20, 90
 """Number of letters from which a text wraps at a readable width, and number from which a column of texts is wider, if no other
 column is."""
 
+_UNIT = re.compile(r"(?<=\d) (?=(?:N|rpm|deg|s|ms|Hz|V|A|W|K|%|nats?|N\.m|rpm/s|deg/s|m/s|kHz|mm|kg|min)(?![\w]))")
+"""Space between a number and its unit."""
+
 _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'"
 """Forbids all requests of the browser."""
 
@@ -75,6 +78,7 @@ class Page:
         self.source = source
         self.summary = summary.replace(" -> ", " → ")  # plain text has no arrow
         self._tiles: list[str] = []
+        self._findings = ""
         self._parts: list[str] = []
         self._sections: list[str] = []
         self.figures: list[go.Figure] = []
@@ -86,8 +90,13 @@ class Page:
         for label, value, note in tiles:
             self._tiles.append(
                 f'<div class="tile"><div class="label">{escape(label)}</div>'
-                f'<div class="value">{escape(number(value))}</div><div class="small">{escape(note)}</div></div>'
+                f'<div class="value">{escape(_whole(number(value)))}</div><div class="small">{escape(_whole(note))}</div></div>'
             )
+
+    def findings(self, lines: Sequence[str]) -> None:
+        """Add a short list under the tiles."""
+        items = "".join(f"<li>{_html(line) if isinstance(line, Link) else escape(_whole(line))}</li>" for line in lines)
+        self._findings = f'<ul class="findings">{items}</ul>\n' if lines else ""
 
     def section(self, title: str, text: str = "") -> None:
         """A heading and its paragraphs, separated by empty lines."""
@@ -136,7 +145,7 @@ class Page:
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
             f"<title>{escape(self.title)}</title>\n<style>{_STYLE}</style>\n{script}</head>\n<body>\n<main>\n"
             f'<header><p class="source">{escape(source)}</p>\n<h1>{escape(self.title)}</h1>\n'
-            f"{_paragraphs(self.summary)}</header>\n{tiles}{self._contents()}{hint}"
+            f"{_paragraphs(self.summary)}</header>\n{tiles}{self._findings}{self._contents()}{hint}"
             + "\n".join(self._parts)
             + f"\n</main>\n<footer>Made by vpp-fmu {escape(version('vpp-fmu'))}.</footer>\n</body>\n</html>\n"
         )
@@ -149,11 +158,17 @@ class Page:
         return f"<nav>{''.join(links)}</nav>\n"
 
 
+def _whole(text: str) -> str:
+    """Text in which no line ends between a number and its unit."""
+    return _UNIT.sub("\u00a0", text)
+
+
 def _paragraphs(text: str) -> str:
     """Text, split at empty lines, as escaped paragraphs; indented text, an equation, line by line."""
     parts = [part for part in text.split("\n\n") if part.strip()]
     return "\n".join(
-        f"<pre>{escape(dedent(part))}</pre>" if part.startswith("    ") else f"<p>{escape(part.strip())}</p>" for part in parts
+        f"<pre>{escape(dedent(part))}</pre>" if part.startswith("    ") else f"<p>{escape(_whole(part.strip()))}</p>"
+        for part in parts
     )
 
 

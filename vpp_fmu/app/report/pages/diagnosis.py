@@ -21,7 +21,7 @@ from vpp_fmu.app.report.pages.identification import add_quality, quality_tile
 from vpp_fmu.app.report.pages.power import add_power
 from vpp_fmu.app.report.pages.residual import add_residual
 from vpp_fmu.app.report.sentences import change, clause, labelled, limited, sentence, size, thrust_error, titled, words
-from vpp_fmu.app.report.summary import LEFT_OUT, NEXT, artefact, errors, summary, why_not
+from vpp_fmu.app.report.summary import LEFT_OUT, NEXT, artefact, channels, errors, summary, why_not
 from vpp_fmu.digits import chance, interval, number, signed, with_uncertainty
 
 SURE = {
@@ -47,6 +47,11 @@ WORSE = 1.5
 CLOSE = 0.8
 """Squared cosine from which a pair of effects is shown."""
 
+MOST_TILES = 6
+
+TRUSTED = 0.8
+"""Share of the error beyond the noise that two or more effects must explain before their names are trusted."""
+
 MOST = 14
 """Maximum number of effects in the figure of similar effects."""
 
@@ -57,8 +62,13 @@ def not_tried(found: Diagnosis) -> str:
 
 
 def headline(found: Diagnosis) -> str:
-    """The finding in one or two sentences, and the best guess if the lack of fit is not explained."""
-    return f"{_finding(found)} {_guessed(found.best_guess)}" if found.best_guess else _finding(found)
+    """The finding, after a warning if several effects together explain too little."""
+    if len(found.final.effects) > 1 and found.explained is not None and found.explained < TRUSTED:
+        (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
+        error = thrust_error(found.unseen is not None, change(before, after, "N"), found.noise.floor)
+        share = f"explain {100.0 * found.explained:.0f} % of the error beyond the noise"
+        return f"Do not trust the names: together {_and(found.final.effects)} {share}. {error}"
+    return _finding(found)
 
 
 def _guessed(guess: Guess) -> str:
@@ -103,21 +113,22 @@ def _finding(found: Diagnosis) -> str:
     error = thrust_error(unseen, size(before, "N"), noise)
     refuted = f"The best set of effects is refuted and not used: {found.refuted}. " if found.refuted else ""
     if found.verdict == "none":
-        return f"Nothing is missing. {refuted}{error}{_other_conditions(found, before)}"
+        also = f"; {refuted[0].lower()}{refuted[1:].strip()}" if refuted else "."
+        return f"Nothing is missing{also} {error.removesuffix('.')}{_other_conditions(found, before) or '.'}"
     if refuted:
         return f"{refuted}{error}"
     if found.verdict == "unexplained" and not found.before.significant:
         line = f"The thrust reading has a line at the rotor frequency of {size(found.before.turning.size, 'N')} rms"
-        return f"{line}: most of the noise power. Nothing else is missing. {error}"
+        return f"{line}: most of the noise power, and nothing else is missing. {error}"
     if found.verdict == "unexplained" and found.before.only_speed:
         text = f"The measured speed deviates from the model by {size(found.before.speed_rpm, 'rpm')} rms, and no effect of the"
-        return f"{text} library explains it. The thrust does not show it. {error} Check the speed sensor first."
+        return f"{text} library explains it; the thrust does not show it: check the speed sensor first. {error}"
     if found.verdict == "unexplained" and not found.learned:
         return f"No effect of the library explains the lack of fit. {error}"
     if found.final.effects:
         error = thrust_error(unseen, change(before, after, "N"), noise)
-    doubt = " A part of the lack of fit remains unexplained." if found.verdict == "partly" else ""
-    return f"{sentence(_effects(found))}{_rivals(found)}{doubt} {error}"
+    doubt = "; a part of the lack of fit remains unexplained" if found.verdict == "partly" else ""
+    return f"{sentence(_effects(found)).removesuffix('.')}{_rivals(found)}{doubt}. {error}"
 
 
 def _other_conditions(found: Diagnosis, unseen: float) -> str:
@@ -126,7 +137,7 @@ def _other_conditions(found: Diagnosis, unseen: float) -> str:
     if found.unseen is None or unseen < WORSE * held_out:
         return ""
     question = f"does {found.unseen.name} have another logger or rig?"
-    return f" Held-out parts of the fitted records have {size(held_out, 'N')}: {question}"
+    return f"; held-out parts of the fitted records have {size(held_out, 'N')}: {question}"
 
 
 def _effects(found: Diagnosis) -> list[str]:
@@ -148,7 +159,7 @@ def _effects(found: Diagnosis) -> list[str]:
 def _rivals(found: Diagnosis) -> str:
     """Effects that the records do not distinguish from those found, as a sentence."""
     names = sorted({other for others in found.selection.family.values() for other in others})
-    return f" These records do not distinguish it from {' or '.join(map(words, names))}." if names else ""
+    return f"; these records do not distinguish it from {' or '.join(map(words, names))}" if names else ""
 
 
 def _where_judged(found: Diagnosis) -> str:
@@ -197,6 +208,53 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
     return [*figures, _guess(found.best_guess)] if found.best_guess else figures
 
 
+def tiles(found: Diagnosis) -> list[tuple[str, str, str]]:
+    """At most six (label, value, note) for the page: the finding, the errors, and the first sizes of the effects."""
+    figures = {label: (label, value, note) for label, value, note in key_figures(found)}
+    where = "unseen record" if found.unseen is not None else "cross-validated"
+    (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
+    both = f"{number(before)} → {size(after, 'N')}" if found.final.effects else size(before, "N")
+    shown = [("verdict", found.verdict, SURE[found.verdict])]
+    shown.append(("thrust error", both, f"{where}; noise {size(found.noise.floor, 'N')}"))
+    if found.explained is not None:
+        shown.append(("error beyond the noise", f"{100 * found.explained:.0f} %", f"removed, {where}"))
+    shown.append(("lack of fit", figures["lack of fit"][1], f"p {chance(found.after.p, '= ')}"))
+    if found.quality:
+        label, value, _ = quality_tile(found.quality)
+        shown.append((label, value, "listed below"))
+    sizes = [figure for figure in key_figures(found)[: MOST_TILES - len(shown)] if figure[0].startswith(_titles(found))]
+    return [*((label, value, note.partition(";")[0]) for label, value, note in sizes), *shown]
+
+
+def _titles(found: Diagnosis) -> tuple[str, ...]:
+    return tuple(words(name) for name in (*found.final.effects, *found.left_out))
+
+
+def findings(found: Diagnosis) -> list[str]:
+    """The list under the tiles: each channel, where the residual is, the best guess, what speaks against it, the next step."""
+    lines = [f"{name.capitalize()}: {_channel(one)}." for name, one in channels(found).items()]
+    lines += [f"{words(n)} could as well be {' or '.join(map(words, o))}." for n, o in found.selection.family.items() if o]
+    if found.verdict in UNEXPLAINED:
+        _, band, note = _where(found)
+        lines.append(f"Residual: {band}, {note}.")
+    if guess := found.best_guess:
+        lines += [_guessed(guess), f"Against it: {'; '.join(guess.against)}."]
+    if found.verdict not in ("none", "attributed"):
+        ranges = ", ".join(found.rig.command_lines())
+        text = f"Next step: run {NEXT} on the rig twice, and diagnose with both records (--record), within {ranges}."
+        lines.append(Link(text, NEXT))
+    return lines
+
+
+def _channel(one: Mapping) -> str:
+    names = _and(one["effects"])
+    if one["verdict"] == "none":
+        return "nothing is missing"
+    if one["verdict"] == "unexplained":
+        return "lack of fit, and no effect explains it"
+    return f"{names} ({one['verdict']})"
+
+
 def _lack(found: Diagnosis) -> tuple[str, str, str]:
     lack = found.after
     note = f"p {chance(lack.p, '= ')}; the minimum size of interest is {number(lack.least, 2)} N below 10 Hz"
@@ -229,8 +287,8 @@ def _where(found: Diagnosis) -> tuple[str, str, str]:
 def diagnosis_page(found: Diagnosis) -> Page:
     """The page of one diagnosis."""
     page = Page(f"Diagnosis of {found.campaign.folder.name}", headline(found), found.campaign.label)
-    page.tiles(key_figures(found))
-    _add_next(page, found)
+    page.tiles(tiles(found))
+    page.findings(findings(found))
     if text := not_tried(found):
         page.note(f"{text[0].upper()}{text[1:]}.")
     for effect in found.left_out:
