@@ -116,7 +116,8 @@ def test_a_profile_beyond_reach_is_named(wanted, beyond, recwarn):
     warn_beyond_reach(profile, Square(), LIMITS)
     said = [str(w.message) for w in recwarn if w.category is RecordWarning]
     assert len(said) == beyond
-    assert not beyond or f"p.csv: thrust_set: {wanted:g} N at 2 s is out of reach: the plant gives 7.5 to 40 N" in said[0]
+    sentence = f"p.csv: thrust_set: {wanted:g} N at 2 s is out of reach: the plant's model gives 7.5 to 40 N"
+    assert not beyond or sentence in said[0]
 
 
 def test_a_replay_with_other_gains_names_them(tmp_path):

@@ -41,5 +41,5 @@ def warn_beyond_reach(profile: Record, plant: Plant, limits: Mapping[str, tuple[
     if beyond.any():
         row = int(beyond.argmax())
         where = f"{profile.source}: thrust_set: {number(float(wanted[row]))} N at {number(float(profile.time[row]), 4)} s"
-        reached = f"the plant gives {number(low)} to {number(high)} N within the limits of its commands"
+        reached = f"the plant's model gives {number(low)} to {number(high)} N within the limits of its commands"
         warnings.warn(f"{where} is out of reach: {reached}", RecordWarning, stacklevel=2)
