@@ -5,7 +5,7 @@ from identification.identify import Identification
 from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted
 from vpp_fmu.app.report.page import Page
-from vpp_fmu.app.report.pages.diagnosis import add_diagnosis
+from vpp_fmu.app.report.pages.diagnosis import add_diagnosis, findings, tiles
 from vpp_fmu.app.report.pages.diagnosis import headline as diagnosis_headline
 from vpp_fmu.app.report.pages.diagnosis import key_figures as diagnosed
 from vpp_fmu.app.report.pages.identification import add_found, add_static
@@ -17,10 +17,15 @@ from vpp_fmu.response import steps
 
 def key_figures(done: Demo) -> list[tuple[str, str, str]]:
     """(label, value, note): those of the diagnosis, and the errors of the FMUs."""
+    return _through_fmus(done, diagnosed(done.diagnosis))
+
+
+def _through_fmus(done: Demo, figures: list[tuple[str, str, str]]) -> list[tuple[str, str, str]]:
+    """The figures, with the thrust error of the FMUs in place of that of the model."""
     before, after = done.rmse["before"], done.rmse["after"]
     note = f"unseen record, noise of one reading {size(done.diagnosis.noise.floor, 'N')}"
     through = ("thrust error, FMU in fmpy", f"{number(before)} → {size(after, 'N')}", note)
-    return [through if label.startswith("thrust error") else (label, *rest) for label, *rest in diagnosed(done.diagnosis)]
+    return [through if label.startswith("thrust error") else (label, *rest) for label, *rest in figures]
 
 
 def headline(done: Demo) -> str:
@@ -34,7 +39,8 @@ def demo_page(done: Demo) -> Page:
     found, validation = done.diagnosis, done.validation
     before, after = (size(done.rmse[when], "N") for when in ("before", "after"))
     page = Page("From rig data to FMUs", headline(done), found.campaign.label)
-    page.tiles(key_figures(done))
+    page.tiles(_through_fmus(done, tiles(found)))
+    page.findings(findings(found))
     page.section("The plant FMUs against measurement")
     title = f"On an unseen record the FMU errs by {before} before and {after} after; noise is {size(found.noise.floor, 'N')}"
     lines = {f"FMU {name}": thrust for name, thrust in done.thrust.items()}

@@ -310,20 +310,8 @@ def diagnosis_page(found: Diagnosis) -> Page:
 
 def add_diagnosis(page: Page, found: Diagnosis) -> None:
     """Add figures and tables of a diagnosis to a page that already shows the unseen record."""
-    _add_next(page, found)
     _add_effect(page, found)
     _add_rest(page, found)
-
-
-def _add_next(page: Page, found: Diagnosis) -> None:
-    """Add the next experiment, unless the verdict is "none" or "attributed"."""
-    if found.verdict not in ("none", "attributed"):
-        ranges = ", ".join(found.rig.command_lines())
-        page.note(
-            "Next step: run the commands of the next experiment on the rig twice, and diagnose the campaign again with both "
-            f"records (--record). They distinguish effects that these commands do not, within {ranges}.",
-            Link(NEXT, NEXT),
-        )
 
 
 def _add_effect(page: Page, found: Diagnosis) -> None:
