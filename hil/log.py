@@ -197,14 +197,14 @@ class ProcessLog:
             os.write(self._notes, _GOODBYE)
         os.close(self._pipe)
         os.close(self._notes)
-        data = self._finished()
+        data, saved = self._finished(), int(self._status[_SAVED])
         self._status.release()
         self._memory.close()
         os.close(self.shared)
         try:
             rows, failure = json.loads(data)
         except ValueError:
-            rows, failure = 0, f"the log's writer has died (exit code {self._writer.poll()})"
+            rows, failure = saved, f"the log's writer has died (exit code {self._writer.poll()})"
         return Logged(rows, self._lost + self._head - rows, failure, self._warning)
 
     def _finished(self) -> bytes:

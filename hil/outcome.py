@@ -73,7 +73,7 @@ class Task:
     """A run: the rig, its controller, profile and initial commands `start` [rpm, deg], and models to compare it with.
 
     `twin`: the constant twin, its band and the adaptive twin. `beside`: a plant FMU's name and its loop. `on_alarm` as in
-    `session`.
+    `session`, `inject` as in `run_on_rig`.
     """
 
     setup: Setup
@@ -84,16 +84,18 @@ class Task:
     beside: tuple[str, Record] | None = None
     on_alarm: FaultKind | None = None
     parquet: bool = False
+    inject: tuple[str, float] | None = None
 
     def summary(self) -> dict:
-        """Entries of hil.json about the twins, before the run."""
+        """Entries of hil.json about the twins and the injected fault, before the run."""
+        injected = {"injected": dict(zip(("fault", "after"), self.inject, strict=True))} if self.inject else {}
         if self.twin is None:
-            return {}
+            return injected
         twin, band, adaptive = self.twin
         content = {"false_alarms_per_hour": twin.false_alarms, "smallest_found": twin.smallest, "delay": twin.delay}
         adapted = {name: asdict(one) for name, one in adaptive.adapted.items()}
         learns = {"microseconds": adaptive.microseconds, "units": adaptive.units, "adapted": adapted, "certain": CERTAIN}
-        return {"twin": content | {"noise": band.noise}, "adaptive_twin": learns}
+        return injected | {"twin": content | {"noise": band.noise}, "adaptive_twin": learns}
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +138,7 @@ def carry_out(
                 bar.update(round(100 * share) - bar.n)
 
             own = task.setup, task.controller, task.profile, folder.path, task.start, twin
-            done = run_on_rig(*own, progress, command, task.on_alarm, page, adaptive)
+            done = run_on_rig(*own, progress, command, task.on_alarm, page, adaptive, task.inject)
     except BaseException as error:
         _cut_short(folder, begun, error, say, report)
         raise

@@ -211,6 +211,10 @@ class Rig:
         """Keep an event beside the log."""
         self._cycle.keep(**event)
 
+    def note(self, why: str) -> None:
+        """Record the present state with a reason."""
+        self._cycle.note(why)
+
     def follow(self, thrust_set: float) -> None:
         """Set the controller's set-point [N], for the log."""
         self._cycle.wanted = thrust_set

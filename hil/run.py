@@ -11,6 +11,7 @@ import numpy as np
 from hil.columns import RUN
 from hil.cycle import PERIOD
 from hil.devices.supply import NAMES
+from hil.emulator.faults import WITHIN, Injector, Saboteur
 from hil.log import Column, cell
 from hil.page.operator_page import OperatorPage
 from hil.rig import ENDINGS, Rig, RunEnded
@@ -65,16 +66,20 @@ class LogLost(VppError):
 
 
 class Followed:
-    """A controller that passes its set-point to the rig's log."""
+    """A controller that passes its set-point to the rig's log. `injector` injects its fault at the step `count`."""
 
-    def __init__(self, controller: Controller, rig: Rig):
-        self._controller, self._rig = controller, rig
+    def __init__(self, controller: Controller, rig: Rig, injector: Injector | None = None, count: int = 0):
+        self._controller, self._rig, self._injector, self._left = controller, rig, injector, count
 
     def start(self, thrust_set, thrust):
         self._controller.start(thrust_set, thrust)
 
     def step(self, thrust_set, thrust):
         self._rig.follow(thrust_set)
+        if self._injector and self._left == 0:
+            self._rig.note(f"injected: {self._injector.name}")
+            self._injector()
+        self._left -= 1
         try:
             return self._controller.step(thrust_set, thrust)
         except VppError as error:
@@ -135,24 +140,32 @@ def run_on_rig(
     on_alarm: FaultKind | None = None,
     page: OperatorPage | None = None,
     adaptive: Adaptive | None = None,
+    inject: tuple[str, float] | None = None,
 ) -> Run:
     """Close the loop over the profile, from the commands `start` [rpm, deg] on (default: the rig's idle). Writes the full-rate
-    log to `folder`, however the run ends; `after`, `on_alarm`, `page`, `adaptive` as in `session`."""
+    log to `folder`, however the run ends; `after`, `on_alarm`, `page`, `adaptive` as in `session`. `inject`: a fault of
+    `hil.emulator.faults`, and the time [s] after which it comes."""
     ended, start = "", start or idle(setup.allowed)
     if isinstance(controller, FmuController):
         rehearse(controller, float(profile["thrust_set"][0]))
     seconds = float(profile.time[-1] - profile.time[0])
     with session(setup, folder, LOG, seconds, twin, after=after, on_alarm=on_alarm, page=page, adaptive=adaptive) as one:
+        fault, at = inject or ("", 0.0)
+        controller = Saboteur(controller, WITHIN.get(fault))
+        injector = Injector(fault, one.rig.bench, controller) if inject else None
         try:
 
             def shown(share: float) -> None:
                 one.rig.show_done(share)
                 progress(share)
 
-            run_loop(one.rig, Followed(controller, one.rig), profile, start, shown)
+            run_loop(one.rig, Followed(controller, one.rig, injector, round(at / PERIOD)), profile, start, shown)
             one.rig.stop()
         except ENDINGS as reason:
             ended = str(reason)
+        finally:
+            if injector:
+                injector.close()
     log = read_log(found_log(folder / LOG))
     return Run(loop_part(log), log, one, ended)
 

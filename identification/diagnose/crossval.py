@@ -118,7 +118,8 @@ def p_no_decrease(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], fu
         found += (sums[count > 0] / count[count > 0]).tolist()
     if len(found) < 2:
         return 1.0
-    test = permutation_test((found,), np.mean, permutation_type="samples", alternative="greater", rng=0, vectorized=True)
+    random = {"random_state": np.random.default_rng(0)}  # the name that every scipy knows; `rng` came with 1.15
+    test = permutation_test((found,), np.mean, permutation_type="samples", alternative="greater", vectorized=True, **random)
     return float(test.pvalue)
 
 

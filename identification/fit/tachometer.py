@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_banded
-from scipy.sparse import csr_array, diags_array
+from scipy.sparse import csr_array, diags
 
 from vpp_fmu.record import Record, digit_of
 from vpp_fmu.sensors import ENCODER, MARK, TELEMETRY, SpeedSensor
@@ -103,7 +103,7 @@ class Tachometer:
         time, n = self._time, len(self._time)
         count = min(n, 1 + int(np.ceil(FADED * self.sensor.filter / np.min(np.diff(time)))))
         bands = [np.exp(-(time[k:] - time[: n - k]) / self.sensor.filter) for k in range(count)]
-        response = diags_array(bands, offsets=[-k for k in range(count)], shape=(n, n))
+        response = diags(bands, offsets=[-k for k in range(count)], shape=(n, n))
         return csr_array(self._average @ (response @ self._filter[0]))
 
     @cached_property
@@ -113,8 +113,8 @@ class Tachometer:
         n, ratio = len(self._time), np.diff(self._time) / self.sensor.filter
         kept = np.exp(-ratio)
         mean = -np.expm1(-ratio) / ratio
-        straight = diags_array([np.append(1.0, 1.0 - mean), mean - kept], offsets=[0, -1], shape=(n, n))
-        bent = diags_array([1.0 - kept], offsets=[-1], shape=(n, n - 1))
+        straight = diags([np.append(1.0, 1.0 - mean), mean - kept], offsets=[0, -1], shape=(n, n))
+        bent = diags([1.0 - kept], offsets=[-1], shape=(n, n - 1))
         return csr_array(straight + bent @ _bends(self._time)), np.vstack([np.ones(n), np.append(-kept, 0.0)])
 
     @property
@@ -202,11 +202,11 @@ def _bends(time: np.ndarray) -> csr_array:
         return csr_array((max(n - 1, 0), n))
     before, after = steps[:-1], steps[1:]
     second = [2.0 / (before * (before + after)), -2.0 / (before * after), 2.0 / (after * (before + after))]
-    bend = diags_array(second, offsets=[0, 1, 2], shape=(n - 2, n))
+    bend = diags(second, offsets=[0, 1, 2], shape=(n - 2, n))
     inner = np.r_[0.0, np.ones(n - 2), 0.0]
     share = 1.0 / (inner[:-1] + inner[1:])
-    sides = diags_array([share[1:], share[:-1]], offsets=[-1, 0], shape=(n - 1, n - 2))
-    return csr_array(diags_array([-(steps**2) / 12.0], offsets=[0]) @ sides @ bend)
+    sides = diags([share[1:], share[:-1]], offsets=[-1, 0], shape=(n - 1, n - 2))
+    return csr_array(diags([-(steps**2) / 12.0], offsets=[0]) @ sides @ bend)
 
 
 def row_means(time: np.ndarray, width: float) -> csr_array:

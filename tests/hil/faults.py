@@ -17,33 +17,22 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from hil.emulator.faults import OUTSIDE, WITHIN, sends
 from tests.hil.disk import full
 from tests.hil.injection import (
     STUCK_AFTER,
     Injected,
     Watched,
-    brown_out,
-    bus,
     fills,
     left_behind,
-    line,
     load,
     nothing,
     now,
-    pulls,
-    second_opener,
-    sends,
     started,
-    stops_writer,
     stuck,
-    to_all,
-    to_loop_and_supervisor,
-    to_supervisor,
-    to_writer,
     until_idle,
     until_open,
     wait_for,
-    writes,
 )
 
 RAMP = 1800.0
@@ -74,12 +63,13 @@ SEEN = 300.0
 
 @dataclass(frozen=True)
 class Row:
-    """A fault and the required outcome: the loop's last state ("gone": it reports none), the start of the reported cause, and
-    the latest time of the idle pulse [ms] (None: only at the run's end). `load`: four other processes are busy."""
+    """A fault, and the required outcome: the loop's last state ("gone": it reports none), the start of the reported cause, and
+    the latest time of the idle pulse [ms] (None: only at the run's end). `inject`: by default the fault of this name in
+    `hil.emulator.faults`. `load`: four other processes are busy."""
 
     name: str
     must: str
-    inject: Callable[[Injected], float | None]
+    inject: Callable[[Injected], float | None] | None = None
     state: str = "fault"
     cause: str = ""
     within: float | None = RAMP
@@ -89,6 +79,12 @@ class Row:
     """Watch the relay in the ESC's supply, because no process is left to write a pulse."""
     alone: Callable[[], "Outcome"] | None = None
     """Runs the row in place of the closed loop."""
+
+    def __post_init__(self):
+        if self.name in WITHIN:
+            self.task["sabotage"] = WITHIN[self.name]
+        asks = sends(signal.SIGUSR1) if self.name in WITHIN else None
+        object.__setattr__(self, "inject", self.inject or asks or OUTSIDE[self.name])
 
 
 @dataclass(frozen=True)
@@ -112,7 +108,7 @@ def disk_full(phase: str, name: str, must: str) -> Row:
     return Row(name, must, nothing, within=None, alone=alone)
 
 
-def goes_on(name: str, must: str, inject, **more) -> Row:
+def goes_on(name: str, must: str, inject=None, **more) -> Row:
     return Row(name, must, inject, "safe", "", None, **more)
 
 
@@ -131,73 +127,84 @@ FAST = {"limits": {"omega_max": 5500.0, "omega_trip": 5501.0}, "sabotage": "flat
 
 SMALL = {"small": True, "seconds": 20}
 RELAY = {"within": OPEN, "task": {"physics": {"lingers": 8.0}}, "relay": True}
+PULLS = OUTSIDE["twin: 5 N too many"]
 TWIN_RAMPS, TWIN_IDLES = ({"twin": what, "seconds": 10} for what in ("ramp", "idle"))
 
 ROWS = (
-    goes_on("serial: 20 x 3 answers with bit flips", "no wrong value, goes on", line("flipped", 3.0, 20)),
-    goes_on("serial: 20 x garbage", "no wrong value, goes on", line("garbage", 1.0, 20)),
-    goes_on("serial: silent for 3 answers", "holds, goes on", line("silent", 3.0)),
-    Row("serial: silence", "holds 50 ms, ramps down", line("silent"), cause="tachometer: "),
-    Row("serial: unplugged", "ramps down", line("unplugged", 1.0), cause="tachometer: unplugged"),
-    Row("Uno: reset", "ramps down", line("resets", 1.0), cause="tachometer: "),
-    goes_on("I2C: two NACKs", "tries again, goes on", bus("not_acknowledged", 2.0)),
-    Row("I2C: NACK for good", "retries, ramps down", bus("not_acknowledged"), cause="adc: refused"),
-    Row("I2C: timeout", "ramps down", bus("timeout"), cause="adc: timeout"),
-    goes_on("ADC: one brown-out", "writes its settings anew, goes on", brown_out),
-    Row("ADC: frozen", "ramps down", bus("frozen", 1.0), cause="adc: frozen"),
-    Row("ADC: saturated", "ramps down", bus("overload", 5.0), cause="adc: saturated"),
-    Row(
-        "speed: 0 with an open throttle", "idle at once", line("marks_lost", 1.0), cause="tachometer: no rotation", within=SEEN
-    ),
-    Row("speed: halved", "ramps down", line("marks_halved", 1.0), cause="tachometer: "),
-    Row("speed: doubled", "ramps down", line("marks_doubled", 1.0), cause="tachometer: "),
+    goes_on("serial: 20 x 3 answers with bit flips", "no wrong value, goes on"),
+    goes_on("serial: 20 x garbage", "no wrong value, goes on"),
+    goes_on("serial: silent for 3 answers", "holds, goes on"),
+    Row("serial: silence", "holds 50 ms, ramps down", cause="tachometer: "),
+    Row("serial: unplugged", "ramps down", cause="tachometer: unplugged"),
+    Row("Uno: reset", "ramps down", cause="tachometer: "),
+    goes_on("I2C: two NACKs", "tries again, goes on"),
+    Row("I2C: NACK for good", "retries, ramps down", cause="adc: refused"),
+    Row("I2C: timeout", "ramps down", cause="adc: timeout"),
+    goes_on("ADC: one brown-out", "writes its settings anew, goes on"),
+    Row("ADC: frozen", "ramps down", cause="adc: frozen"),
+    Row("ADC: saturated", "ramps down", cause="adc: saturated"),
+    Row("speed: 0 with an open throttle", "idle at once", cause="tachometer: no rotation", within=SEEN),
+    Row("speed: halved", "ramps down", cause="tachometer: "),
+    Row("speed: doubled", "ramps down", cause="tachometer: "),
     Row("pitch actuator: stuck", "ramps down", stuck, cause="pitch actuator: stuck", within=20000.0, task=STUCK),
     Row("over-speed", "idle at once", sends(signal.SIGUSR1), cause="rig: over-speed", task=FAST),
-    goes_on("loop: pause of 10 ms", "counts, goes on", sends(signal.SIGUSR1), task={"sabotage": 0.01}),
-    Row("loop: pause of 100 ms", "idle at once", sends(signal.SIGUSR1), within=CUT, task={"sabotage": 0.1}),
-    Row("loop: pause of 1000 ms", "idle at once", sends(signal.SIGUSR1), within=CUT, task={"sabotage": 1.0}),
-    Row("controller: NaN", "ramps down", sends(signal.SIGUSR1), cause="controller: not a number", task={"sabotage": "nan"}),
-    Row("SIGINT", "ramps down", sends(signal.SIGINT), "safe", "operator: interrupted"),
-    Row("SIGINT twice", "idle at once", sends(signal.SIGINT, signal.SIGINT), cause="operator: interrupted", within=CUT),
-    Row("SIGTERM", "idle at once, ends", sends(signal.SIGTERM), cause="operator: terminated", within=CUT),
-    Row("SIGHUP: the terminal is gone", "idle at once, ends", sends(signal.SIGHUP), cause="operator: terminated", within=CUT),
-    Row("SIGQUIT", "supervisor: idle", sends(signal.SIGQUIT), "gone", within=CUT),
-    Row("SIGKILL", "supervisor: idle", sends(signal.SIGKILL), "gone", within=CUT),
-    Row("SIGKILL under load", "supervisor: idle", sends(signal.SIGKILL), "gone", within=CUT, load=True),
-    Row("SIGSEGV", "supervisor: idle", sends(signal.SIGSEGV), "gone", within=CUT),
-    Row("SIGSEGV under load", "supervisor: idle", sends(signal.SIGSEGV), "gone", within=CUT, load=True),
-    Row("SIGSTOP", "supervisor: idle", sends(signal.SIGSTOP), "gone", within=CUT),
-    Row("SIGSTOP under load", "supervisor: idle", sends(signal.SIGSTOP), "gone", within=CUT, load=True),
-    Row("SIGSTOP, SIGCONT", "idle, stays so", sends(signal.SIGSTOP, signal.SIGCONT, pause=0.3), within=CUT),
-    Row("supervisor: SIGKILL", "ramps down", to_supervisor(signal.SIGKILL), cause="supervisor: supervisor lost"),
-    Row("supervisor: SIGSTOP", "ramps down", to_supervisor(signal.SIGSTOP), cause="supervisor: supervisor lost"),
-    goes_on("supervisor: SIGINT", "nothing", to_supervisor(signal.SIGINT)),
-    goes_on("supervisor: SIGTERM", "nothing", to_supervisor(signal.SIGTERM)),
+    goes_on("loop: pause of 10 ms", "counts, goes on"),
+    Row("loop: pause of 100 ms", "idle at once", within=CUT),
+    Row("loop: pause of 1000 ms", "idle at once", within=CUT),
+    Row("controller: NaN", "ramps down", cause="controller: not a number"),
+    Row("SIGINT", "ramps down", cause="operator: interrupted", state="safe"),
+    Row("SIGINT twice", "idle at once", cause="operator: interrupted", within=CUT),
+    Row("SIGTERM", "idle at once, ends", cause="operator: terminated", within=CUT),
+    Row("SIGHUP: the terminal is gone", "idle at once, ends", cause="operator: terminated", within=CUT),
+    Row("SIGQUIT", "supervisor: idle", state="gone", within=CUT),
+    Row("SIGKILL", "supervisor: idle", state="gone", within=CUT),
+    Row("SIGKILL under load", "supervisor: idle", OUTSIDE["SIGKILL"], "gone", within=CUT, load=True),
+    Row("SIGSEGV", "supervisor: idle", state="gone", within=CUT),
+    Row("SIGSEGV under load", "supervisor: idle", OUTSIDE["SIGSEGV"], "gone", within=CUT, load=True),
+    Row("SIGSTOP", "supervisor: idle", state="gone", within=CUT),
+    Row("SIGSTOP under load", "supervisor: idle", OUTSIDE["SIGSTOP"], "gone", within=CUT, load=True),
+    Row("SIGSTOP, SIGCONT", "idle, stays so", within=CUT),
+    Row("supervisor: SIGKILL", "ramps down", cause="supervisor: supervisor lost"),
+    Row("supervisor: SIGSTOP", "ramps down", cause="supervisor: supervisor lost"),
+    goes_on("supervisor: SIGINT", "nothing"),
+    goes_on("supervisor: SIGTERM", "nothing"),
     Row("disk full: filled by others", "waits 1 s, ramps down", fills, cause="log: log lost", within=WAITS + RAMP, task=SMALL),
     disk_full("small", "disk full: too small for the run", "nothing turns, one line"),
     disk_full("start", "disk full: before the start", "nothing turns, one line"),
     disk_full("run", "disk full: in a run", "ramps down, says why everywhere"),
     disk_full("end", "disk full: at the end", "idle, all files"),
     disk_full("campaign", "disk full: in a campaign", "idle, one line, goes on by --resume"),
-    goes_on("clock set back by 1 h", "nothing", sends(signal.SIGUSR1), task={"sabotage": "clock back"}),
-    Row("killed together", "the board opens the relay", to_all, "gone", **RELAY),
-    Row("killed together, under load", "the board opens the relay", to_all, "gone", load=True, **RELAY),
-    Row("loop and supervisor killed", "the board opens the relay", to_loop_and_supervisor, "gone", **RELAY),
-    Row("twin: 5 N too many, ramp", "ramps down", pulls(5.0), cause="twin: twin's alarm", within=ALARM + RAMP, task=TWIN_RAMPS),
-    Row("twin: 5 N too many, idle", "idle", pulls(5.0), cause="twin: twin's alarm", within=ALARM + CUT, task=TWIN_IDLES),
-    goes_on("twin: 5 N too many, note", "says so, goes on", pulls(5.0), task={"twin": "note", "seconds": 6}),
+    goes_on("clock set back by 1 h", "nothing"),
+    Row("killed together", "the board opens the relay", state="gone", **RELAY),
+    Row("killed together, under load", "the board opens the relay", OUTSIDE["killed together"], "gone", load=True, **RELAY),
+    Row("loop and supervisor killed", "the board opens the relay", state="gone", **RELAY),
+    Row(
+        "twin: 5 N too many, ramp",
+        "ramps down",
+        OUTSIDE["twin: 5 N too many"],
+        cause="twin: twin's alarm",
+        within=ALARM + RAMP,
+        task=TWIN_RAMPS,
+    ),
+    Row(
+        "twin: 5 N too many, idle",
+        "idle",
+        OUTSIDE["twin: 5 N too many"],
+        cause="twin: twin's alarm",
+        within=ALARM + CUT,
+        task=TWIN_IDLES,
+    ),
+    goes_on("twin: 5 N too many, note", "says so, goes on", OUTSIDE["twin: 5 N too many"], task={"twin": "note", "seconds": 6}),
     Row("FMU: hangs", "idle, the loop is killed", now, "gone", within=CUT, task={"fmu": "hangs"}),
     Row("FMU: exits", "idle", now, "gone", within=CUT, task={"fmu": "exits"}),
     Row("FMU: crashes", "idle", now, "gone", within=CUT, task={"fmu": "crashes"}),
     Row("FMU: errs", "ramps down", now, cause="controller: failed", task={"fmu": "errs"}),
     Row("FMU: slow", "ramps down", now, cause="loop: overrun", task={"fmu": "slow"}),
-    Row("log's writer: SIGSTOP", "waits 1 s, ramps down", stops_writer, cause="log: log lost", within=WAITS + RAMP),
-    Row("log's writer: SIGKILL", "ramps down", to_writer, cause="log: log lost"),
-    goes_on("second opener", "refused, goes on", second_opener),
-    Row("PWM: switched off by others", "idle at once", writes("enable", "0\n"), cause="esc: output lost", within=CUT),
-    Row(
-        "PWM: pulse changed by others", "idle at once", writes("duty_cycle", "1900000\n"), cause="esc: output lost", within=CUT
-    ),
+    Row("log's writer: SIGSTOP", "waits 1 s, ramps down", cause="log: log lost", within=WAITS + RAMP),
+    Row("log's writer: SIGKILL", "ramps down", cause="log: log lost"),
+    goes_on("second opener", "refused, goes on"),
+    Row("PWM: switched off by others", "idle at once", cause="esc: output lost", within=CUT),
+    Row("PWM: pulse changed by others", "idle at once", cause="esc: output lost", within=CUT),
     wrong_sign("load cell", "load cell"),
     wrong_sign("pitch", "pitch actuator"),
     Row("PWM: refused at arm", "does not arm", nothing, "safe", "esc: not ready", 0.0, {"refuse": "enable"}),
@@ -222,7 +229,8 @@ def once(row: Row) -> Outcome | str:
         if here is None:
             end = wait_for(messages, "ended", process)
             return judged(row, end, None) if row.inject is nothing else causes_of(end)
-        rig = Injected(process, Path(here["at"]), Path(here["esc"]), b"%d" % here["idle"], here["heard"], Path(folder))
+        own = process, b"%d" % here["idle"], here["heard"], Path(folder)
+        rig = Injected(process.pid, Path(here["at"]), Path(here["esc"]), *own)
         if not wait_for(messages, "running", process):
             end = wait_for(messages, "ended", process)
             return judged(row, end, None) if row.within == 0.0 else causes_of(end)

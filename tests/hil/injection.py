@@ -2,10 +2,8 @@
 
 import contextlib
 import json
-import math
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import threading
@@ -15,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from hil.emulator import i2c, serial_line
-from hil.emulator.rig import BUS, BYSTANDER, HAND, LINE, PULLED, SHOWN
+from hil.emulator.faults import Target
+from hil.emulator.rig import BYSTANDER, SHOWN
 from hil.emulator.shared import SharedNumbers
 
 HERE = Path(__file__).resolve().parent
@@ -25,115 +23,19 @@ STUCK_AFTER = 8.0
 """s from the emulation's start until its pitch actuator sticks, if that is the fault."""
 
 
-@dataclass
-class Injected:
-    """The process under test, its files, and the shared numbers of its buses."""
+@dataclass(frozen=True)
+class Injected(Target):
+    """The process under test with its messages, and the emulated rig."""
 
-    process: subprocess.Popen
-    at: Path
-    esc: Path
-    idle: bytes
-    opened: float
+    process: subprocess.Popen | None = None
+    idle: bytes = b""
+    opened: float = 0.0
     folder: Path = Path()
-
-    @contextlib.contextmanager
-    def numbers(self, file: str) -> Iterator[SharedNumbers]:
-        names = i2c.REGISTERS + i2c.STATE + i2c.FAULTS if file == BUS else serial_line.FAULTS
-        shared = SharedNumbers(self.at / file, names)
-        try:
-            yield shared
-        finally:
-            shared.close()
-
-    def supervisor(self) -> int:
-        """Process number of the supervisor."""
-        return next(pid for pid, words in children_of(self.process.pid) if "watchdog" in words)
-
-
-def children_of(process: int) -> list[tuple[int, str]]:
-    """(number, command) of a process' children."""
-    children = Path(f"/proc/{process}/task/{process}/children").read_text().split()
-    return [(int(pid), Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()) for pid in children]
-
-
-def bus(name: str, value: float = math.inf):
-    def inject(rig: Injected) -> None:
-        with rig.numbers(BUS) as numbers:
-            numbers[name] = value
-
-    return inject
-
-
-def line(name: str, value: float = math.inf, times: int = 1):
-    """Set a fault of the serial line `times` times, 30 ms apart."""
-
-    def inject(rig: Injected) -> None:
-        with rig.numbers(LINE) as numbers:
-            for _ in range(times):
-                numbers[name] = value
-                time.sleep(0.03 * (times > 1))
-
-    return inject
-
-
-def brown_out(rig: Injected) -> None:
-    with rig.numbers(BUS) as numbers:
-        i2c.brown_out(numbers)
-
-
-def sends(*numbers: int, pause: float = 0.02):
-    """Signals to the loop, `pause` s apart. Ctrl-C goes to the whole process group, as from a terminal."""
-
-    def inject(rig: Injected) -> None:
-        for number in numbers:
-            send = os.killpg if number == signal.SIGINT else os.kill
-            send(rig.process.pid, number)
-            time.sleep(pause if len(numbers) > 1 else 0.0)
-
-    return inject
-
-
-def to_supervisor(number: int):
-    return lambda rig: os.kill(rig.supervisor(), number)
-
-
-def to_all(rig: Injected) -> None:
-    """SIGKILL to the loop and its children, except the emulated rig, which is no process on a real rig."""
-    for pid, words in children_of(rig.process.pid):
-        if "emulator" not in words:
-            os.kill(pid, signal.SIGKILL)
-    os.kill(rig.process.pid, signal.SIGKILL)
-
-
-def to_loop_and_supervisor(rig: Injected) -> None:
-    """SIGKILL to both processes that can write a pulse; the log's writer continues."""
-    for pid in (rig.supervisor(), rig.process.pid):
-        os.kill(pid, signal.SIGKILL)
-
-
-def pulls(force: float):
-    """An external force [N] on the stand, beside the thrust."""
-
-    def inject(rig: Injected) -> None:
-        shared = SharedNumbers(rig.at / HAND, PULLED)
-        shared["force"] = force
-        shared.close()
-
-    return inject
-
-
-def to_writer(rig: Injected) -> None:
-    os.kill(next(pid for pid, words in children_of(rig.process.pid) if "hil.log" in words), signal.SIGKILL)
-
-
-def stops_writer(rig: Injected) -> None:
-    """The log's writer hangs, as on a network disk that is gone."""
-    os.kill(next(pid for pid, words in children_of(rig.process.pid) if "hil.log" in words), signal.SIGSTOP)
 
 
 def fills(rig: Injected) -> None:
     """Another program fills the disk of the log."""
-    fill(Path(f"/proc/{rig.process.pid}/root{rig.folder}"))
+    fill(Path(f"/proc/{rig.pid}/root{rig.folder}"))
 
 
 def fill(folder: Path) -> None:
@@ -146,24 +48,6 @@ def fill(folder: Path) -> None:
 def now(rig: Injected) -> None:
     """Create the file for which the FMU waits."""
     (rig.folder / "now").touch()
-
-
-def second_opener(rig: Injected) -> None:
-    """Another process tries to open the same outputs."""
-    text = "import sys; from pathlib import Path; from hil.bench import locked; locked(Path(sys.argv[1]))"
-    environment = {**os.environ, "PYTHONPATH": str(HERE.parents[1])}
-    command = [sys.executable, "-c", text, str(rig.esc.parents[1])]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert "in use by" in done.stderr
-
-
-def writes(file: str, text: str):
-    """Another program writes to one of the ESC's files."""
-
-    def inject(rig: Injected) -> None:
-        rig.esc.with_name(file).write_text(text)
-
-    return inject
 
 
 def nothing(rig: Injected) -> None:

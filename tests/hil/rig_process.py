@@ -9,10 +9,8 @@ of the rig's files, one when the thrust has settled, and one at the end.
 """
 
 import json
-import math
 import signal
 import sys
-import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -21,6 +19,7 @@ import numpy as np
 
 from hil.calibration import read_calibration
 from hil.emulator import pwm_tree
+from hil.emulator.faults import Saboteur
 from hil.emulator.rig import Rig as Emulated
 from hil.run import ON_ALARM, run_on_rig
 from hil.safety.limits import Limits
@@ -59,39 +58,22 @@ class SpokenSetup(Setup):
         return bench
 
 
-class Saboteur:
-    """A controller that fails as TASK says once SIGUSR1 arrives."""
+class Asked(Saboteur):
+    """A controller that fails as TASK says once SIGUSR1 arrives; it says when the thrust has settled."""
 
-    def __init__(self, sabotage, controller):
-        self._controller, self._sabotage, self._asked, self._steps = controller, sabotage, False, 0
+    def __init__(self, controller, sabotage):
+        super().__init__(controller, sabotage)
+        self._steps = 0
         signal.signal(signal.SIGUSR1, self._ask)
 
     def _ask(self, *_):
-        self._asked = True
-
-    def start(self, thrust_set, thrust):
-        self._controller.start(thrust_set, thrust)
+        self.asked = True
 
     def step(self, thrust_set, thrust):
         self._steps += 1
         if self._steps == SETTLED:
             say(running=True)
-        commands = self._controller.step(thrust_set, thrust)
-        if self._asked:
-            self._asked = self._sabotage in ("nan", "flat out")
-            if self._sabotage == "nan":
-                return math.nan, math.nan
-            if self._sabotage == "flat out":
-                return 6000.0, 0.0
-            if self._sabotage == "clock back":
-                before = time.time
-                time.time = lambda: before() - 3600.0
-            else:
-                time.sleep(self._sabotage)
-        return commands
-
-    def close(self):
-        self._controller.close()
+        return super().step(thrust_set, thrust)
 
 
 def profile(seconds, swing):
@@ -110,7 +92,7 @@ def main(task):
     setup = SpokenSetup(read_calibration(CALIBRATION), Limits(**task.get("limits", {})), emulated)
     folder, how = Path(task["folder"]), task.get("fmu")
     within = FmuController(stubborn(folder, how, folder / "now")) if how else KernelController()
-    controller = Saboteur(task.get("sabotage"), within)
+    controller = Asked(within, task.get("sabotage"))
     try:
         beside = {"twin": Twin(KernelPlant(), BAND), "on_alarm": ON_ALARM[task["twin"]]} if "twin" in task else {}
         done = run_on_rig(setup, controller, profile(task["seconds"], task.get("swing")), folder, **beside)

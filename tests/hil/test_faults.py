@@ -1,5 +1,6 @@
 """A part of the fault table: bus faults in virtual time, and one row in real time. `python -m tests.hil.faults` runs all."""
 
+import os
 from dataclasses import replace
 
 import pytest
@@ -25,7 +26,7 @@ def test_a_fault_on_a_bus_ends_as_it_must(new_rig, monkeypatch, name):
     row, (rig, log) = ON_THE_BUSES[name], new_rig()
     rig.start(4000.0, 2.0)
     esc = rig.bench.esc.duty_file
-    row.inject(Injected(None, esc.parents[3], esc, b"", 0.0))
+    row.inject(Injected(os.getpid(), esc.parents[3], esc))
     began = len(log.rows)
     if row.within is None:
         steps(rig, 150, 4000.0)

@@ -8,6 +8,7 @@ import contextlib
 import getpass
 import inspect
 import json
+import math
 import os
 import sys
 import warnings
@@ -23,6 +24,7 @@ from hil.campaign import PARTS, Plan, limits_for, plan_for
 from hil.campaign_folder import Measuring, commands_of, records_of
 from hil.commands import PAPERS
 from hil.cycle import PERIOD
+from hil.emulator.faults import check_fault
 from hil.emulator.rig import CALIBRATION, POWERED, calibrated_for, effects_to_hide, with_effects
 from hil.outcome import (
     Outcome,
@@ -154,6 +156,8 @@ def _add_run(parser) -> None:
     add("--adapt", nargs="+", metavar="NAME", help=ADAPT)
     text = "what the twin's alarm does: tell (note), ramp down, idle at once (default: note); the exit code is 3 either way"
     add("--on-alarm", choices=tuple(ON_ALARM), default="note", metavar="WHAT", help=text)
+    text = "on the emulated rig: inject a fault S seconds after the loop is closed (default: 1); an unknown name lists all"
+    add("--inject", nargs="+", metavar=("FAULT", "S"), help=text)
     _add_measurements(parser)
     text = "the same loop with this plant FMU too, which runs its author's code, and the difference in N"
     add("--beside", type=plant_file, metavar="PLANT.fmu", help=text)
@@ -230,6 +234,8 @@ def _run(options) -> Answer:
     profile = read_profile(options.profile)
     lines = [] if options.controller else [said_of(gains_of(options), options.gains)]
     rig = which(options, fmu=True)
+    if options.inject and rig.kind != "emulated":
+        raise BadInput("command line", "--inject", f"--rig {rig.kind}", "an emulated rig, in which a fault can be injected")
     if rig.kind == "fmu":
         if options.watch is not None:
             raise BadInput("command line", "--watch", "--rig fmu", "an emulated or real rig: a loop of FMUs ends in seconds")
@@ -250,7 +256,8 @@ def _run(options) -> Answer:
         setup = replace(setup, plant=read_plant(options).values)
     twin = _twin(options, setup.allowed)
     other = (Path(options.beside).name, _fmu_loop(options.beside, options, profile)[0]) if options.beside else None
-    task = Task(setup, controller, profile, start, twin, other, ON_ALARM[options.on_alarm], parquet)
+    inject = _injected(options, setup, float(profile.time[-1] - profile.time[0]))
+    task = Task(setup, controller, profile, start, twin, other, ON_ALARM[options.on_alarm], parquet, inject)
     parent = OutputFolder(options.output)
     lines.append(allowed_words(setup.allowed))
     content = _begun(options, setup) | task.summary()
@@ -535,6 +542,21 @@ def _twin(options, allowed: Rig) -> tuple[Twin, Band, Adaptive] | None:
         check_same_model(source, parameters, options.parameters)
     learning = adaptive(adaptable(parameters, "command line", options.adapt), band, options.adapt)
     return Twin(KernelPlant(parameters.model, parameters.values), band, rig=allowed), band, Adaptive(learning, PERIOD)
+
+
+def _injected(options, setup: Setup, length: float) -> tuple[str, float] | None:
+    """The fault to inject and its time [s] in a run of so many seconds; None without --inject. BadInput."""
+    if not options.inject:
+        return None
+    name, *when = options.inject
+    check_fault(name, setup.virtual)
+    try:
+        after = float(*when) if when else min(1.0, length)
+    except (TypeError, ValueError):
+        after = math.nan
+    if not 0.0 <= after <= length:
+        raise BadInput("command line", "--inject", " ".join(when), f"one number from 0 to {length:g} s, the profile's length")
+    return name, after
 
 
 def _begun(options, setup: Setup) -> dict:
