@@ -115,7 +115,7 @@ def test_a_diagnosis_has_the_power_beside_an_unchanged_thrust(campaign, monkeypa
     power = found["with"].pop("power")
     assert found["with"] == found["without"]
     schema = json.loads((files("vpp_fmu.app.cli.schemas") / "diagnose.json").read_text())
-    Draft202012Validator(schema).validate(found["with"] | {"power": power})
+    Draft202012Validator(schema).validate(found["with"] | {"power": power, "sentence": "as printed"})
     (effect,) = power["effects"]
     low, high = effect["parameters"]["load"]["interval"]
     assert (power["verdict"], effect["name"], effect["form"]) == ("attributed", "servo_load", "rate")

@@ -231,8 +231,9 @@ def _titles(found: Diagnosis) -> tuple[str, ...]:
 
 
 def findings(found: Diagnosis) -> list[str]:
-    """The list under the tiles: each channel, where the residual is, the best guess, what speaks against it, the next step."""
+    """The list under the tiles: channels, noise, residual, the best guess, what speaks against it, the next step."""
     lines = [f"{name.capitalize()}: {_channel(one)}." for name, one in channels(found).items()]
+    lines.append(f"Noise of one reading: {size(found.noise.floor, 'N')}, {found.reading_noise.basis}.")
     lines += [f"{words(n)} could as well be {' or '.join(map(words, o))}." for n, o in found.selection.family.items() if o]
     if found.verdict in UNEXPLAINED:
         _, band, note = _where(found)
