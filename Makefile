@@ -1,8 +1,9 @@
 # make demo: the whole job on the example campaign. make test: lint, layers, types, tests. make docs: the site. All set themselves up.
 PYTHON ?= python3
+LOWEST_PYTHON ?= python3.10
 BIN := .venv/bin
 
-.PHONY: demo test bench study interop docs docs-test release clean
+.PHONY: demo test test-lowest bench study interop docs docs-test release clean
 
 demo: .venv/ready
 	$(BIN)/vpp demo -o demo
@@ -13,6 +14,13 @@ test: .venv/ready
 	$(BIN)/lint-imports
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2 --dist loadgroup
+
+test-lowest: .venv/ready # with the lowest Python and versions that pyproject.toml allows
+	$(BIN)/python -m tests.lowest > .venv/lowest.txt
+	test -d .venv/lowest || $(LOWEST_PYTHON) -m venv .venv/lowest
+	.venv/lowest/bin/python -m pip install --quiet --disable-pip-version-check --constraint .venv/lowest.txt --editable '.[test,import,watch]'
+	.venv/lowest/bin/pytest -n 2 --dist loadgroup
+	$(BIN)/python -m tests.lowest --passed
 
 bench: .venv/ready
 	$(BIN)/python -m tests.benchmarks
