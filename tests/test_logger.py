@@ -142,9 +142,9 @@ def test_row_means_are_distinguished_from_samples(averaged):
     assert as_logged(passed(campaign(sent.with_columns(**read)))).logger.sensor == SpeedSensor("mark", 3, averaged=averaged)
 
 
-def test_a_mean_of_a_parabola_exceeds_its_middle_by_a_24th_of_the_curvature_times_the_width_squared():
+@pytest.mark.parametrize("width", [0.02, 0.9])
+def test_a_mean_of_a_parabola_exceeds_its_middle_by_a_24th_of_the_curvature_times_the_width_squared(width):
     time = np.sort(np.random.default_rng(3).uniform(0.0, 1.0, 200))
-    width = 0.02
     inner = (time > time[2]) & (time - 0.5 * width > time[1]) & (time + 0.5 * width < time[-2])
     np.testing.assert_allclose((row_means(time, width) @ time**2)[inner], time[inner] ** 2 + width**2 / 12.0, rtol=1e-9)
 

@@ -231,22 +231,14 @@ def _means(time: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[csr_ar
     """The same two matrices for the mean over each window [start, end]."""
     steps, n = np.diff(time), len(time)
     first, last = (np.clip(np.searchsorted(time, at, side="right") - 1, 0, n - 2) for at in (start, end))
-    windows, columns, weights, bent = [], [], [], []
-    for k in range(int(np.max(last - first, initial=-1)) + 1):
-        w = np.flatnonzero(first + k <= last)
-        at = first[w] + k
-        # The part of the step from row `at` that lies in the window, in shares of the step.
-        u, v = (np.clip((edge[w] - time[at]) / steps[at], 0.0, 1.0) for edge in (start, end))
-        right = 0.5 * (v * v - u * u)
-        share = steps[at] / (end[w] - start[w])
-        windows.append(w)
-        columns.append(at)
-        weights += [share * (v - u - right), share * right]
-        bent.append(share * (v * v * (3.0 - 2.0 * v) - u * u * (3.0 - 2.0 * u)))
-    if not windows:
-        return csr_array((len(start), n)), csr_array((len(start), n - 1))
-    windows, columns = np.concatenate(windows), np.concatenate(columns)
-    first_row, second_row = (np.concatenate(weights[k::2]) for k in (0, 1))
-    straight = csr_array((first_row, (windows, columns)), shape=(len(start), n))
-    straight += csr_array((second_row, (windows, columns + 1)), shape=(len(start), n))
-    return straight, csr_array((np.concatenate(bent), (windows, columns)), shape=(len(start), n - 1))
+    counts = np.maximum(last - first + 1, 0)
+    windows = np.repeat(np.arange(len(start)), counts)
+    at = np.arange(len(windows)) + np.repeat(first - np.cumsum(counts) + counts, counts)
+    # The part of the step from row `at` that lies in the window, in shares of the step.
+    u, v = (np.clip((edge[windows] - time[at]) / steps[at], 0.0, 1.0) for edge in (start, end))
+    right = 0.5 * (v * v - u * u)
+    share = steps[at] / (end[windows] - start[windows])
+    straight = csr_array((share * (v - u - right), (windows, at)), shape=(len(start), n))
+    straight += csr_array((share * right, (windows, at + 1)), shape=(len(start), n))
+    bent = share * (v * v * (3.0 - 2.0 * v) - u * u * (3.0 - 2.0 * u))
+    return straight, csr_array((bent, (windows, at)), shape=(len(start), n - 1))
