@@ -1,6 +1,7 @@
 """python -m tests.benchmarks.simulate [--against CHECKOUT]: nanoseconds a row and run of a compiled model.
 
-Records of even rows, of rows of two lengths, and of uneven rows: by a clock of 0.1 ms, and of 1 ns, by which all rows differ.
+Records of even rows of 4 and of 25 ms, of rows of two lengths, and of uneven rows of 17 to 33 ms: by a clock of 0.1 ms, and of
+1 ns, by which all rows differ. Effects with a largest step cut long rows into pieces: compare uneven rows with those of 25 ms.
 One run, 8 and 64 runs side by side, and one run with sensitivities in four lags. Models: the base, and five with an effect.
 The limit: four lags and the map in plain C whose constants are known. `--against`: another checkout runs the same in turn.
 """
@@ -41,8 +42,8 @@ def records() -> dict[str, tuple[dict[str, np.ndarray], np.ndarray]]:
     """(commands, steps [s]) of each kind of record."""
     rng, found = np.random.default_rng(0), {}
     uneven = rng.uniform(0.017, 0.033, 5999)
-    kinds = {"even": np.full(22499, 0.004), "two": np.where(np.arange(22499) % 2, 0.004, 0.003)}
-    kinds |= {"0.1 ms": np.round(uneven, 4), "1 ns": np.round(uneven, 9)}
+    kinds = {"4 ms": np.full(22499, 0.004), "two": np.where(np.arange(22499) % 2, 0.004, 0.003)}
+    kinds |= {"25 ms": np.full(5999, 0.025), "0.1 ms": np.round(uneven, 4), "1 ns": np.round(uneven, 9)}
     for name, steps in kinds.items():
         held = np.arange(len(steps) + 1) // 50
         commands = {
@@ -88,7 +89,7 @@ def limit() -> float:
         source.write_text(LIMIT)
         subprocess.run(["cc", "-O2", "-ffp-contract=off", "-shared", "-fPIC", "-o", library, source], check=True)
         run = ctypes.CDLL(str(library)).run
-        commands, _ = records()["even"]
+        commands, _ = records()["4 ms"]
         inputs, out = np.column_stack([*commands.values()]), np.empty((22500, 3))
         c, p = np.full(6, 0.02), np.full(5, 0.1)
         pointers = [ctypes.c_void_p(a.ctypes.data) for a in (inputs, c, p, out)]

@@ -5,48 +5,48 @@
 
 #define DONE 0
 #define DELAY_FULL 1
-#define APART 2
 
-/* Constants by step length. Rows of a log differ in length, and the digits of its clock leave some hundred lengths: a table begins
- * with FEW places, and gets MANY when lengths replace each other. An entry begins with its length. */
-#define FEW 16
-#define MANY 2048
+/* Constants by step length. Rows of a log differ in length, and the digits of its clock leave some hundred lengths. An entry begins
+ * with its length. If there are more than MOST, the rest share the last entry. */
+#define MOST 1024
+#define PLACES 4096 /* of the index, a power of two: few lengths share their first place */
 
 typedef struct {
   char *entries;
   double *last; /* the last entry that was asked for */
   size_t size;
-  int places, missed;
+  int count, room;
+  short index[PLACES]; /* 1 + number of the entry, 0: none */
 } Table;
 
-static int table_begins(Table *t, size_t size) {
-  t->entries = calloc(FEW, size);
-  t->last = (double *)t->entries;
-  t->size = size;
-  t->places = FEW;
-  t->missed = 0;
-  return t->entries != NULL;
+/* `empty`: zeros. 0: no memory. */
+static int table_begins(Table *empty, size_t size) {
+  empty->size = size;
+  empty->room = 16;
+  empty->entries = malloc(empty->room * size);
+  if (!empty->entries) return 0;
+  empty->last = (double *)empty->entries;
+  *empty->last = NAN;
+  return 1;
 }
 
-static double *place_of(const Table *t, double dt) {
-  unsigned long long bits;
-  memcpy(&bits, &dt, sizeof bits);
-  return (double *)(t->entries + t->size * (((bits * 0x9E3779B97F4A7C15ull) >> 40) & (unsigned)(t->places - 1)));
-}
-
-/* The entry of a length, or one of another length that it replaces. */
+/* The entry of a length; or one that begins with NAN, for the caller to fill. */
 static double *entry_of(Table *t, double dt) {
   if (*t->last == dt) return t->last;
-  t->last = place_of(t, dt);
-  if (*t->last != dt && t->places < MANY && ++t->missed > 2 * FEW) {
-    char *more = calloc(MANY, t->size);
-    if (more) {
-      free(t->entries);
-      t->entries = more;
-      t->places = MANY;
-      t->last = place_of(t, dt);
-    }
+  unsigned long long bits;
+  memcpy(&bits, &dt, sizeof bits);
+  unsigned place = (bits * 0x9E3779B97F4A7C15ull) >> 40 & (PLACES - 1);
+  for (; t->index[place]; place = (place + 1) & (PLACES - 1)) {
+    t->last = (double *)(t->entries + t->size * (t->index[place] - 1));
+    if (*t->last == dt) return t->last;
   }
+  if (t->count == t->room && t->room < MOST) {
+    char *more = realloc(t->entries, 2 * t->room * t->size);
+    if (more) t->entries = more, t->room *= 2;
+  }
+  if (t->count < t->room) t->index[place] = ++t->count;
+  t->last = (double *)(t->entries + t->size * (t->count - 1));
+  *t->last = NAN;
   return t->last;
 }
 
@@ -107,6 +107,13 @@ typedef struct {
   double dt, c[N_CONSTANTS][LANES];
 } LaneConstants;
 
+/* LANES runs side by side, which take the same steps. */
+typedef struct {
+  double v[N_VALUES][LANES], largest;
+  double own[LANES][N_VALUES]; /* each run's values at the start, with its parameters for prepare() */
+  Table constants;
+} Lanes;
+
 /* The widest vectors of the processor, from compiler.py: no fused operations, and so the same bits on each. */
 #ifdef VECTORS
 #define WIDEST __attribute__((target(VECTORS)))
@@ -117,45 +124,53 @@ typedef struct {
 #define LEAVE_VECTORS
 #endif
 
-/* Advance LANES sets of values by `span` seconds. */
-WIDEST static void advance_lanes(double (*v)[LANES], Table *kept, double largest, double span) {
-  static const double no_tangent[N_DELAYED_OR_1] = {0};
-  double count = 1.0, own[N_VALUES], constants[N_CONSTANTS];
-  if (largest < INFINITY) {
-    count = ceil(span / largest - NOW);
+/* Rows that all runs do before the next rows: their outputs, a strip of each row's, fit into a core's cache. */
+#define STRETCH 32
+
+/* Start from parameters (LANES x N_PARAMETERS). 0: the largest steps differ, so the runs would take different steps; or there is no
+ * memory. */
+static int lanes_begin(Lanes *m, const double *parameters, const double *first) {
+  double tangents[N_TANGENTS];
+  for (int k = 0; k < LANES; k++) {
+    double *own = m->own[k];
+    memcpy(own, first, N_INPUTS * sizeof *first);
+    memcpy(own + N_INPUTS + N_OUTPUTS, parameters + k * N_PARAMETERS, N_PARAMETERS * sizeof *parameters);
+    start(own, tangents);
+    for (int i = 0; i < N_VALUES; i++) m->v[i][k] = own[i];
+    if (k && largest_step(own) != m->largest) return 0;
+    m->largest = largest_step(own);
+  }
+  return table_begins(&m->constants, sizeof(LaneConstants));
+}
+
+/* Advance by `span` seconds. */
+WIDEST static void lanes_advance(Lanes *m, double (*v)[LANES], double span) {
+  double count = 1.0;
+  if (m->largest < INFINITY) {
+    count = ceil(span / m->largest - NOW);
     if (count < 1.0) count = 1.0;
   }
   const double piece = span / count;
-  LaneConstants *at = (LaneConstants *)entry_of(kept, piece);
+  LaneConstants *at = (LaneConstants *)entry_of(&m->constants, piece);
   if (!(at->dt == piece)) {
+    static const double no_tangent[N_DELAYED_OR_1] = {0};
+    double constants[N_CONSTANTS];
     at->dt = piece;
     LEAVE_VECTORS;
     for (int k = 0; k < LANES; k++) {
-      for (int i = 0; i < N_VALUES; i++) own[i] = v[i][k];
-      prepare(own, piece, no_tangent, constants);
+      prepare(m->own[k], piece, no_tangent, constants);
       for (int i = 0; i < N_CONSTANTS; i++) at->c[i][k] = constants[i];
     }
   }
   for (double i = 0.0; i < count; i += 1.0) step_lanes(v, at->c);
 }
 
-/* A whole record for LANES sets of parameters (LANES x N_PARAMETERS) side by side, as proceed() runs each. inputs, steps: of n rows.
- * outputs: N_OUTPUTS x n rows of LANES, `stride` numbers from row to row. APART: their largest steps differ, so they would take
- * different steps; or there is no memory. */
-WIDEST int alike(const double *parameters, const double *inputs, const double *steps, double late, long n, long stride,
-                 double *outputs) {
-  double v[N_VALUES][LANES], own[N_VALUES] = {0}, tangents[N_TANGENTS], largest = INFINITY;
-  for (int k = 0; k < LANES; k++) {
-    memcpy(own, inputs, N_INPUTS * sizeof *inputs);
-    memcpy(own + N_INPUTS + N_OUTPUTS, parameters + k * N_PARAMETERS, N_PARAMETERS * sizeof *parameters);
-    start(own, tangents);
-    for (int i = 0; i < N_VALUES; i++) v[i][k] = own[i];
-    if (k && largest_step(own) != largest) return APART;
-    largest = largest_step(own);
-  }
-  Table kept;
-  if (!table_begins(&kept, sizeof(LaneConstants))) return APART;
-  for (long row = 0; row < n; row++) {
+/* The rows from `first` to before `end` of n. outputs: of all rows, N_OUTPUTS x n rows of LANES, `stride` numbers from row to row. */
+WIDEST static void lanes_proceed(Lanes *m, const double *inputs, const double *steps, double late, long first, long end, long n,
+                                 long stride, double *outputs) {
+  _Alignas(64) double v[N_VALUES][LANES]; /* vectors that span two cache lines take twice as long */
+  memcpy(v, m->v, sizeof v);
+  for (long row = first; row < end; row++) {
     for (int i = 0; i < N_OUTPUTS; i++) memcpy(outputs + (i * n + row) * stride, v[N_INPUTS + i], sizeof v[0]);
     if (row == n - 1) break;
     const double *held = inputs + row * N_INPUTS;
@@ -166,15 +181,29 @@ WIDEST int alike(const double *parameters, const double *inputs, const double *s
     if (moved) {
       for (int i = 0; i < N_INPUTS; i++)
         for (int k = 0; k < LANES; k++) v[i][k] = held[COMMANDED[i] ? i - N_INPUTS : i];
-      advance_lanes(v, &kept, largest, late * span);
+      lanes_advance(m, v, late * span);
       span *= 1.0 - late;
     }
     for (int i = 0; i < N_INPUTS; i++)
       for (int k = 0; k < LANES; k++) v[i][k] = held[i];
-    advance_lanes(v, &kept, largest, span);
+    lanes_advance(m, v, span);
   }
-  free(kept.entries);
+  memcpy(m->v, v, sizeof v);
   LEAVE_VECTORS;
-  return DONE;
+}
+
+/* A whole record for groups x LANES sets of parameters, as proceed() runs each. inputs, steps: of n rows. outputs: N_OUTPUTS x n
+ * rows of groups x LANES. done (groups): whether the group's outputs are there; see lanes_begin(). */
+void side_by_side(const double *parameters, long groups, const double *inputs, const double *steps, double late, long n,
+                  double *outputs, char *done) {
+  Lanes *all = calloc(groups, sizeof *all);
+  for (long g = 0; g < groups; g++) done[g] = all && lanes_begin(all + g, parameters + g * LANES * N_PARAMETERS, inputs);
+  for (long first = 0; first < n; first += STRETCH)
+    for (long g = 0; g < groups; g++)
+      if (done[g])
+        lanes_proceed(all + g, inputs, steps, late, first, first + STRETCH < n ? first + STRETCH : n, n, groups * LANES,
+                      outputs + g * LANES);
+  for (long g = 0; all && g < groups; g++) free(all[g].constants.entries);
+  free(all);
 }
 #endif

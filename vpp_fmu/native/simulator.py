@@ -30,7 +30,7 @@ class Simulator:
         self.model, self.wrt = model, tuple(wrt)
         self._inputs = [s.name for s in model.inputs]
         self.outputs = tuple(s.name for s in model.outputs)
-        self._run, self._alike = _runner(_Chain(model), self.wrt)
+        self._run, self._side_by_side = _runner(_Chain(model), self.wrt)
 
     def simulate(
         self,
@@ -63,24 +63,16 @@ class Simulator:
 
         A step is a chain of dependent operations, so LANES parallel runs take little longer than one.
         """
-        found = np.empty((len(self.outputs), len(steps) + 1, len(points)))
-        for first in range(0, len(points), LANES):
-            self._side_by_side(points[first : first + LANES], inputs, steps, late, found[:, :, first : first + LANES])
-        return np.moveaxis(found, 0, 1)
-
-    def _side_by_side(self, points, inputs, steps, late, found: np.ndarray) -> None:
-        """Fill `found` (outputs, rows, points) with the outputs of LANES points at most."""
-        if self._alike is not None and len(points) > 1:
+        found = np.empty((len(self.outputs), len(steps) + 1, -(-len(points) // LANES) * LANES))
+        done = np.zeros(found.shape[2] // LANES, bool)
+        if self._side_by_side is not None and len(points) > 1:
             first, columns, seconds = self._prepared(points[0], inputs, steps)
             values = [first, *(np.array(list(self.model.values(point).values())) for point in points[1:])]
-            values += values[-1:] * (LANES - len(points))
-            outputs = found if len(points) == LANES else np.empty((len(self.outputs), len(columns), LANES))
-            if self._alike(np.array(values), columns, seconds, late, outputs):
-                if outputs is not found:
-                    found[...] = outputs[:, :, : len(points)]
-                return
-        for k, point in enumerate(points):
-            found[:, :, k] = self.simulate(point, inputs, steps, late).T
+            values += values[-1:] * (found.shape[2] - len(points))
+            self._side_by_side(np.array(values), columns, seconds, late, found, done)
+        for k in np.flatnonzero(~np.repeat(done, LANES)[: len(points)]).tolist():
+            found[:, :, k] = self.simulate(points[k], inputs, steps, late).T
+        return np.moveaxis(found[:, :, : len(points)], 0, 1)
 
     def sensitivities(self, parameters, inputs, steps, late: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """As `simulate`, and the derivatives of all outputs (rows, outputs, wrt)."""
@@ -180,10 +172,10 @@ def rows_source(model: Model) -> str:
 
 @lru_cache(maxsize=1024)
 def _runner(chain: _Chain, wrt: tuple[str, ...]):
-    """(run, alike). `run(parameters, inputs, steps, late, plain)`: a generator that fills each (rows, outputs, tangents) sent
-    to it; tangents: arrays (rows, wrt) by output, {} in a plain run. `alike(parameters (LANES, n), inputs, steps, late, outputs
-    (outputs, rows, LANES))`: fills the outputs, whose rows may be strided, and returns whether these runs take the same steps;
-    None if no runs do."""
+    """(run, side_by_side). `run(parameters, inputs, steps, late, plain)`: a generator that fills each (rows, outputs, tangents)
+    sent to it; tangents: arrays (rows, wrt) by output, {} in a plain run. `side_by_side(parameters (runs, n), inputs, steps,
+    late, outputs (outputs, rows, runs), done (runs / LANES,))`: fills the outputs of LANES runs each if they take the same
+    steps, and sets `done`; None if no runs do."""
     try:
         return _compiled(chain, wrt)
     except CompilerMissing as missing:
@@ -224,15 +216,15 @@ def _compiled(chain: _Chain, wrt: tuple[str, ...]):
         finally:
             library.end(begun)
 
-    if not hasattr(library, "alike"):
+    if not hasattr(library, "side_by_side"):
         return run, None
-    library.alike.argtypes = [vector, vector, vector, real, whole, whole, address]
+    library.side_by_side.argtypes = [vector, whole, vector, vector, real, whole, vector, address]
+    library.side_by_side.restype = None
 
-    def alike(values, inputs, steps, late, outputs) -> bool:
-        stride = outputs.strides[1] // outputs.itemsize
-        return library.alike(values, inputs, steps, late, len(inputs), stride, outputs.ctypes.data) == 0
+    def side_by_side(values, inputs, steps, late, outputs, done) -> None:
+        library.side_by_side(values, len(done), inputs, steps, late, len(inputs), outputs, done.ctypes.data)
 
-    return run, alike
+    return run, side_by_side
 
 
 def _interpreted(program: Program):
