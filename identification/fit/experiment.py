@@ -40,8 +40,9 @@ class Experiment:
     def __init__(self, records: Sequence[Fitted], noise: Noise, channels: Sequence[str] = CHANNELS):
         if not all(isinstance(r, Fitted) for r in records):
             raise TypeError("a fit takes only records with the role of fitted ones")
-        own = [_on_ticks(r.record) for r in records]
-        self.records, self.record, self.noise, self.channels = tuple(records), own[0], noise, tuple(channels)
+        self.records = tuple(map(_on_ticks, records))
+        own = [r.record for r in self.records]
+        self.record, self.noise, self.channels = own[0], noise, tuple(channels)
         thrust = np.stack([_thrust(r, "thrust" in channels) for r in own])
         self._measured = np.isfinite(thrust).all(axis=0)
         self.thrust_rows = np.where(self._measured, thrust.mean(axis=0), np.nan)
@@ -222,17 +223,17 @@ def _thrust(record: Record, counts: bool) -> np.ndarray:
 
 
 TICKS = 256
-"""Ticks of a row, to which the times of uneven rows are rounded: a hundredth of the shortest lag that such rows resolve."""
+"""Ticks of a row, to which the times of uneven rows are rounded. It moves a time by 1/512 of a row at most."""
 
 
-def _on_ticks(record: Record) -> Record:
+def _on_ticks(one: Fitted) -> Fitted:
     """The record with its times rounded to TICKS of a row, if very many of its steps differ: a simulation then needs constants
     for some hundred steps, not for each row. Rounding does not add up over rows."""
-    tick = round(record.period / TICKS, 9)
+    record, tick = one.record, round(one.record.period / TICKS, 9)
     if len(np.unique(record.steps)) <= 2 * TICKS or not tick > 0.0:
-        return record
+        return one
     time = np.round(np.round(record.time / tick) * tick, 9)
-    return record.with_columns(time=time) if np.all(np.diff(time) > 0.0) else record
+    return replace(one, record=record.with_columns(time=time)) if np.all(np.diff(time) > 0.0) else one
 
 
 def _index(mask: np.ndarray) -> np.ndarray | slice:

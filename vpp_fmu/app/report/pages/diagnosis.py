@@ -210,7 +210,7 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
 
 def tiles(found: Diagnosis) -> list[tuple[str, str, str]]:
     """At most six (label, value, note) for the page: the finding, the errors, and the first sizes of the effects."""
-    figures = {label: (label, value, note) for label, value, note in key_figures(found)}
+    figures = key_figures(found)
     where = "unseen record" if found.unseen is not None else "cross-validated"
     (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
     both = f"{number(before)} → {size(after, 'N')}" if found.final.effects else size(before, "N")
@@ -218,11 +218,11 @@ def tiles(found: Diagnosis) -> list[tuple[str, str, str]]:
     shown.append(("thrust error", both, f"{where}; noise {size(found.noise.floor, 'N')}"))
     if found.explained is not None:
         shown.append(("error beyond the noise", f"{100 * found.explained:.0f} %", f"removed, {where}"))
-    shown.append(("lack of fit", figures["lack of fit"][1], f"p {chance(found.after.p, '= ')}"))
+    shown.append(("lack of fit", _lack(found)[1], f"p {chance(found.after.p, '= ')}"))
     if found.quality:
         label, value, _ = quality_tile(found.quality)
         shown.append((label, value, "listed below"))
-    sizes = [figure for figure in key_figures(found)[: MOST_TILES - len(shown)] if figure[0].startswith(_titles(found))]
+    sizes = [figure for figure in figures[: MOST_TILES - len(shown)] if figure[0].startswith(_titles(found))]
     return [*((label, value, note.partition(";")[0]) for label, value, note in sizes), *shown]
 
 
