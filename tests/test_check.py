@@ -22,6 +22,7 @@ from identification.gate.files import (
     of_files,
     pole_pairs,
     said_of_size,
+    speed_ratio,
     turns_a_value,
 )
 from identification.gate.finding import ERROR, KINDS, acceptable
@@ -482,3 +483,8 @@ def test_a_nearly_constant_pitch_is_in_rad_only_if_degrees_are_beyond_the_other_
         for where, ends in (("static.csv", (-5.5, 9.0)), ("validation.csv", (middle - 0.13, middle + 0.13)))
     ]
     assert [finding.code for finding in _pitches(files)] == codes
+
+
+@pytest.mark.parametrize("command", [np.zeros(9), np.full(9, -4000.0), np.r_[np.full(8, -4000.0), 0.0]])
+def test_commands_that_are_never_above_zero_have_no_ratio_of_speeds(command):
+    assert speed_ratio(np.full(9, 4000.0), command) is None

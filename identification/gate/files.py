@@ -184,9 +184,9 @@ def _ratio(file: File) -> float | None:
 
 def speed_ratio(omega: np.ndarray, command: np.ndarray) -> float | None:
     """Median of measured over commanded speed, each (n,) rpm, without commands near rest; None without any."""
-    moving = np.isfinite(omega) & (command > 0.2 * command.max())
+    moving = np.isfinite(omega) & (command > 0.0) & (command > 0.2 * command.max())
     ratio = float(np.median(omega[moving] / command[moving])) if moving.any() else 0.0
-    return ratio if ratio > 0.0 else None
+    return ratio if 0.0 < ratio < np.inf else None
 
 
 def speed_unit(ratio: float) -> tuple[str, str, str] | None:
