@@ -184,8 +184,9 @@ def _ratio(file: File) -> float | None:
 
 def speed_ratio(omega: np.ndarray, command: np.ndarray) -> float | None:
     """Median of measured over commanded speed, each (n,) rpm, without commands near rest; None without any."""
-    moving = np.isfinite(omega) & (command > 0.0) & (command > 0.2 * command.max())
-    ratio = float(np.median(omega[moving] / command[moving])) if moving.any() else 0.0
+    moving = np.isfinite(omega) & (command > 0.2 * command.max())
+    with np.errstate(over="ignore"):  # a damaged command may be next to 0
+        ratio = float(np.median(omega[moving] / command[moving])) if moving.any() else 0.0
     return ratio if 0.0 < ratio < np.inf else None
 
 
