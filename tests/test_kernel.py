@@ -22,7 +22,8 @@ DTS = [1e-6, 1e-4, 0.004, 0.0301, 0.5, 3.0, 100.0]
 
 def precise(function, *args: float) -> float:
     """`function` of Decimals that hold the floats exactly, with 80 digits."""
-    with localcontext(prec=80):
+    with localcontext() as context:
+        context.prec = 80
         return float(function(*map(Decimal, args)))
 
 

@@ -112,7 +112,7 @@ def _theory(problem: Problem, std: float, memory: float) -> tuple[np.ndarray, np
     values = np.array([TRUTH[n] for n in coordinates.names])
     slopes = np.vstack([np.eye(len(values)), [_slope(form, values) for form in FORMS.values()]]) @ coordinates.jacobian(x)
     theory = np.sqrt(np.einsum("ij,jk,ik->i", slopes, of_coordinates, slopes))
-    draws = MultivariateNormalQMC(x, of_coordinates, rng=0).random(DRAWS)
+    draws = MultivariateNormalQMC(x, of_coordinates, seed=0).random(DRAWS)
     there = [coordinates.values(np.clip(draw, coordinates.lower, coordinates.upper)) for draw in draws]
     errors = [[p[n] - TRUTH[n] for n in coordinates.names] + [form(p) - form(TRUTH) for form in FORMS.values()] for p in there]
     return theory, np.sqrt(np.mean(np.square(errors), axis=0))
