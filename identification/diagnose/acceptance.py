@@ -60,7 +60,10 @@ class Judge:
         size, least, material = self._size(with_it, without, declared.common)
         carries_over = bool(declared.common) or self._carries_over(with_it, without)
         refused = refusals(likelihood_gain, needed, evidence, gain, more, material, carries_over)
-        return Judgement(effect, float(likelihood_gain), needed, float(evidence), gain, size, least, material, tuple(refused))
+        small = bool(refused) and not refusals(likelihood_gain, needed, evidence, gain, more, True, True)
+        return Judgement(
+            effect, float(likelihood_gain), needed, float(evidence), gain, size, least, material, tuple(refused), small
+        )
 
     def likelihood_gain(self, with_it: Fit, without: Fit) -> tuple[dict[str, float], float]:
         """(log-likelihood gain of an effect by channel; the part of it that errors in the forms of the others may cause). The

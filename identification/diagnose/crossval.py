@@ -198,5 +198,7 @@ def _errors(
 
 
 def rms(parts: Sequence[np.ndarray]) -> float:
-    """Root mean square of the finite numbers of all parts."""
-    return float(np.sqrt(np.nanmean(np.concatenate(parts) ** 2)))
+    """Root mean square of the finite numbers of all parts; NaN without any."""
+    every = np.concatenate(parts)
+    seen = every[np.isfinite(every)]
+    return float(np.sqrt(np.mean(seen**2))) if len(seen) else np.nan

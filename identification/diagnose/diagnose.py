@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice
 
 from threadpoolctl import threadpool_limits
 
@@ -20,28 +19,28 @@ from identification.diagnose.guess import Guess, best_guess
 from identification.diagnose.initial_model import (
     InitialModel,
     exportable,
+    fitted_base,
     from_given,
     from_identification,
-    prepared,
-    with_lower_noise,
     with_slow_noise,
 )
-from identification.diagnose.judgement import FORM, MIN_EVIDENCE, Smallest
-from identification.diagnose.lack_of_fit import LackOfFit, with_rotor_order
-from identification.diagnose.learned.learn import Attempt, Learned, learn
+from identification.diagnose.judgement import MIN_EVIDENCE, Smallest
+from identification.diagnose.lack_of_fit import LackOfFit
+from identification.diagnose.learned.learn import NAME, Attempt, Learned, learn
 from identification.diagnose.locate import locate
-from identification.diagnose.search.candidates import Candidate, candidates
+from identification.diagnose.search.candidates import candidates
 from identification.diagnose.search.fits import Fit
 from identification.diagnose.search.refits import evidence_over
-from identification.diagnose.selection import Selection, nearest, select, without_weakest
-from identification.diagnose.validation import CHANGED, next_valid_alternative, unnamed, validated, verdict
+from identification.diagnose.selection import Selection, nearest, without
+from identification.diagnose.stages import Stage, joined, lack_of, searched, selection_of, verdict_of
+from identification.diagnose.validation import CHANGED, unnamed, validated
 from identification.fit.coordinates import CHANNELS, slowest
 from identification.fit.noise import Noise
 from identification.gate.finding import Finding
 from identification.gate.gate import Passed, passed
 from identification.identify import Identification, off_bounds
-from identification.logger import SIGNIFICANT, Logger
-from identification.logger_fit import as_logged, likely_loggers
+from identification.logger import Logger
+from identification.logger_fit import likely_loggers
 from identification.power.diagnose import PowerDiagnosis, diagnose_power
 from identification.roles import Fitted, Unseen, roles
 from vpp_fmu.campaign import Campaign
@@ -52,18 +51,6 @@ from vpp_fmu.native.memory import give_back
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig
-
-SHIFTS = ("row_clock", "reading_delay", "sensor_lag", "speed_delay", "pitch_delay")
-"""Effects that shift a response in time, as an offset of the logger does."""
-
-LATE = (*SHIFTS, "inflow_lag", "pitch_rate_feedthrough")
-"""Effects that resemble a wrong offset. The last two do more: an offset is estimated both without and beside them."""
-
-OTHERS = 2
-"""Maximum number of other loggers with which a campaign is diagnosed."""
-
-MOST_OF_LOGGER = 100.0
-"""Evidence of effects (nats) from which no other logger is tried: ten times the difference of loggers not distinguished."""
 
 UNEXPLAINED = ("partly", "unexplained")
 """Verdicts with an unexplained lack of fit; a best guess is added."""
@@ -108,6 +95,7 @@ class Diagnosis:
     attempt: Attempt
     best_guess: Guess | None
     not_tried: tuple[str, ...]
+    channels: Mapping[str, Mapping]
     power: PowerDiagnosis | None = None
 
     @property
@@ -210,10 +198,7 @@ def diagnose(
     term of unknown form is learned. `budget` [s]: no further step of the search begins after this time; the result then depends
     on the machine's speed. BadInput if the campaign has no record to fit.
 
-    The logger is estimated first, beside the base model. Unless the verdict is then none, other loggers that are not
-    distinguished from it are tried, too. A missing effect may bias this estimate. So the logger is estimated again beside the
-    effects that are found. If it differs significantly, the campaign is diagnosed with it, too; if a found effect resembles an
-    offset, a difference of one standard error suffices.
+    The logger is estimated first, beside the base model.
     """
     effort = Effort(budget, thorough, stage, progress)
     # The fits run in parallel, each with one thread of linear algebra.
@@ -226,22 +211,6 @@ def diagnose(
         stage("logger")
         likely = likely_loggers(gate, *present, each=pool.map)
         found = _searched(task, next(likely))
-        for other in islice(likely, OTHERS) if _may_be_loggers(found) else ():
-            if found.verdict == "none" or not effort.allows("another logger"):
-                break
-            if _missing(again := _searched(task, other)) < _missing(found):
-                found = _simpler(found, again)
-        known, kept = [e.name for e in library], given.without_power.model.optional if given else ()
-        before: list[str] | None = None
-        for resembling in (LATE, SHIFTS):
-            named = [name for name in found.selection.final.effects if name in known]
-            beside = [name for name in named if name not in resembling]
-            if not named or beside == before or not effort.allows(f"another logger beside {' + '.join(named)}"):
-                continue
-            stage("logger")
-            before, again = beside, as_logged(gate, [*kept, *beside], library, found.selection.final.values, pool.map)
-            if not again.logger.agrees_with(found.logger, 1.0 if set(named) & set(LATE) else SIGNIFICANT):
-                found = _simpler(found, _searched(task, again))
         done = _concluded(task, found)
         return replace(done, not_tried=tuple(effort.not_tried), power=_power(done))
 
@@ -268,23 +237,18 @@ class _Task:
 @dataclass(frozen=True)
 class _Searched:
     """A campaign, corrected for one logger and searched for effects of the library: a `Diagnosis` before a term is learned.
-    `at`: the start of the search. `options`: the candidates. `shipped(present, base, found, partly)`: validation."""
+    `at`: the start of the search; `judge`: of all channels; `base`, `final`: the identified and the validated model."""
 
     gate: Passed
     at: InitialModel
     groups: Sequence[Sequence[Fitted]]
     unseen: Unseen | None
-    options: Sequence[Candidate]
     judge: Judge
     distinguishability: Distinguishability
-    selection: Selection
-    verdict: str
-    before: LackOfFit
-    after: LackOfFit
+    stages: Sequence[Stage]
     base: Fit
     final: Fit
     refuted: str
-    shipped: Callable[..., tuple[Fit, str]]
 
     @property
     def logger(self) -> Logger:
@@ -294,116 +258,115 @@ class _Searched:
     def held_out_after(self) -> HeldOut:
         return self.judge.held_out(self.final)
 
+    @property
+    def word(self) -> str:
+        """The verdict, of the base if validation refutes the selected set."""
+        return unnamed(lack_of(self.stages, "before")) if self.refuted else verdict_of(self.stages)
 
-def _may_be_loggers(found: _Searched) -> bool:
-    """Whether another logger may explain the effects or the lack of fit. Loggers that are not distinguished differ by few nats,
-    also in records longer than those of the logger's estimate."""
-    selection = found.selection
-    return found.verdict != "none" and evidence_over(selection.final, selection.base) < MOST_OF_LOGGER
+    def selection(self, stages: Sequence[Stage] | None = None) -> Selection:
+        return selection_of(self.judge.searcher, self.judge.base, self.stages if stages is None else stages)
 
+    def validated(self, stages: Sequence[Stage]) -> "_Searched":
+        """The same with these stages, their effects validated together."""
+        found, partly = self.selection(stages).final, verdict_of(stages) == "partly"
+        if found is self.judge.base:
+            return replace(self, stages=stages, final=self.base, refuted="")
+        final, why = self.shipped(self.base, self.judge.base, found, partly)
+        return replace(self, stages=stages, final=final, refuted=why)
 
-def _missing(found: _Searched) -> tuple[int, bool]:
-    """(number of effects, whether the verdict is not none). The diagnosis with the smaller value is preferred."""
-    return len(found.final.effects), found.verdict != "none"
-
-
-def _simpler(one: _Searched, other: _Searched) -> _Searched:
-    """The one with fewer effects, if its held-out mean square error exceeds that of the other by at most the share FORM."""
-    few, many = sorted((one, other), key=lambda found: (*_missing(found), found.held_out_after.rmse_thrust))
-    powers = [found.held_out_after.rmse_thrust**2 for found in (few, many)]
-    return few if powers[0] <= (1.0 + FORM) * powers[1] else many
+    def shipped(self, present: Fit, beside: Fit, found: Fit, partly: bool = False) -> tuple[Fit, str]:
+        """(final model, why held-out data refute `found`, fitted beside another set, in place of the `present` model)."""
+        return validated(self.judge, self.at.knowledge, self.unseen, present, beside, found, partly)
 
 
 def _searched(task: _Task, gate: Passed) -> _Searched:
     """Search a campaign whose records passed the `gate`, corrected for its logger."""
     task.effort.stage("identify")
     groups, unseen = roles(gate.campaign, gate.further)
-    fitted = tuple(one for group in groups for one in group)
+    records = [one.record for group in groups for one in group]
     if task.given:
-        at = from_given(gate.campaign, task.given.without_power, task.library, [one.record for one in fitted])
+        at = from_given(gate.campaign, task.given.without_power, task.library, records)
     else:
         at = from_identification(task.campaign, gate, task.library, task.seed)
-    options = candidates(at.library, [one.record for one in fitted])
-    task.effort.stage("noise")
+    options, runs = candidates(at.library, records), gate.campaign.steps
     give_back()
-    searcher, base = prepared(groups, at, options, task.pool)
-    judge = Judge(searcher, base, task.smallest, gate.campaign.steps)
-    searcher.base_score_gain = judge.lack(base).score.gain
+    stages = searched(groups, runs, at, options, task.smallest, task.effort, task.pool)
+    noises = [s.judge.searcher.experiments[0].noise for s in stages]
+    searcher, base = fitted_base(groups, at, replace(noises[-1], speed=noises[0].speed), at.values)
+    searcher.points = max(s.judge.searcher.points for s in stages)
+    judge = Judge(searcher, base, task.smallest, runs)
     task.effort.stage("distinguishable effects")
     distinguishable = distinguishability(base, options, at.library, task.pool.map)
     give_back()
-
-    def clearer(judge: Judge, fit: Fit) -> Judge | None:
-        there = with_lower_noise(groups, at, judge.searcher, judge.base, fit)
-        return there and Judge(*there, task.smallest, gate.campaign.steps)
-
-    judge, selection = select(judge, options, clearer, task.effort, task.pool)
-    searcher, base = judge.searcher, judge.base
-    give_back()
-    before = with_rotor_order(judge.lack(base), base)
+    task.effort.stage("validate")
     identified = base.estimated(at.refinement, at.uncertainty)
-    shipped = partial(validated, judge, at.knowledge, unseen)
-
-    def checked(selection: Selection) -> tuple[LackOfFit, str, Fit, str]:
-        """(lack of fit, verdict, final model, why it is refuted) of a set."""
-        after = with_rotor_order(judge.lack(selection.final), selection.final)
-        word = verdict(base, selection.final, before, after, selection.family)
-        if word not in CHANGED:
-            return after, word, identified, ""
-        return after, word, *shipped(identified, base, selection.final, word == "partly")
-
-    after, word, final, refuted = checked(selection)
-    while refuted and task.effort.allows("other effects in place of the refuted"):
-        if others := next_valid_alternative(selection, refuted, judge, base, before, partial(shipped, identified, base)):
-            (selection, after, final), refuted = others, ""
-            word = verdict(base, selection.final, before, after, selection.family)
-        elif len(selection.final.effects) > len(base.effects) + 1:
-            selection = without_weakest(judge, selection, refuted, task.pool)
-            after, word, final, refuted = checked(selection)
-        else:
+    found = _Searched(gate, at, groups, unseen, judge, distinguishable, stages, identified, identified, "").validated(stages)
+    while found.refuted and task.effort.allows("other effects in place of the refuted"):
+        if (other := _other(found)) is None:
             break
-    return _Searched(
-        gate=gate,
-        at=at,
-        groups=groups,
-        unseen=unseen,
-        options=options,
-        judge=judge,
-        distinguishability=distinguishable,
-        selection=selection,
-        verdict=unnamed(before) if refuted else word,
-        before=before,
-        after=after,
-        base=identified,
-        final=final,
-        refuted=refuted,
-        shipped=shipped,
-    )
+        found = other
+    return found
+
+
+def _other(found: _Searched) -> _Searched | None:
+    """The search with the best rival of an effect that held-out data refute, if they do not refute the rival, too; else without
+    the effect of least evidence; None if it has only one. The fitted data did not distinguish the rivals: further valid ones
+    form its family."""
+    pairs = [
+        (k, effect, name) for k, s in enumerate(found.stages) for effect, fits in s.selection.rivals.items() for name in fits
+    ]
+    valid: list[tuple[int, str, str, _Searched]] = []
+    for k, effect, name in sorted(pairs, key=lambda p: found.stages[p[0]].selection.rivals[p[1]][p[2]].bic()):
+        stage = found.stages[k]
+        selection, fit = stage.selection, stage.selection.rivals[effect][name]
+        judgements = {n: stage.judge(n, fit, without(stage.judge.searcher, selection.base, fit, n)) for n in fit.effects}
+        refused = {**selection.refused, effect: replace(selection.judgements[effect], refused=(found.refuted,))}
+        rivals = {e: fits for e, fits in selection.rivals.items() if e != effect} | {name: {}}
+        other = stage.with_final(fit, judgements, refused=refused, rivals=rivals)
+        tried = found.validated([*found.stages[:k], other, *found.stages[k + 1 :]])
+        if not tried.refuted and tried.word in CHANGED:
+            valid.append((k, effect, name, tried))
+    if valid:
+        (k, effect, name, best), *rest = valid
+        family = {n: tried.stages[k].selection.final for i, e, n, tried in rest if (i, e) == (k, effect)}
+        best.stages[k].selection.rivals[name] = family
+        return best
+    judged = {(k, n): j for k, s in enumerate(found.stages) for n, j in s.selection.judgements.items()}
+    if len(judged) < 2:
+        return None
+    k, weakest = min(judged, key=lambda each: judged[each].evidence)
+    stage = found.stages[k]
+    selection = stage.selection
+    rest = without(stage.judge.searcher, selection.base, selection.final, weakest)
+    kept = {n: j for n, j in selection.judgements.items() if n != weakest}
+    refused = {**selection.refused, weakest: replace(judged[k, weakest], refused=(found.refuted,))}
+    fewer = stage.with_final(rest, kept, refused=refused, rivals={n: {} for n in kept})
+    return found.validated([*found.stages[:k], fewer, *found.stages[k + 1 :]])
 
 
 def _concluded(task: _Task, found: _Searched) -> Diagnosis:
     """The diagnosis from a search: a term of unknown form is learned if lack of fit remains, and the next experiment chosen."""
-    at, judge, selection, after, attempt = found.at, found.judge, found.selection, found.after, Attempt()
-    searcher, base, final, refuted, word = judge.searcher, judge.base, found.final, found.refuted, found.verdict
-    lack = found.before if refuted else after
-    if task.effort.thorough and word in UNEXPLAINED and lack.significant and task.effort.allows("a term of unknown form"):
-        besides = [base, selection.final] if word == "partly" else [base]
-
-        def learned_beside(beside: Fit) -> Attempt:
-            return learn(searcher, beside, task.smallest, at.rig.scales, found.gate.campaign.steps, task.pool, task.effort)
-
-        attempt, final = _learned(learned_beside, besides, judge, final, found.shipped)
-    if attempt.learned:
-        word, refuted, selection = "learned", "", _with(selection, attempt.learned)
-        after = with_rotor_order(judge.lack(selection.final), selection.final)
+    at, judge, final, refuted, word = found.at, found.judge, found.final, found.refuted, found.word
+    selection, before, after = found.selection(), lack_of(found.stages, "before"), lack_of(found.stages, "after")
+    attempt, learned_in = Attempt(), None
+    open_stages = [s for s in found.stages if (s.before if refuted else s.after).significant]
+    for stage in open_stages if task.effort.thorough and word in UNEXPLAINED else ():
+        if not task.effort.allows("a term of unknown form"):
+            break
+        attempt, final = _learned(task, found, stage, final)
+        if attempt.learned:
+            word, refuted, learned_in = "learned", "", stage
+            selection = _with(selection, attempt.learned)
+            lack = stage.judge.lack(attempt.learned.stage_fit)
+            after = lack_of([replace(s, after=lack) if s is stage else s for s in found.stages], "after")
+            break
     identified = found.base
     if word == "none":
-        identified = final = with_slow_noise(found.groups, at, searcher.experiments[0].noise, found.base)
+        identified = final = with_slow_noise(found.groups, at, judge.searcher.experiments[0].noise, found.base)
     fitted = tuple(one for group in found.groups for one in group)
     experiment, guess = discriminating_experiment(_timed(at, final), task.seed, fitted[0].record.period), None
     if word in UNEXPLAINED:
-        tried = partial(nearest, judge, selection, found.options, task.effort, task.pool)
-        guess = best_guess(judge, selection, (found.before, after), refuted, word == "partly", tried, experiment)
+        guess = _guessed(task, found, open_stages, experiment)
     shown = predict(final.problem.model, final.values, fitted[0].record)
     quality = at.identification.quality if at.identification else found.gate.findings
     narrowed = tuple(_narrowed_thresholds(selection.final, final, found.unseen))
@@ -416,11 +379,11 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
         rig=at.rig,
         fitted=fitted,
         base=identified,
-        noise=searcher.experiments[0].noise,
+        noise=judge.searcher.experiments[0].noise,
         reading_noise=at.noise,
         selection=selection,
         verdict=word,
-        before=found.before,
+        before=before,
         after=after,
         distinguishability=found.distinguishability,
         location=locate([one.record for one in found.groups[0]], shown.thrust, shown.omega, shown.beta),
@@ -433,7 +396,24 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
         attempt=attempt,
         best_guess=guess,
         not_tried=tuple(task.effort.not_tried),
+        channels=_channels(found, learned_in, refuted),
     )
+
+
+def _channels(found: _Searched, learned_in: Stage | None, refuted: str) -> dict[str, dict]:
+    """Verdict and names of effects of each stage."""
+    shown = {s.name: {"verdict": s.word, "effects": list(s.accepted.effects)} for s in found.stages}
+    if refuted:
+        shown = {s.name: {"verdict": unnamed(s.before), "effects": []} for s in found.stages}
+    return shown | ({learned_in.name: {"verdict": "learned", "effects": [NAME]}} if learned_in else {})
+
+
+def _guessed(task: _Task, found: _Searched, open_stages: Sequence[Stage], experiment: Record) -> Guess | None:
+    """The best guess in the last stage with lack of fit: the thrust, if both have."""
+    stage = (open_stages or found.stages)[-1]
+    selection, partly = stage.selection, stage.word == "partly" and not found.refuted
+    tried = partial(nearest, stage.judge, selection, stage.options, task.effort, task.pool)
+    return best_guess(stage.judge, selection, (stage.before, stage.after), found.refuted, partly, tried, experiment)
 
 
 def _narrowed_thresholds(before: Fit, after: Fit, unseen: Unseen | None) -> Iterator[Finding]:
@@ -448,35 +428,32 @@ def _narrowed_thresholds(before: Fit, after: Fit, unseen: Unseen | None) -> Iter
             yield Finding("narrowed", source, name, after.values[name], unit, f"{fitted}, {supported}", cause)
 
 
-def _learned(
-    learned_beside: Callable[[Fit], Attempt],
-    besides: Sequence[Fit],
-    judge: Judge,
-    present: Fit,
-    shipped: Callable[[Fit, Fit, Fit], tuple[Fit, str]],
-) -> tuple[Attempt, Fit]:
-    """(attempt to learn a term; final model: the `present` one if no term is accepted).
+def _learned(task: _Task, found: _Searched, stage: Stage, present: Fit) -> tuple[Attempt, Fit]:
+    """(attempt to learn a term in a stage; final model: the `present` one if no term is accepted).
 
     Effects that explain only a part may approximate one effect outside the library. So a term is learned beside the base first:
     it must have more evidence than they have and leave no lack of fit. Then a term is learned beside them. If lack of fit
     remains, and a term of another port or driver explains as much, both are rejected: they fit these records, but do not
     extrapolate.
     """
-    known, attempt = besides[-1], Attempt()
-    for beside in besides:
-        attempt = learned_beside(beside)
+    judge, selection, known = stage.judge, stage.selection, stage.accepted
+    others = [s.accepted for s in found.stages if s is not stage]
+    for beside in [selection.base, known] if known.effects else [selection.base]:
+        attempt = learn(judge, beside, found.at.rig.scales, task.pool, task.effort)
         if not attempt.learned:
             continue
-        term, lack_remains = attempt.learned.term.fit, judge.lack(attempt.learned.term.fit).significant
-        if beside is not known and (evidence_over(term, known) <= MIN_EVIDENCE or lack_remains):
+        term = attempt.learned.term
+        lack_remains = judge.lack(term.fit).significant
+        if beside is not known and (evidence_over(term.fit, known) <= MIN_EVIDENCE or lack_remains):
             attempt = attempt.but_refuted(f"{' + '.join(known.effects)} explains as much, or lack of fit remains")
             continue
         if lack_remains and attempt.learned.elsewhere:
             attempt = attempt.but_refuted("lack of fit remains, and a term at another port or driver explains as much")
             continue
-        final, why = shipped(present, beside, term)
+        together = joined(term.searcher(found.judge.searcher), found.judge.base, [*others, term.fit])
+        final, why = found.shipped(present, joined(found.judge.searcher, found.judge.base, [*others, beside]), together)
         if not why:
-            return attempt, final
+            return attempt.joined(together), final
         attempt = attempt.but_refuted(why)
     return attempt, present
 

@@ -15,9 +15,9 @@ from identification.diagnose.command_shapes import regress_out, speed_shapes, th
 from identification.diagnose.judgement import MIN_EVIDENCE, SLOW
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
-from identification.diagnose.search.refits import evidence_over, refitted, screened
+from identification.diagnose.search.refits import added, evidence_over, screened
 from identification.fit.coordinates import slowest
-from identification.fit.experiment import Experiment
+from identification.fit.experiment import CHANNELS, Experiment
 from identification.fit.noise import BLOCKS_A_TIME, Noise, blocks, independent, noise_from
 from identification.fit.refine import BASE_PARAMETERS, Refinement, refine
 from identification.fit.tachometer import Tachometer
@@ -62,7 +62,7 @@ def exportable(model: Model) -> Model:
 
 @dataclass(frozen=True)
 class InitialModel:
-    """The library, scaled for the `rig`, and the `names` of the free base parameters. `refinement`: start values, with their
+    """The library, scaled for the `rig`, and the `names` of the free base parameters. `channels`: those that are fitted. `refinement`: start values, with their
     `uncertainty`; `first`: values before any fit; `knowledge`: the prior from the steady points, None without any; `noise`: of
     one thrust reading; `identification`: the source of all this, None for a given model."""
 
@@ -75,11 +75,25 @@ class InitialModel:
     rig: Rig
     noise: ReadingNoise
     identification: Identification | None = None
+    channels: tuple[str, ...] = CHANNELS
 
     @property
     def values(self) -> Mapping[str, float]:
         """Start values of a search."""
         return self.refinement.values
+
+    @property
+    def fitted(self) -> tuple[str, ...]:
+        """The base parameters that the fitted channels determine; if thrust alone is fitted, the speed is known."""
+        if len(self.channels) > 1:
+            return self.names
+        return tuple(n for n in self.names if n.startswith("tau_omega") == (self.channels == ("omega",)))
+
+    def of_channels(self, *channels: str, library: Sequence[Effect], values: Mapping[str, float]) -> "InitialModel":
+        """The same for fits of some channels alone, with start values."""
+        knowledge = self.knowledge if "thrust" in channels else None
+        refinement = replace(self.refinement, values={**self.values, **values})
+        return replace(self, library=tuple(library), refinement=refinement, knowledge=knowledge, channels=channels)
 
 
 def from_identification(campaign: Campaign, gate: Passed, library: Iterable[Effect], seed: int) -> InitialModel:
@@ -135,12 +149,16 @@ def prepared(groups: Sequence[Sequence[Fitted]], at: InitialModel, options: Sequ
     of the base would count a missing effect as noise.
     """
     noise = _noise(groups, plant((), at.library), at.values, at.names, at)
-    searcher, base = _fitted_base(groups, at, noise, at.values)
+    searcher, base = fitted_base(groups, at, noise, at.values)
     if noise.verified:
         return searcher, base
     ranked = screened(searcher, base, options, pool)[:CLEARING]
-    fits = list(pool.map(lambda pair: refitted(searcher, base, *pair), ranked))
-    best = min(fits, key=Fit.bic, default=base)
+
+    def refitted(pair) -> Fit:
+        candidate, seen = pair
+        return added(searcher, base, candidate, {**base.values, **seen.values}, seen.slow_first)
+
+    best = min(pool.map(refitted, ranked), key=Fit.bic, default=base)
     found = with_lower_noise(groups, at, searcher, base, best) if evidence_over(best, base) > MIN_EVIDENCE else None
     return found or (searcher, base)
 
@@ -154,9 +172,11 @@ def with_lower_noise(
     if noise.verified:
         return None
     found = _noise(groups, fit.problem.model, fit.values, fit.problem.coordinates.names, at)
-    if not found.clearer_than(noise):
+    if at.channels == ("omega",):
+        found = replace(noise, speed=found.speed)
+    if not found.clearer_than(noise, at.channels):
         return None
-    again, base = _fitted_base(groups, at, found, base.values)
+    again, base = fitted_base(groups, at, found, base.values)
     again.points, again.base_score_gain = searcher.points, searcher.base_score_gain
     return again, base
 
@@ -171,17 +191,17 @@ def with_slow_noise(groups: Sequence[Sequence[Fitted]], at: InitialModel, noise:
         outputs = Simulator(base.problem.model).simulate(base.values, *record.run)
         speed = _speed_residual(record, outputs[:, 1])[1]
         noise = noise_from(record, [outputs[:, 0] - record["thrust"]], [speed], noise.block, SLOW, noise.floor, verified=False)
-    return _fitted_base(groups, at, noise, base.values)[1] if noise.colour.corner else base
+    return fitted_base(groups, at, noise, base.values)[1] if noise.colour.corner else base
 
 
-def _fitted_base(
+def fitted_base(
     groups: Sequence[Sequence[Fitted]], at: InitialModel, noise: Noise, values: Mapping[str, float]
 ) -> tuple[Searcher, Fit]:
     """(searcher on experiments with this noise, base fitted to them)."""
-    experiments = [Experiment(group, noise) for group in groups]
+    experiments = [Experiment(group, noise, at.channels) for group in groups]
 
     def fitted(values: Mapping[str, float], factor: float) -> tuple[Searcher, Fit]:
-        searcher = Searcher(experiments, at.names, at.knowledge, at.first, at.library, factor)
+        searcher = Searcher(experiments, at.fitted, at.knowledge, at.first, at.library, factor)
         return searcher, searcher.fit((), {}, (), values)
 
     searcher, base = fitted(values, WIDEST)
@@ -197,7 +217,7 @@ def _noise(
     block, std = at.rig.scales.time_scale / BLOCKS_A_TIME, at.noise.std
     group = max(groups, key=len)
     if len(group) < 2:
-        return _noise_of_residual(group[0], model, values, names, block, std)
+        return _noise_of_residual(group[0], model, values, list(dict.fromkeys([*at.names, *names])), block, std)
     outputs = Simulator(model).simulate(values, *group[0].record.run)
     errors = [outputs[:, 0] - one.record["thrust"] for one in group]
     share = np.sqrt(len(group) / (len(group) - 1.0))

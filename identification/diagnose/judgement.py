@@ -37,8 +37,11 @@ ACCURACY = 2e-4
 SLOW = 10.0
 """Hz: below, a repeatable residual is an error of the model; above, it may be vibration of bearings and blades."""
 
-MOST = 3
-"""Maximum number of effects of one diagnosis."""
+MOST = 6
+"""Maximum number of effects of one stage."""
+
+STRONG = 0.5
+"""Share of the evidence of a refused effect that another one needs to be accepted: a weaker one would stand in for it."""
 
 FOLDS, FOLD_BLOCK = 5, 5.0
 """Interleaved folds of the cross-validation, and seconds of their blocks: longer than any lag of a rig."""
@@ -63,7 +66,7 @@ class Judgement:
     `likelihood_gain`: gain of log-likelihood on the fitted records. `needed`: its threshold, from chance at the level ALPHA and
     from the forms of the other effects. `evidence`: the gain minus the BIC penalty. `gain`: cross-validated log-likelihood
     ratio by channel. `size` [N]: rms change of the thrust below SLOW; `least`: its minimum; `material`: the effect's thrust or
-    speed reaches its minimum. `refused`: reasons; empty: accepted."""
+    speed reaches its minimum. `refused`: reasons; empty: accepted; `small`: its size is the only one."""
 
     effect: str
     likelihood_gain: float
@@ -74,6 +77,7 @@ class Judgement:
     least: float
     material: bool = True
     refused: tuple[str, ...] = ()
+    small: bool = False
 
 
 @cache

@@ -101,6 +101,13 @@ class LackOfFit:
         return self.p < self.level
 
     @property
+    def missing(self) -> float:
+        """What is missing, to compare fits of one stage: power that repeats, else what the score test finds; of the speed."""
+        if self.bands:
+            return max(sum(band.power for band in self.bands), 0.0)
+        return max(self.score.gain, 0.0) if self.score.count else self.speed_rpm**2
+
+    @property
     def significant(self) -> bool:
         """Whether any check finds lack of fit above the minimum size."""
         return (self.certain and self.size > self.least) or self.speed_lack_of_fit or self.transient_lack_of_fit
@@ -163,20 +170,22 @@ def lack_of_fit(fit: Fit, least: float, least_speed: float = 0.0) -> LackOfFit:
     p = -float(np.expm1(len(tests) * np.log1p(-smallest))) if smallest < 1.0 else 1.0
     sizes = [np.sqrt(max(sum(b.power for b in bands), 0.0)) if bands else 0.0, _score_size(fit, score)]
     share = structured_speed_share(fit)
-    equivalent, rpm = thrust_equivalent(fit, share) if share > MAJORITY else (0.0, 0.0)
+    equivalent, rpm = thrust_equivalent(fit, share) if share > 0.0 else (0.0, 0.0)
     moving = transient_power_share(fit, "thrust")
     return LackOfFit(bands, score, p, float(max(sizes)), least, bool(fit.effects), share, equivalent, rpm, least_speed, *moving)
 
 
 def with_rotor_order(lack: LackOfFit, fit: Fit) -> LackOfFit:
     """The same with the test of the rotor order."""
+    if "thrust" not in fit.problem.experiments[0].channels:
+        return lack
     floor = max(e.noise.floor for e in fit.problem.experiments)
     return replace(lack, turning=rotor_order_test(fit), most=float(np.sqrt(MAJORITY)) * floor)
 
 
 def _score_size(fit: Fit, score: ScoreTest) -> float:
     """N: rms that the regressors explain. Half a nat is the noise power of one slow sample, of which a second has 2 SLOW."""
-    seconds = sum(float(np.ptp(e.thrust_time)) for e in fit.problem.experiments)
+    seconds = sum(float(e.record.time[-1]) for e in fit.problem.experiments)
     slow = max(e.noise.slow for e in fit.problem.experiments)
     return float(np.sqrt(max(2.0 * score.gain, 0.0) / (2.0 * SLOW * seconds) * slow))
 
@@ -185,7 +194,7 @@ def pure_error(fit: Fit) -> tuple[Band, ...]:
     """Pure error of the thrust by band, over all experiments with a repeat."""
     simulator, found = fit.problem.simulator, {}
     for e in fit.problem.experiments:
-        if len(e.records) < 2:
+        if len(e.records) < 2 or "thrust" not in e.channels:
             continue
         shown = e.converter.reads(simulator.simulate(fit.values, *e.record.run)[:, 0])
         at = blocks(e.record, 0.5 / SLOW)
@@ -283,7 +292,7 @@ def transient_power_share(fit: Fit, channel: str) -> tuple[float, float]:
     """
     whole, count, scatter, free, least = 0.0, 0, 0.0, 0, 0.0
     for e in fit.problem.experiments:
-        if e.noise.verified:
+        if e.noise.verified or channel not in e.channels:
             return 0.0, 0.0
         at_rest = last_thirds(e.record, SETTLED * slowest(fit.values, fit.values))  # the same for all records of the experiment
         for times, all_left, best in _unwhitened(e, predicted_rows(fit, e), channel):

@@ -59,6 +59,8 @@ class ScoreTest:
 def score_test(fit: Fit) -> ScoreTest:
     """Score test of the thrust residual of a fit; directions that its parameters can follow are projected out."""
     about, parts = fit.linearised(), channel_rows(fit, "thrust")
+    if not parts:
+        return ScoreTest(0.0, 0, ())
     columns, at = shape_columns(fit, "thrust", parts), slice(parts[0].start, parts[-1].stop)
     turned, score = orthonormal_scores(about, columns, at)
     if not len(score):

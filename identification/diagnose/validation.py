@@ -1,6 +1,6 @@
 """The verdict on a set of effects, and its validation on data that were not fitted, before it replaces the identified model."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -18,9 +18,9 @@ from identification.diagnose.crossval import (
     held_out_gain,
 )
 from identification.diagnose.judgement import MAJORITY, MIN_EVIDENCE
-from identification.diagnose.lack_of_fit import LackOfFit, with_rotor_order
+from identification.diagnose.lack_of_fit import LackOfFit
 from identification.diagnose.search.fits import Fit
-from identification.diagnose.selection import Selection, alternatives, without
+from identification.diagnose.selection import without
 from identification.fit.noise import Noise
 from identification.fit.uncertainty import NORMAL_95
 from identification.roles import Unseen
@@ -48,9 +48,8 @@ def share_explained(base: Fit, final: Fit, before: LackOfFit, after: LackOfFit) 
     remaining lack of fit is in the transient thrust, the share of that, if smaller. Lack of fit of the speed alone does not
     reduce the share: it is a fault of the motor, and hides no effect of the rotor."""
     gain = 0.5 * (base.deviance - final.deviance)
-    if before.bands:
-        power = sum(band.power for band in before.bands)
-        share = 1.0 - sum(band.power for band in after.bands) / power if power > 0.0 else 0.0
+    if before.bands or not before.score.count:
+        share = 1.0 - after.missing / before.missing if before.missing > 0.0 else 0.0
     else:
         share = gain / (gain + max(after.score.gain, 0.0)) if gain > 0.0 else 0.0
     if after.transient_lack_of_fit:
@@ -60,31 +59,6 @@ def share_explained(base: Fit, final: Fit, before: LackOfFit, after: LackOfFit) 
 
 CHANGED = ("attributed", "family", "partly", "learned")
 """Verdicts that add effects to the model."""
-
-
-def next_valid_alternative(
-    found: Selection, refuted: str, judge: Judge, base: Fit, before: LackOfFit, shipped: Callable[[Fit, bool], tuple[Fit, str]]
-) -> tuple[Selection, LackOfFit, Fit] | None:
-    """(selection, lack of fit, final model) of the best rival of a `refuted` effect that held-out data do not refute; None
-    without one. The fitted data did not distinguish the rivals; further valid ones form its family.
-    """
-    valid, rejected = [], {}
-    for effect, name, other in alternatives(judge.searcher, found, judge):
-        lack = with_rotor_order(judge.lack(other.final), other.final)
-        word = verdict(base, other.final, before, lack, other.family)
-        if word not in CHANGED:
-            continue
-        final, why = shipped(other.final, word == "partly")
-        if why:
-            rejected[name] = replace(other.judgements[name], refused=(why,))
-        else:
-            valid.append((effect, name, other, lack, final))
-    if not valid:
-        return None
-    (effect, name, other, lack, final), *rest = valid
-    family = {n: selection.final for e, n, selection, *_ in rest if e == effect}
-    rejected = {**other.refused, effect: replace(found.judgements[effect], refused=(refuted,)), **rejected}
-    return replace(other, rivals={**other.rivals, name: family}, refused=rejected), lack, final
 
 
 def validated(

@@ -45,6 +45,7 @@ class Experiment:
         self.record, self.noise, self.channels = own[0], noise, tuple(channels)
         thrust = np.stack([_thrust(r, "thrust" in channels) for r in own])
         self._measured = np.isfinite(thrust).all(axis=0)
+        self._there = np.isfinite(np.stack([_thrust(r, True) for r in own])).all(axis=0)
         self.thrust_rows = np.where(self._measured, thrust.mean(axis=0), np.nan)
         self._blocks = blocks(self.record, noise.block)
         self.thrust = self._blocks.mean(self.thrust_rows)
@@ -173,7 +174,7 @@ class Experiment:
 
     def slow_thrust(self, rows: np.ndarray) -> np.ndarray:
         """Means of a thrust (rows,) [N] over 50 ms: its part below 10 Hz. Blocks without a reading are omitted."""
-        means = blocks(self.record, 0.05).mean(self._where_measured(rows))
+        means = blocks(self.record, 0.05).mean(np.where(self._there, rows, np.nan))
         return means[np.isfinite(means)]
 
     def _where_measured(self, predicted, at=slice(None)):

@@ -338,9 +338,10 @@ class Noise:
     block: float
     verified: bool
 
-    def clearer_than(self, other: "Noise") -> bool:
-        """Whether its thrust innovation is smaller by more than the tolerance ALIKE of an estimate."""
-        return float(np.log(other.colour.innovation / self.colour.innovation)) > ALIKE
+    def clearer_than(self, other: "Noise", channels: Sequence[str]) -> bool:
+        """Whether its innovation in the first of the `channels` is smaller by more than the tolerance ALIKE of an estimate."""
+        old, new = ((n.colour if channels[0] == "thrust" else n.speed).innovation for n in (other, self))
+        return float(np.log(old / new)) > ALIKE
 
     def evened(self, values: np.ndarray, period: float) -> np.ndarray:
         """Thrust (rows,) or (rows, k), a row each `period` s, with its slow noise flattened."""

@@ -32,8 +32,8 @@ class Tachometer:
     """Turns predicted speed (rows,) or its sensitivities (rows, k) into readings of the record's sensor at its new values.
 
     `rows` (m,): the rows with a new value; `measured` (m,) rpm: the speed read there; `std` (m,) rpm: its uncertainty from
-    resolution and from the unknown instant within the sampling step; `unknown` s: median of half that time. `sensor`: as the
-    record declares it. An unknown kind is taken for one mark, or for an encoder if values are renewed faster than the rotor
+    resolution and from the unknown instant within the sampling step; `unknown` s: median of half that time. `centres` (m,) s:
+    when the rotor had that speed, on average. `sensor`: as the record declares it. An unknown kind is taken for one mark, or for an encoder if values are renewed faster than the rotor
     turns.
     """
 
@@ -65,6 +65,7 @@ class Tachometer:
         self._digit, self.measured, since = digit_of(shown[self.rows]), near[self.rows], since[self.rows]
         self.unknown = 0.5 * float(np.median(since)) if len(since) else 0.0
         middle, width = middle[self.rows] - self.sensor.delay, width[self.rows]
+        self.centres = middle - self.sensor.filter
         self.std = self._uncertainty(since)
         if kind == ENCODER and not self.sensor.delay and not self.sensor.averaged:
             self._average = csr_array((np.ones(len(self)), (np.arange(len(self)), self.rows)), shape=(len(self), len(time)))

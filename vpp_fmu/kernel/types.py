@@ -239,6 +239,11 @@ class Effect:
         return f"{self.prefix}{name}" if self.off is None else f"{self.name}.{name}"
 
     @property
+    def in_speed(self) -> bool:
+        """Whether it acts on the rotor's speed or on its reading."""
+        return "omega" in self.channels or "speed" in self.reading
+
+    @property
     def switched_off(self) -> dict[str, float]:
         """`off` by full names; empty for an effect that is always present."""
         return {self.full(name): value for name, value in (self.off or {}).items()}
@@ -386,7 +391,7 @@ def compose(model: Model, library: Iterable[Effect], names: Iterable[str]) -> Mo
     effects = tuple(e for e in library if e.off is None or e.name in wanted)
     return replace(
         model,
-        inputs=model.inputs + tuple(u for e in effects for u in e.inputs),
+        inputs=tuple({u.name: u for u in (*model.inputs, *(u for e in effects for u in e.inputs))}.values()),
         outputs=model.outputs + tuple(y for e in effects for y in e.outputs),
         effects=effects,
     )

@@ -12,6 +12,7 @@ from importlib.resources import files
 import numpy as np
 
 from vpp_fmu.errors import CompilerMissing, SimulationFailed
+from vpp_fmu.kernel.effects import measured_speed
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.kernel.schedule import FULL, NUDGE, DelayFull, DelayLine, next_sample, run_held, run_sampled
 from vpp_fmu.kernel.types import Model
@@ -144,7 +145,7 @@ class _Chain:
 
         Tracing a model takes as long as some twenty runs of a record, and compiled models are cached between diagnoses.
         """
-        if not {id(e) for e in self._effects} <= {id(e.declared) for e in LIBRARY}:
+        if not {id(e) for e in self._effects} <= {id(measured_speed.EFFECT), *(id(e.declared) for e in LIBRARY)}:
             return ""
         names = [e.name for e in self._effects]
         return json.dumps([_library_text(), *map(str, self._key[: -len(names)]), names])

@@ -44,7 +44,7 @@ FAMILY = 2
 class Learned:
     """A learned term. `term`: the term in the model; `curve`: the same as a table, if a law replaces it; `beside`: the fit
     without it; `rivals`: other terms with evidence within ALTERNATIVE_WINDOW of it; `laws`: (name, evidence over the table) of
-    the refitted laws."""
+    the refitted laws. `stage_fit`: the term in the channels in which it was learned; `term` may have it in all of them."""
 
     term: Term
     curve: Term
@@ -52,6 +52,7 @@ class Learned:
     beside: Fit
     rivals: tuple[Term, ...]
     laws: tuple[tuple[str, float], ...]
+    stage_fit: Fit
 
     @property
     def elsewhere(self) -> tuple[Term, ...]:
@@ -69,6 +70,10 @@ class Attempt:
     learned: Learned | None = None
     refuted: str = ""
 
+    def joined(self, fit: Fit) -> "Attempt":
+        """The same with its term in a fit of all channels."""
+        return replace(self, learned=replace(self.learned, term=replace(self.learned.term, fit=fit)))
+
     def but_refuted(self, why: str) -> "Attempt":
         """The same with its term refuted."""
         curve = self.learned.curve
@@ -85,22 +90,15 @@ def by_chance(comparisons: int) -> float:
     return float(np.log(max(comparisons, 1) / ALPHA))
 
 
-def learn(
-    searcher: Searcher,
-    beside: Fit,
-    smallest: Smallest,
-    scales: Scales,
-    runs: Sequence[Record],
-    pool,
-    effort: Effort,
-) -> Attempt:
-    """Learn a term beside a fit. `smallest`: minimum sizes of interest; `scales`: of the rig; `runs`: step responses to check
-    terms. The first refits are completed for any budget of `effort`."""
+def learn(known: Judge, beside: Fit, scales: Scales, pool, effort: Effort) -> Attempt:
+    """Learn a term beside a fit. `known`: the judge of effects; `scales`: of the rig. The first refits are completed for any
+    budget of `effort`."""
     effort.stage("search for an effect outside the library")
+    searcher = known.searcher
     leads = screened(beside, spread=pool.map)
     comparisons = len(leads)
     searcher.points = max(searcher.points, comparisons)
-    judge = Carried(searcher, beside, smallest, runs)
+    judge = Carried(searcher, beside, known.smallest, known.runs)
     chosen = short_list(leads, (), FIRST)
     effort.stage(f"refit {len(chosen)} of {comparisons} terms")
     terms = _refitted(searcher, beside, chosen, scales, pool)
@@ -132,7 +130,7 @@ def learn(
         by_law = judged_term(judge, term.fit, beside, comparisons)
         term, judgement = (curve, judgement) if by_law.refused else (term, by_law)
     rivals = [t for t, j in tried if t is not curve and j.evidence > judgement.evidence - ALTERNATIVE_WINDOW]
-    return Attempt(tried, comparisons, Learned(term, curve, judgement, beside, tuple(rivals), laws))
+    return Attempt(tried, comparisons, Learned(term, curve, judgement, beside, tuple(rivals), laws, term.fit))
 
 
 def _place(term: Term) -> tuple[str, str]:
@@ -162,14 +160,19 @@ class Carried(Judge):
         """Held-out log-likelihood ratio of two fits: the smallest of folds and thirds, of both channels and of the thrust
         alone."""
         gains = [one(fit).gain(one(beside)) for one in (self.held_out, self.carried)]
-        return min(min(sum(g.values()), g["thrust"]) for g in gains)
+        return min(min(sum(g.values()), g.get("thrust", np.inf)) for g in gains)
 
     def p_no_decrease(self, fit: Fit, beside: Fit) -> float:
-        """p-value of the hypothesis that the held-out thrust error does not decrease: on left-out thirds, and in each step
-        response, which no fit of a diagnosis uses."""
-        triples = zip(fit.problem.experiments, self.carried(beside).thrust, self.carried(fit).thrust, strict=True)
+        """p-value of the hypothesis that the held-out error does not decrease: of the thrust on left-out thirds, and in each step
+        response, which no fit of a diagnosis uses; of the speed, where it alone is fitted."""
+        old, new, experiments = self.carried(beside), self.carried(fit), fit.problem.experiments
+        if "thrust" not in experiments[0].channels:
+            times = [np.concatenate([t.times for t in e.tachometers]) for e in experiments if e.tachometers]
+            pairs = [pair for pair in zip(old.omega, new.omega, strict=True) if len(pair[0])]
+            return p_no_decrease([(t, *pair) for t, pair in zip(times, pairs, strict=True)])
+        triples = zip(experiments, old.thrust, new.thrust, strict=True)
         further = self.on_runs(beside) - self.on_runs(fit)
-        return p_no_decrease([(e.record.time, old, new) for e, old, new in triples], further.tolist())
+        return p_no_decrease([(e.record.time, *pair) for e, *pair in triples], further.tolist())
 
 
 def judged_term(judge: Carried, fit: Fit, beside: Fit, comparisons: int) -> Judgement:

@@ -37,6 +37,20 @@ class Term:
         head = f"{self.effect.name}."
         return tuple(n.removeprefix(head) for n in self.fit.free if n.startswith(head))
 
+    def searcher(self, other: Searcher) -> Searcher:
+        """A searcher that fits models with the term where another one fits them without it."""
+        return _searcher(other, self.effect, self.lead)
+
+
+def _searcher(other: Searcher, effect: Effect, lead: Lead) -> Searcher:
+    sizes = {effect.full(n): effect.probe[n] for n in effect.off if n not in _fixed(lead)}
+    library = placed(other.library, effect, PORTS[lead.port])
+    return Searcher(other.experiments, other.names, _with_prior_of_sizes(other, sizes), other.start, library)
+
+
+def _fixed(lead: Lead) -> set[str]:
+    return {"form", "side", *lead.pinned}
+
 
 def effect_of(lead: Lead, name: str, scales: Scales) -> Effect:
     """The effect of a lead, scaled for a rig; values are clipped to their bounds."""
@@ -51,10 +65,7 @@ def refitted(searcher: Searcher, beside: Fit, lead: Lead, name: str, scales: Sca
     `start`: the fit that gives start values of the base; None: `beside`.
     """
     effect = effect_of(lead, name, scales)
-    library = placed(searcher.library, effect, PORTS[lead.port])
-    fixed = {"form", "side", *lead.pinned}
-    sizes = {effect.full(n): effect.probe[n] for n in effect.off if n not in fixed}
-    own = Searcher(searcher.experiments, searcher.names, _with_prior_of_sizes(searcher, sizes), searcher.start, library)
+    fixed, own = _fixed(lead), _searcher(searcher, effect, lead)
     forms = {effect.full(n): v for n, v in effect.probe.items() if n in fixed}
     free = [effect.full(n) for n in effect.probe if n not in fixed]
     values = {**beside.values, **(start.values if start else {}), **{effect.full(n): v for n, v in effect.probe.items()}}
@@ -72,7 +83,7 @@ def refitted(searcher: Searcher, beside: Fit, lead: Lead, name: str, scales: Sca
             finite = np.isfinite(fit.deviance) and np.isfinite(np.vdot(slopes, slopes))  # sensitivities may diverge alone
     except np.linalg.LinAlgError:
         return None
-    return Term(lead, effect, library, fit) if finite else None
+    return Term(lead, effect, own.library, fit) if finite else None
 
 
 def _with_prior_of_sizes(searcher: Searcher, sizes: Mapping[str, float]) -> Knowledge:

@@ -6,7 +6,7 @@ r'C (C'C)^-1 C'r / 2; under noise it is half a chi-square with rank(C) degrees o
 coefficients on each third of the records are estimated from the other two.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -37,10 +37,10 @@ class Scored:
 class Scores:
     """Score tests beside a linearised fit, on the courses of the experiments."""
 
-    def __init__(self, about: Linearised, columns: np.ndarray, courses: Sequence[Course], scale: Mapping[str, float], times):
+    def __init__(self, about: Linearised, columns: np.ndarray, courses: Sequence[Course], scale, times, ports: Sequence[str]):
         """`columns` (rows, n): sensitivities of the fitted parameters; `scale`: divisor of each channel; `times`: as in
-        Problem."""
-        self.courses, self._scale = courses, scale
+        Problem; `ports`: names of those that may have a term."""
+        self.courses, self._scale, self.ports = courses, scale, ports
         fold = np.concatenate([contiguous_folds(time, seconds) for time, seconds in times])
         self._folds = range(int(fold.max()) + 1)
         sizes = [c.experiment.sizes["thrust"] for c in courses]

@@ -4,7 +4,7 @@ Curves are groups of linear B-splines. Plays, holds, relays and sines are single
 thresholds.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -18,7 +18,7 @@ from identification.diagnose.learned.score import Scored, Scores
 from identification.diagnose.search.fits import Fit
 from identification.fit.linearised import Linearised
 from vpp_fmu.kernel.effects.stage import INNER, OUTER
-from vpp_fmu.kernel.learned import DRIVERS, PORTS
+from vpp_fmu.kernel.learned import DRIVERS, PORTS, Port
 
 LAGS = (0.0, 0.2, 0.6, 2.0, 6.0, 20.0, 60.0)
 """Lags of a driver, in the rig's time scale; at most a third of the record."""
@@ -86,12 +86,18 @@ def screened(fit: Fit, values: Mapping[str, float] | None = None, spread: Callab
     at = {**fit.values, **problem.coordinates.values(x)}
     residual, jacobian = problem.evaluate(x)
     about = Linearised(problem, x, residual, jacobian)
+    ports = {name: place for name, place in PORTS.items() if _of_channels(place, problem.experiments[0].channels)}
     courses = [Course.of(e, at, simulator.simulate(at, *e.record.run)) for e in problem.experiments]
-    scores = Scores(about, jacobian[: problem.size], courses, problem.scale, problem.times)
+    scores = Scores(about, jacobian[: problem.size], courses, problem.scale, problem.times, tuple(ports))
     groups = [*_curves(scores), *_memories(scores), *_relays(scores), *_sines(scores)]
     leads = [lead for some in spread(lambda group: group(), groups) for lead in some]
     found = [replace(lead, needed=chance_threshold(lead.scored.rank, len(leads)), comparisons=len(leads)) for lead in leads]
     return sorted(found, key=lambda lead: -lead.scored.held_out)
+
+
+def _of_channels(port: Port, channels: Sequence[str]) -> bool:
+    """Whether a port acts in the fitted channels: where thrust alone is fitted, the speed is known."""
+    return len(channels) > 1 or (port.channel == "omega") == (tuple(channels) == ("omega",))
 
 
 def _lags(scores: Scores) -> list[float]:
@@ -124,7 +130,7 @@ def _curves(scores: Scores) -> Iterator[Look]:
     for name, driver in DRIVERS.items():
         for lag in _lags(scores) if driver.signal else [0.0]:
             common = [lagged(c.drivers[name], lag, c.step) for c in scores.courses]
-            for port, place in PORTS.items():
+            for port, place in ((port, PORTS[port]) for port in scores.ports):
                 if port == "reading" and name != "thrust":
                     continue  # before all other effects of the reading it equals the port "thrust"
                 own = driver.own_stage(place)
@@ -156,7 +162,7 @@ def _curve(scores, port, name, lag, form, times, v) -> list[Lead]:
 
 def _memories(scores: Scores) -> Iterator[Look]:
     """Plays of a port's quantity, and holds of commands."""
-    for port, name in FOLLOWED.items():
+    for port, name in ((port, name) for port, name in FOLLOWED.items() if port in scores.ports):
         v = [c.drivers[name] for c in scores.courses]
         low, high = _span(v)
         widths = (high - low) * np.array(WIDTHS)
@@ -175,7 +181,7 @@ def _relays(scores: Scores) -> Iterator[Look]:
             pairs = [(a, b) for k, a in enumerate(levels) for b in levels[k:]]
             terms = [np.stack([relay(one, a, b) for a, b in pairs], axis=1) for one in v]
             points = [{"lower": float(a), "upper": float(b)} for a, b in pairs]
-            for port in SWITCHED:
+            for port in (port for port in SWITCHED if port in scores.ports):
                 yield from (partial(_each, scores, port, name, "relay", v, points, terms, lag, form) for form in forms_of(port))
 
 
@@ -192,8 +198,8 @@ def _each(scores, port, name, shape, v, points, terms, lag, form) -> list[Lead]:
 
 def _sines(scores: Scores) -> Iterator[Look]:
     """Sines of the thrust at the frequencies at which the longest record resolves them."""
-    times = [c.drivers["time"] for c in scores.courses]
-    seconds = max(t[-1] for t in times)
+    times = [c.drivers["time"] for c in scores.courses] if "thrust" in scores.ports else []
+    seconds = max((t[-1] for t in times), default=0.0)
     count = int(min(FASTEST * seconds, 400))
     frequencies = np.arange(1, count + 1) / seconds
     yield from (partial(_sine, scores, times, seconds, some) for some in np.array_split(frequencies, max(1, count // 20)))

@@ -33,6 +33,9 @@ from vpp_fmu.record import Record
 NOTHING = 1e-9
 """Share of the thrust's scale below which a change is a rounding error."""
 
+LOOKS = 4
+"""Evaluations of a first look at a start: two Gauss-Newton steps or so."""
+
 BIASED = 0.15
 """Log-likelihood gain per row of generic regressors above which the base counts as biased. They then explain more than a
 quarter of the residual's power, 1 - exp(-2 BIASED)."""
@@ -226,18 +229,25 @@ class Searcher:
         start: Mapping[str, float],
         slow_first: Mapping[str, bool] | None = None,
         thorough: bool = True,
+        held: Mapping[str, tuple[float, float]] | None = None,
+        scale: Mapping[str, float] | None = None,
     ) -> Fit:
         """Fit base parameters and `free` of a model with `effects`, from the values `start`.
 
-        `thorough`: scan the whole range of a threshold, not only about its start value. Results are cached.
+        `thorough`: scan the whole range of a threshold, not only about its start value. `held`: intervals of thresholds that
+        keep their values. `scale`: weights of the channels, for a first look: two steps or so, all thresholds held. Results are
+        cached, but for first looks.
         """
+        order, held = dict(slow_first or {}), dict(held or {})
+        if scale is not None:
+            return self._fitted(effects, forms, free, start, order, thorough, held, scale)
         asked = tuple(effects), frozenset(forms.items()), tuple(free), frozenset(start.items()), thorough
-        known = (*asked, frozenset((slow_first or {}).items()))
+        known = (*asked, frozenset(order.items()), frozenset(held))
         if known not in self._fits:
-            self._fits[known] = self._fitted(effects, forms, free, start, slow_first, thorough)
+            self._fits[known] = self._fitted(effects, forms, free, start, order, thorough, held)
         return self._fits[known]
 
-    def _fitted(self, effects, forms, free, start, slow_first, thorough) -> Fit:
+    def _fitted(self, effects, forms, free, start, slow_first, thorough, held, scale=None) -> Fit:
         model = plant(effects, self.library)
         values = model.values({k: v for k, v in start.items() if k in model.values()} | dict(forms))
         smooth, stuck = self._kinds(model, values, free) if free else ([], [])
@@ -247,8 +257,15 @@ class Searcher:
         values = regular_start(model, values, [*self.names, *smooth])
         prior = self.known(model, values, [*self.names, *smooth])
         problem = Problem(model, self.experiments, values, [*self.names, *smooth], prior, slow_first)
-        solution, intervals = problem.fit(values), {}
+        intervals = {name: held[name] for name in stuck if name in held}
+        if scale is not None:
+            problem.scale = dict(scale)
+            solution, stuck = problem.refit(problem.coordinates.vector(values), LOOKS), []
+            intervals = {n: (values[n], values[n]) for n in free if n not in smooth and n not in idle}
+        else:
+            solution = problem.fit(values)
         rounding = {e.full(p): e for e in model.effects for p in e.rounds.values()}
+        stuck = [name for name in stuck if name not in intervals]
         for name in stuck if len(stuck) < 2 else stuck * 2:  # two are scanned twice: each with the other's last value
             if name in rounding:
                 solution, intervals[name] = settle(problem, solution, rounding[name])
@@ -257,9 +274,9 @@ class Searcher:
                 solution, intervals[name] = scan(problem, solution, name, self._off.get(name, 0.0), grids)
         found = problem.values | problem.coordinates.values(solution.value)
         score = problem.score_of(solution.residual)
-        fitted = tuple(n for n in free if n in smooth or n in stuck)
+        fitted = tuple(n for n in free if n in smooth or n in intervals)
         return Fit(
-            tuple(effects), dict(forms), fitted, slow_first or {}, found, problem, solution.slim(), score, intervals, bool(idle)
+            tuple(effects), dict(forms), fitted, slow_first, found, problem, solution.slim(), score, intervals, bool(idle)
         )
 
     def again(self, fit: Fit) -> Fit:
@@ -273,8 +290,9 @@ class Searcher:
         return prior and prior.loosened(self.factor)
 
     def biased(self, fit: Fit) -> bool:
-        """Whether the missing effect is so large that the base, fitted without it, is biased."""
-        return not fit.effects and self.base_score_gain > BIASED * fit.score.counts["thrust"]
+        """Whether the missing effect is so large that the base, fitted without it, is biased; where only speed is fitted, that
+        costs little to assume."""
+        return not fit.effects and self.base_score_gain >= BIASED * fit.score.counts.get("thrust", 0)
 
     def _unreached(self, model, values, name) -> bool:
         """Whether the simulated records are the same to the bit with the parameter switched off."""

@@ -1,30 +1,33 @@
-"""One round of the search: screen all candidates beside a fit, refit the most promising, and improve the best of these."""
+"""One round of the search: every candidate beside a fit is refitted from every start, the better third to convergence.
+
+Screening (screening.py) predicts a good start of each candidate. It is a bad filter: a double pole hides a missing lead, and
+lags of a biased base hide a limit.
+"""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations, product
+from itertools import product
 
 import numpy as np
 
-from identification.diagnose.judgement import MIN_EVIDENCE
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.screening import Screening, ScreeningResult
+from identification.fit.coordinates import CHANNELS
 from vpp_fmu.native.memory import give_back
-
-REFITTED = (6, 3)
-"""Effects to refit in the first round and in later ones, the most promising first. As many again are refitted if none is
-accepted and a lack of fit remains."""
 
 SAME_RESPONSE = 1e-6
 """Difference of two responses, in noise standard deviations, that counts as rounding."""
 
-REORDERED = 3
-"""Best refits that are repeated with the lags of a channel in the other order: a double pole hides the order."""
+CONVERGED, FEWEST = 1.0 / 3.0, 8
+"""Share of the candidates, the best after two steps, that are fitted to convergence, and their least number."""
 
-REACH = 0.5
-"""Share of the best evidence that a candidate needs for a refit in another order of lags, form, or special case; share of the
-predicted gain below which a refit is repeated from other starts."""
+LEADERS = 3
+"""Best candidates that are also started from fits of their special cases, and with switched-off sizes on."""
+
+DOUBLE, SPLIT = 0.3, (0.82, 0.28)
+"""Relative difference below which two lags count as a double pole, at which a missing lead or lag is invisible to first order;
+shares of their sum at which a fit starts beside it."""
 
 
 @dataclass(frozen=True)
@@ -48,75 +51,96 @@ def evidence_over(fit: Fit, other: Fit) -> float:
     return 0.5 * (other.bic() - fit.bic())
 
 
-def first_round(
+def search_round(
     searcher: Searcher, fit: Fit, options: Sequence[Candidate], pool, progress: Callable[[int, int, str], None]
 ) -> list[CandidateFit]:
-    """Screen all candidates beside a fit, and refit the most promising."""
+    """Refit every candidate beside a fit, from every start: two steps each; then the better third to convergence, a threshold
+    after a scan of its whole range. Thresholds that the fit already has are held meanwhile."""
     seen = screened(searcher, fit, options, pool, progress)
-    return deeper(searcher, fit, [CandidateFit(c, fit.effects, at.likelihood_gain) for c, at in seen], pool)
-
-
-def deeper(searcher: Searcher, fit: Fit, tried: Sequence[CandidateFit], pool) -> list[CandidateFit]:
-    """Refit the most promising candidates that are not refitted yet, and those that screening cannot distinguish from the best.
-
-    An effect is ranked by its best form; its forms of nearly the same predicted gain are refitted, too.
-    """
-    count = REFITTED[min(len(fit.effects), len(REFITTED) - 1)]
-    predicted: dict[str, float] = {}
-    for t in tried:
-        if t.fit is None and t.likelihood_gain > MIN_EVIDENCE:
-            predicted.setdefault(t.candidate.name, t.likelihood_gain)
-    most = max(predicted.values(), default=0.0)
-    first = {name: gain for k, (name, gain) in enumerate(predicted.items()) if k < count or gain > most - MIN_EVIDENCE}
-    least = {name: max(MIN_EVIDENCE, REACH * gain) for name, gain in first.items()}
-    chosen = [t.candidate for t in tried if t.fit is None and t.likelihood_gain >= least.get(t.candidate.name, np.inf)]
-    if not chosen:
-        return list(tried)
-    at = {c.label: seen for c, seen in screened(searcher, fit, chosen, pool)}
+    looks = pool.map(lambda pair: _first_look(searcher, fit, *pair), seen)
+    best = {c: look for (c, _), look in zip(seen, looks, strict=True) if look is not None}
     give_back()
-    refits = dict(zip(chosen, pool.map(lambda c: refitted(searcher, fit, c, at[c.label]), chosen), strict=True))
+    ranked = sorted(best, key=lambda c: best[c].bic())
+    names = list(dict.fromkeys(c.name for c in ranked))
+    count = max(FEWEST, round(CONVERGED * len(names)))
+    chosen = [c for c in ranked if c.name in names[:count] or best[c].thresholds.keys() - fit.thresholds.keys()]
 
-    def improve(starts: Iterable[tuple[Candidate, Start]], thorough: bool) -> None:
-        """Refit candidates from other starts, in parallel, and keep the better refits."""
-        starts = list(starts)
-        fits = pool.map(lambda pair: added(searcher, fit, pair[0], *pair[1], thorough), starts)
-        for (c, _), new in zip(starts, fits, strict=True):
-            refits[c] = min(refits.get(c, new), new, key=Fit.bic)
+    def converged(c: Candidate) -> Fit:
+        return added(searcher, fit, c, best[c].values, best[c].slow_first)
 
-    leader = min(refits, key=lambda c: refits[c].bic())
-    near = {leader.name, *leader.effect.contains}
-    others = [t.candidate for t in tried if t.candidate.name in near and t.candidate is not leader and t.fit is None]
-    improve(((c, start) for c in others for start in _near(c, leader, refits[leader])), thorough=False)
-    best = sorted(refits, key=lambda c: refits[c].bic())[:REORDERED]
-    best = [c for c in best if evidence_over(refits[c], fit) >= REACH * evidence_over(refits[best[0]], fit)]
-    improve(((c, start) for c in best for start in _reordered(fit, c, refits[c])), thorough=True)
-    leaders = {c.name: refits[c] for c in sorted(best, key=lambda c: -refits[c].bic())}
-    refits.update(zip(best, pool.map(lambda c: _widened(searcher, fit, c, refits[c], leaders), best), strict=True))
-    for wide in best:
+    refits = dict(zip(chosen, pool.map(converged, chosen), strict=True))
+    leading = sorted(refits, key=lambda c: refits[c].bic())[:LEADERS]
+    leaders = {c.name: refits[c] for c in reversed(leading)}
+    refits.update(zip(leading, pool.map(lambda c: _widened(searcher, fit, c, refits[c], leaders), leading), strict=True))
+    for wide in leading:
         for special, known in list(refits.items()):
             if start := _narrowed(wide, refits[wide], special):
-                new = added(searcher, fit, special, start, refits[wide].slow_first, thorough=False)
+                new = added(searcher, fit, special, start, refits[wide].slow_first)
                 refits[special] = min(known, new, key=Fit.bic)
-    return [replace(t, fit=new, evidence=evidence_over(new, fit)) if (new := refits.get(t.candidate)) else t for t in tried]
+    gains = {c: at.likelihood_gain for c, at in seen}
+    return [
+        CandidateFit(c, fit.effects, gain, refits.get(c), evidence_over(refits.get(c, best.get(c, fit)), fit))
+        for c, gain in gains.items()
+    ]
 
 
-Start = tuple[Mapping[str, float], Mapping[str, bool]]
+def _first_look(searcher: Searcher, fit: Fit, candidate: Candidate, at: ScreeningResult) -> Fit | None:
+    """The best fit of a candidate after two steps from each start; None if all diverge.
+
+    Starts are the point that screening predicts, with the fitted parameters there and as they were, and the first grid of
+    shapes at the plausible size; then, if the order of lags matters, the same with the other order, and a double pole split."""
+    points = [({**fit.values, **at.values}, at.slow_first)]
+    points.append(({**fit.values, **{n: at.values[n] for n in candidate.free}}, fit.slow_first))
+    points += [({**fit.values, **shape, **candidate.within(candidate.probe)}, fit.slow_first) for shape in candidate.shapes()]
+    found = [look for point in points if (look := _look(searcher, fit, candidate, *point))]
+    if not found:
+        return None
+    further, free = [], [u for u in CHANNELS if {f"tau_{u}_1", f"tau_{u}_2"} <= {*searcher.names}]
+    acts_within = not _exchangeable(min(found, key=Fit.bic), candidate.effect.channels)
+    for u in free if acts_within else ():
+        if u in candidate.effect.channels:
+            further += [_flipped(u, *point) for point in points]
+    for u in free:
+        one, two = fit.values[f"tau_{u}_1"], fit.values[f"tau_{u}_2"]
+        if abs(one / two - 1.0) < DOUBLE:
+            further += [_split(u, one + two, *point) for point in [*points, *further]]
+    return min([*found, *(look for point in further if (look := _look(searcher, fit, candidate, *point)))], key=Fit.bic)
+
+
+def _look(searcher: Searcher, fit: Fit, candidate: Candidate, start, order) -> Fit | None:
+    """The candidate after two steps or so from a start; None if it diverges."""
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = added(searcher, fit, candidate, start, order, scale=fit.problem.scale)
+    except np.linalg.LinAlgError:
+        return None
+    return found if np.isfinite(found.deviance) else None
+
+
+Start = tuple[dict[str, float], dict[str, bool]]
 """Values that a fit starts from, and the order of the lags."""
 
 
-def _near(candidate: Candidate, leader: Candidate, there: Fit) -> list[Start]:
-    """Starts of another form, or of a special case, of the best effect: its estimates, in both orders of the lags.
+def _flipped(u: str, values: Mapping[str, float], order: Mapping[str, bool]) -> Start:
+    """A start with the lags of a channel in the other order."""
+    one, two = f"tau_{u}_1", f"tau_{u}_2"
+    return {**values, one: values[two], two: values[one]}, {**order, u: not order.get(u, True)}
 
-    Another form of a large effect may need other lags: with those of the base, screening predicts no gain.
-    """
-    shared = leader.effect.contains.get(candidate.name, {})
-    same = {candidate.effect.full(its): there.values[leader.effect.full(own)] for own, its in shared.items()}
-    values = {n: v for n, v in there.values.items() if n not in candidate.form} | candidate.within(candidate.probe | same)
-    if candidate.name == leader.name:
-        values |= {n: there.values[n] for n in candidate.free}
-    flipped = {u: not there.slow_first.get(u, True) for u in candidate.effect.channels}
-    swapped = {a: values[b] for u in flipped for a, b in permutations((f"tau_{u}_1", f"tau_{u}_2"))}
-    return [(values, there.slow_first), (values | swapped, {**there.slow_first, **flipped})]
+
+def _split(u: str, both: float, values: Mapping[str, float], order: Mapping[str, bool]) -> Start:
+    """A start beside a double pole, whose lags have the sum `both` [s]."""
+    slow, fast = (both * share for share in SPLIT)
+    first = order.get(u, True)
+    return {**values, f"tau_{u}_1": slow if first else fast, f"tau_{u}_2": fast if first else slow}, dict(order)
+
+
+def _exchangeable(fit: Fit, channels: Iterable[str]) -> bool:
+    """Whether exchanging the two lags of each channel leaves the response unchanged."""
+    swapped = dict(fit.values)
+    for u in channels:
+        swapped |= {f"tau_{u}_1": fit.values[f"tau_{u}_2"], f"tau_{u}_2": fit.values[f"tau_{u}_1"]}
+    there = fit.problem.residual_at(swapped) - fit.problem.residual_at(fit.values)
+    return bool(np.max(np.abs(there[: fit.problem.size]), initial=0.0) < SAME_RESPONSE)
 
 
 def screened(
@@ -136,43 +160,6 @@ def screened(
             progress(done, len(new), max(new[:done], key=lambda each: cached[each.label].likelihood_gain).label)
     searcher.points = max(searcher.points, sum(seen.points for seen in cached.values()))
     return sorted(((c, cached[c.label]) for c in fresh), key=lambda pair: -pair[1].likelihood_gain)
-
-
-def refitted(searcher: Searcher, fit: Fit, candidate: Candidate, at: ScreeningResult) -> Fit:
-    """Refit with the candidate added, from the point that screening predicts.
-
-    A refit that gains less than REACH of the prediction is in a local minimum: lags of the base replace a missing lead or lag,
-    and a small effect does not bring them back. Then each point of the candidate's first grid of shapes is a further start."""
-    # A threshold that the fit already has is scanned nearby; its whole range is scanned only for the best candidates.
-    thorough = not fit.thresholds
-    found = added(searcher, fit, candidate, {**fit.values, **at.values}, at.slow_first, thorough)
-    if found.bic() >= fit.bic():
-        # The linear prediction of the fitted parameters was too far: start from their values in the fit.
-        own = {n: at.values[n] for n in candidate.free}
-        found = min(found, added(searcher, fit, candidate, {**fit.values, **own}, fit.slow_first, thorough), key=Fit.bic)
-    if 0.5 * (fit.deviance - found.deviance) >= REACH * at.likelihood_gain:
-        return found
-    starts = [{**fit.values, **shape, **candidate.within(candidate.probe)} for shape in candidate.shapes()]
-    others = (added(searcher, fit, candidate, start, fit.slow_first, thorough=False) for start in starts)
-    return min([found, *others], key=Fit.bic)
-
-
-def _reordered(fit: Fit, candidate: Candidate, refit: Fit) -> list[Start]:
-    """Starts from which a refit may improve: with a channel's lags in the other order."""
-    orders = [{**refit.slow_first, u: not refit.slow_first.get(u, True)} for u in candidate.effect.channels]
-    if _exchangeable(refit, candidate.effect.channels):
-        orders = []
-    # A threshold that the fit already had was scanned nearby only.
-    return [(refit.values, order) for order in ([*orders, refit.slow_first] if fit.thresholds else orders)]
-
-
-def _exchangeable(fit: Fit, channels: Iterable[str]) -> bool:
-    """Whether exchanging the two lags of each channel leaves the response unchanged."""
-    swapped = dict(fit.values)
-    for u in channels:
-        swapped |= {f"tau_{u}_1": fit.values[f"tau_{u}_2"], f"tau_{u}_2": fit.values[f"tau_{u}_1"]}
-    there = fit.problem.residual_at(swapped) - fit.problem.residual_at(fit.values)
-    return bool(np.max(np.abs(there[: fit.problem.size]), initial=0.0) < SAME_RESPONSE)
 
 
 def _widened(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit, others: Mapping[str, Fit]) -> Fit:
@@ -227,7 +214,7 @@ def simplified(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
         fit = replace(best, idle=fit.idle)
 
 
-def added(searcher: Searcher, fit: Fit, candidate: Candidate, start, order, thorough: bool = True) -> Fit:
-    """Fit one more candidate, from the values `start` and with the lags in this `order`."""
+def added(searcher: Searcher, fit: Fit, candidate: Candidate, start, order, thorough: bool = True, scale=None) -> Fit:
+    """Fit one more candidate, from the values `start` and with the lags in this `order`. Thresholds of the fit are held."""
     effects, forms = [*fit.effects, candidate.name], {**fit.forms, **candidate.form}
-    return searcher.fit(effects, forms, [*fit.free, *candidate.free], start, order, thorough)
+    return searcher.fit(effects, forms, [*fit.free, *candidate.free], start, order, thorough, fit.thresholds, scale)

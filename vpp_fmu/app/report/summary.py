@@ -56,7 +56,7 @@ def summary(found: Diagnosis) -> dict:
         "learned": block(found.learned, found.std) if found.learned else None,
         "learning": _learning(found),
         "effects": [_effect(found, name) for name in (*found.final.effects, *found.left_out)],
-        "channels": channels(found),
+        "channels": found.channels,
         "family": {name: others for name, others in found.selection.family.items() if others},
         "best_guess": _best_guess(found),
         "not_tried": list(found.not_tried),
@@ -76,22 +76,6 @@ def summary(found: Diagnosis) -> dict:
         **({"power": found.power.summary()} if found.power else {}),
         "unexplained": {"share_left": None if found.explained is None else 1.0 - found.explained, **found.location},
     }
-
-
-def channels(found: Diagnosis) -> dict[str, dict]:
-    """Verdict and names of effects of the speed, if it was measured, and of the thrust."""
-    lack = found.after
-    left = {
-        "speed": lack.speed_lack_of_fit,
-        "thrust": (lack.certain and lack.size > lack.least) or lack.transient_lack_of_fit,
-    }
-    names: dict[str, list[str]] = {"speed": [], "thrust": []}
-    for effect in found.final.problem.model.effects:
-        if effect.name in found.final.effects:
-            names["speed" if "omega" in effect.channels else "thrust"].append(effect.name)
-    measured = [one for one in left if one == "thrust" or found.errors(found.base)[1] is not None]
-    verdicts = {(True, True): "partly", (True, False): "attributed", (False, True): "unexplained", (False, False): "none"}
-    return {one: {"verdict": verdicts[bool(names[one]), bool(left[one])], "effects": names[one]} for one in measured}
 
 
 def _best_guess(found: Diagnosis) -> dict | None:

@@ -1,0 +1,177 @@
+"""The search in stages: first what is wrong with the speed, in the speed alone; then what is wrong with the thrust, given the
+speed. Without a measured speed there is one stage.
+
+Speed readings are precise: in one likelihood with the thrust they would pull its parameters away wherever the model of the
+speed is not exact, and either channel could refuse what is plain in the other.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.diagnose.acceptance import Judge
+from identification.diagnose.effort import Effort
+from identification.diagnose.given_speed import given_speed, with_given_speed, with_speed_of
+from identification.diagnose.initial_model import InitialModel, always_on, prepared, with_lower_noise
+from identification.diagnose.judgement import Judgement, Smallest
+from identification.diagnose.lack_of_fit import LackOfFit, with_rotor_order
+from identification.diagnose.search.candidates import Candidate
+from identification.diagnose.search.fits import Fit, Searcher
+from identification.diagnose.selection import Selection, select
+from identification.diagnose.validation import CHANGED, verdict
+from identification.roles import Fitted
+from vpp_fmu.native import Simulator
+from vpp_fmu.native.memory import give_back
+from vpp_fmu.record import Record
+
+PITCH = ("tau_beta_1", "tau_beta_2")
+
+AGAIN = "the speed again, with the pitch that was found"
+"""Name of a step of the search."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """The search in some channels. `at`: its start; `options`: candidates; `groups`: the fitted records; `before`, `after`: lack
+    of fit of the base, and of the selected set with its nuisances."""
+
+    at: InitialModel
+    groups: Sequence[Sequence[Fitted]]
+    options: Sequence[Candidate]
+    judge: Judge
+    selection: Selection
+    before: LackOfFit
+    after: LackOfFit
+
+    @property
+    def name(self) -> str:
+        """ "speed", or "thrust" where the speed is known or was not measured."""
+        return "speed" if self.at.channels == ("omega",) else "thrust"
+
+    @property
+    def word(self) -> str:
+        """The verdict on these channels."""
+        found = self.selection
+        return verdict(found.base, found.final, self.before, self.after, found.family)
+
+    @property
+    def accepted(self) -> Fit:
+        """The selected set, if it explains most of the lack of fit; else the base."""
+        return self.selection.final if self.word in CHANGED else self.selection.base
+
+    def with_final(self, final: Fit, judgements: Mapping[str, Judgement], **changes) -> "Stage":
+        """The stage with another selected set."""
+        found = replace(self.selection, final=final, whole=final, judgements=dict(judgements), **changes)
+        return replace(self, selection=found, after=with_rotor_order(self.judge.lack(final), final))
+
+
+def searched(
+    groups: Sequence[Sequence[Fitted]],
+    runs: Sequence[Record],
+    at: InitialModel,
+    options: Sequence[Candidate],
+    smallest: Smallest,
+    effort: Effort,
+    pool,
+) -> list[Stage]:
+    """The stages of a search: of the speed and of the thrust; of the thrust alone if no speed was measured. `runs`: step
+    responses. If an effect of the speed takes the pitch, the speed is searched again with the pitch of the second stage."""
+    if not any("omega" in one.record and np.isfinite(one.record["omega"]).any() for group in groups for one in group):
+        return [_stage(groups, runs, at, options, smallest, effort, pool)]
+    own, others = ([c for c in options if c.effect.in_speed == in_speed] for in_speed in (True, False))
+
+    def of_speed(at: InitialModel) -> Stage:
+        at = at.of_channels("omega", library=at.library, values={})
+        return _stage(groups, [], at, own, smallest, effort, pool, " of the speed")
+
+    def of_thrust(speed: Stage) -> Stage:
+        first = speed.selection.whole
+        known = at.of_channels("thrust", library=with_given_speed(at.library), values=first.values)
+        given = [given_speed([record], first)[0] for record in runs]
+        return _stage(with_speed_of(groups, first), given, known, others, smallest, effort, pool, " of the thrust")
+
+    speed = of_speed(at)
+    thrust = of_thrust(speed)
+    if not _takes_pitch(speed.selection.whole) or not effort.allows(AGAIN):
+        return [speed, thrust]
+    again = of_speed(_with_pitch_of(at, thrust.selection.whole))
+    if again.selection.final.effects == speed.selection.final.effects:
+        return [again, thrust]
+    return [again, of_thrust(again)]
+
+
+def _stage(groups, runs, at, options, smallest, effort, pool, words: str = "") -> Stage:
+    effort.stage(f"noise{words}")
+    searcher, base = prepared(groups, at, options, pool)
+    judge = Judge(searcher, base, smallest, runs)
+    searcher.base_score_gain = judge.lack(base).score.gain
+    give_back()
+
+    def clearer(judge: Judge, fit: Fit) -> Judge | None:
+        there = with_lower_noise(groups, at, judge.searcher, judge.base, fit)
+        return there and Judge(*there, smallest, runs)
+
+    judge, found = select(judge, options, clearer, effort, pool, words)
+    give_back()
+    before, after = (with_rotor_order(judge.lack(fit), fit) for fit in (judge.base, found.whole))
+    return Stage(at, groups, options, judge, found, before, after)
+
+
+def _takes_pitch(fit: Fit) -> bool:
+    """Whether the fitted speed depends on the pitch."""
+    simulator = Simulator(fit.problem.model, PITCH)
+    return any(simulator.sensitivities(fit.values, *e.record.run)[1][:, 1].any() for e in fit.problem.experiments)
+
+
+def _with_pitch_of(at: InitialModel, fit: Fit) -> InitialModel:
+    """The start of a search with the pitch of a fit; its effects of the pitch become part of the base."""
+    kept = {e.name for e in fit.problem.model.effects if e.name in fit.effects and e.channels == ("beta",)}
+    library = tuple(always_on(e) if e.name in kept else e for e in at.library)
+    own = {n: v for n, v in fit.values.items() if n in PITCH or n.split(".")[0] in kept}
+    return replace(at, library=library, refinement=replace(at.refinement, values={**at.values, **own}))
+
+
+def joined(searcher: Searcher, base: Fit, fits: Sequence[Fit]) -> Fit:
+    """The effects of a fit of each stage together, all parameters refitted to all channels."""
+    fits = [fit for fit in fits if fit.effects]
+    if not fits:
+        return base
+    values, forms, order = dict(base.values), {}, dict(base.slow_first)
+    for fit in fits:
+        own = (*fit.problem.coordinates.names, *fit.free, *fit.forms)
+        values |= {n: v for n, v in fit.values.items() if n in own or n.split(".")[0] in fit.effects}
+        forms |= fit.forms
+        order |= fit.slow_first
+    effects, free = ([x for fit in fits for x in part(fit)] for part in (lambda f: f.effects, lambda f: f.free))
+    found = searcher.fit(effects, forms, free, values, order, thorough=False)
+    return replace(found, idle=any(fit.idle for fit in fits))
+
+
+def selection_of(searcher: Searcher, base: Fit, stages: Iterable[Stage]) -> Selection:
+    """The selections of all stages as one of all channels."""
+    stages = list(stages)
+    final = joined(searcher, base, [s.accepted for s in stages])
+    parts = [s.selection for s in stages]
+    judgements = {n: j for part in parts for n, j in part.judgements.items() if n in final.effects}
+    refused = {n: j for part in parts for n, j in part.refused.items()}
+    rounds = [each for part in parts for each in part.rounds]
+    rivals = {n: fits for part in parts for n, fits in part.rivals.items() if n in final.effects}
+    return Selection(base, final, final, judgements, rounds, refused, rivals)
+
+
+def verdict_of(stages: Iterable[Stage]) -> str:
+    """The verdict on all channels: the weaker one."""
+    words = {s.word for s in stages}
+    if words & {"partly", "unexplained"}:
+        return "partly" if words & {"partly", "attributed", "family"} else "unexplained"
+    return next((word for word in ("family", "attributed") if word in words), "none")
+
+
+def lack_of(stages: Sequence[Stage], when: str) -> LackOfFit:
+    """Lack of fit "before" or "after" of all stages."""
+    *speed, thrust = (getattr(s, when) for s in stages)
+    if not speed:
+        return thrust
+    own = {n: getattr(speed[0], n) for n in ("speed", "thrust_equivalent", "speed_rpm", "least_speed")}
+    return replace(thrust, **own)
