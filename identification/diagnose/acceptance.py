@@ -57,13 +57,12 @@ class Judge:
         needed = chance_threshold(more, self.searcher.points) + by_forms
         gain = self.held_out(with_it).gain(self.held_out(without))
         declared = next(e for e in with_it.problem.model.effects if e.name == effect)
-        size, least, material = self._size(with_it, without, declared.common)
-        carries_over = bool(declared.common) or self._carries_over(with_it, without)
+        size, least, speed, material = self._size(with_it, without, declared.common)
+        carries_over = bool(declared.common) or self._carries_over(with_it, without, size / speed if speed else 0.0)
         refused = refusals(likelihood_gain, needed, evidence, gain, more, material, carries_over)
         small = bool(refused) and not refusals(likelihood_gain, needed, evidence, gain, more, True, True)
-        return Judgement(
-            effect, float(likelihood_gain), needed, float(evidence), gain, size, least, material, tuple(refused), small
-        )
+        found = Judgement(effect, float(likelihood_gain), needed, float(evidence), gain, size, least, material)
+        return replace(found, refused=tuple(refused), small=small)
 
     def likelihood_gain(self, with_it: Fit, without: Fit) -> tuple[dict[str, float], float]:
         """(log-likelihood gain of an effect by channel; the part of it that errors in the forms of the others may cause). The
@@ -100,20 +99,25 @@ class Judge:
         known = [np.median(t.std) for e in self.searcher.experiments for t in e.tachometers if len(t)]
         return float(max(known, default=np.inf))
 
-    def _carries_over(self, with_it: Fit, without: Fit) -> bool:
-        """Whether the cross-validated error that an effect removes reaches the minimum size, in either channel."""
+    def _carries_over(self, with_it: Fit, without: Fit, slope: float) -> bool:
+        """Whether the cross-validated error that an effect removes reaches the minimum size, in either channel. `slope` [N/rpm]:
+        of its changes of thrust and speed; an error of the speed counts by its thrust, too."""
         now, was = self.held_out(with_it), self.held_out(without)
         if was.rmse_thrust**2 - now.rmse_thrust**2 >= self.least() ** 2:
             return True
-        return was.rmse_omega is not None and was.rmse_omega**2 - now.rmse_omega**2 >= self.least_speed() ** 2
+        if was.rmse_omega is None:
+            return False
+        removed = was.rmse_omega**2 - now.rmse_omega**2
+        return removed >= self.least_speed() ** 2 or removed * slope**2 >= self.least() ** 2
 
     def matters(self, effect: str, fit: Fit) -> bool:
         """Whether an effect reaches the minimum size, all other parameters held."""
         declared = next(e for e in fit.problem.model.effects if e.name == effect)
         return self._size(fit, replace(fit, values={**fit.values, **declared.switched_off}), declared.common)[-1]
 
-    def _size(self, with_it: Fit, without: Fit, common: float) -> tuple[float, float, bool]:
-        """(rms change of the thrust [N]; the minimum size; whether the change of thrust or of speed reaches its minimum)."""
+    def _size(self, with_it: Fit, without: Fit, common: float) -> tuple[float, float, float, bool]:
+        """(rms change of the thrust [N]; the minimum size; rms change of the speed's readings [rpm]; whether the change of thrust
+        or of speed reaches its minimum)."""
         thrust, rows, speed = [], [], []
         for e in self.searcher.experiments:
             shown = [predicted_rows(fit, e) for fit in (with_it, without)]
@@ -122,11 +126,11 @@ class Judge:
             thrust.append(e.slow_thrust(change[:, 0]))
             if len(e.omega_time):
                 speed.append(np.concatenate([t.shows(change[:, 1]) for t in e.tachometers]))
-        size, least = rms(thrust), self.least()
+        size, least, turned = rms(thrust), self.least(), rms(speed) if speed else 0.0
         if common:
             floor = max(e.noise.floor for e in self.searcher.experiments)
-            return rms(rows), float(np.sqrt(common)) * floor, rms(rows) ** 2 >= common * floor**2
-        return size, least, size >= least or (bool(speed) and rms(speed) >= self.least_speed())
+            return rms(rows), float(np.sqrt(common)) * floor, turned, rms(rows) ** 2 >= common * floor**2
+        return size, least, turned, size >= least or turned >= self.least_speed()
 
 
 def gains_in_bands(fits: Sequence[Fit], channel: str) -> tuple[np.ndarray, np.ndarray]:

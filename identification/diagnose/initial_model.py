@@ -92,7 +92,8 @@ class InitialModel:
     def of_channels(self, *channels: str, library: Sequence[Effect], values: Mapping[str, float]) -> "InitialModel":
         """The same for fits of some channels alone, with start values."""
         knowledge = self.knowledge if "thrust" in channels else None
-        refinement = replace(self.refinement, values={**self.values, **values})
+        own = {n: values.get(n, v) for n, v in self.values.items()}
+        refinement = replace(self.refinement, values=own)
         return replace(self, library=tuple(library), refinement=refinement, knowledge=knowledge, channels=channels)
 
 

@@ -199,7 +199,9 @@ def _each(scores, port, name, shape, v, points, terms, lag, form) -> list[Lead]:
 def _sines(scores: Scores) -> Iterator[Look]:
     """Sines of the thrust at the frequencies at which the longest record resolves them."""
     times = [c.drivers["time"] for c in scores.courses] if "thrust" in scores.ports else []
-    seconds = max((t[-1] for t in times), default=0.0)
+    if not times:
+        return
+    seconds = max(t[-1] for t in times)
     count = int(min(FASTEST * seconds, 400))
     frequencies = np.arange(1, count + 1) / seconds
     yield from (partial(_sine, scores, times, seconds, some) for some in np.array_split(frequencies, max(1, count // 20)))

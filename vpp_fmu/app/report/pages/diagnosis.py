@@ -21,7 +21,7 @@ from vpp_fmu.app.report.pages.identification import add_quality, quality_tile
 from vpp_fmu.app.report.pages.power import add_power
 from vpp_fmu.app.report.pages.residual import add_residual
 from vpp_fmu.app.report.sentences import change, clause, labelled, limited, sentence, size, thrust_error, titled, words
-from vpp_fmu.app.report.summary import LEFT_OUT, NEXT, artefact, channels, errors, summary, why_not
+from vpp_fmu.app.report.summary import LEFT_OUT, NEXT, artefact, errors, summary, why_not
 from vpp_fmu.digits import chance, interval, number, signed, with_uncertainty
 
 SURE = {
@@ -232,7 +232,7 @@ def _titles(found: Diagnosis) -> tuple[str, ...]:
 
 def findings(found: Diagnosis) -> list[str]:
     """The list under the tiles: channels, noise, residual, the best guess, what speaks against it, the next step."""
-    lines = [f"{name.capitalize()}: {_channel(one)}." for name, one in channels(found).items()]
+    lines = [f"{name.capitalize()}: {_channel(one)}." for name, one in found.channels.items()]
     lines.append(f"Noise of one reading: {size(found.noise.floor, 'N')}, {found.reading_noise.basis}.")
     lines += [f"{words(n)} could as well be {' or '.join(map(words, o))}." for n, o in found.selection.family.items() if o]
     if found.verdict in UNEXPLAINED:
