@@ -317,12 +317,7 @@ def _other(found: _Searched) -> _Searched | None:
     ]
     valid: list[tuple[int, str, str, _Searched]] = []
     for k, effect, name in sorted(pairs, key=lambda p: found.stages[p[0]].selection.rivals[p[1]][p[2]].bic()):
-        stage = found.stages[k]
-        selection, fit = stage.selection, stage.selection.rivals[effect][name]
-        judgements = {n: stage.judge(n, fit, without(stage.judge.searcher, selection.base, fit, n)) for n in fit.effects}
-        refused = {**selection.refused, effect: replace(selection.judgements[effect], refused=(found.refuted,))}
-        rivals = {e: fits for e, fits in selection.rivals.items() if e != effect} | {name: {}}
-        other = stage.with_final(fit, judgements, refused=refused, rivals=rivals)
+        other = found.stages[k].with_rival(effect, name, {}, found.refuted)
         tried = found.validated([*found.stages[:k], other, *found.stages[k + 1 :]])
         if not tried.refuted and tried.word in CHANGED:
             valid.append((k, effect, name, tried))

@@ -13,12 +13,12 @@ import numpy as np
 from identification.diagnose.acceptance import Judge
 from identification.diagnose.effort import Effort
 from identification.diagnose.given_speed import given_speed, with_given_speed, with_speed_of
-from identification.diagnose.initial_model import InitialModel, always_on, prepared, with_lower_noise
-from identification.diagnose.judgement import Judgement, Smallest
+from identification.diagnose.initial_model import InitialModel, always_on, fitted_base, prepared, with_lower_noise
+from identification.diagnose.judgement import MIN_EVIDENCE, Judgement, Smallest
 from identification.diagnose.lack_of_fit import LackOfFit, with_rotor_order
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
-from identification.diagnose.selection import Selection, select
+from identification.diagnose.selection import Selection, select, without
 from identification.diagnose.validation import CHANGED, verdict
 from identification.roles import Fitted
 from vpp_fmu.native import Simulator
@@ -60,6 +60,17 @@ class Stage:
         """The selected set, if it explains most of the lack of fit; else the base."""
         return self.selection.final if self.word in CHANGED else self.selection.base
 
+    def with_rival(self, effect: str, name: str, family: Mapping[str, Fit], why: str = "") -> "Stage":
+        """The stage with a rival in the place of an effect, and its `family`. `why`: the effect is refused."""
+        selection = self.selection
+        fit = selection.final if name == effect else selection.rivals[effect][name]
+        judgements, refused = selection.judgements, selection.refused
+        if name != effect:
+            judgements = {n: self.judge(n, fit, without(self.judge.searcher, selection.base, fit, n)) for n in fit.effects}
+            refused = {**refused, effect: replace(selection.judgements[effect], refused=(why,))} if why else refused
+        rivals = {e: fits for e, fits in selection.rivals.items() if e != effect} | {name: dict(family)}
+        return self.with_final(fit, judgements, refused=refused, rivals=rivals)
+
     def with_final(self, final: Fit, judgements: Mapping[str, Judgement], **changes) -> "Stage":
         """The stage with another selected set."""
         found = replace(self.selection, final=final, whole=final, judgements=dict(judgements), **changes)
@@ -85,17 +96,37 @@ def searched(
         at = at.of_channels("omega", library=at.library, values={})
         return _stage(groups, [], at, own, smallest, effort, pool, " of the speed")
 
+    def known_from(first: Fit) -> InitialModel:
+        return at.of_channels("thrust", library=with_given_speed(at.library), values=first.values)
+
+    def by_thrust(speed: Stage) -> Stage:
+        """The stage with the rival that the thrust prefers: a late speed and a late reading of it are the same to the speed."""
+        noise = speed.judge.searcher.experiments[0].noise
+        for effect, rivals in list(speed.selection.rivals.items()):
+            fits = {effect: speed.selection.final, **rivals}
+            if len({next(e.reading for e in at.library if e.name == name) for name in fits}) < 2:
+                continue
+            misfits = {
+                name: 0.5 * fitted_base(with_speed_of(groups, fit), known_from(fit), noise, at.values)[1].deviance
+                for name, fit in fits.items()
+            }
+            least = min(misfits.values())
+            best = next(name for name in fits if misfits[name] <= least + MIN_EVIDENCE)
+            family = {n: fit for n, fit in fits.items() if n != best and misfits[n] <= least + MIN_EVIDENCE}
+            speed = speed.with_rival(effect, best, family)
+        return speed
+
     def of_thrust(speed: Stage) -> Stage:
         first = speed.selection.whole
-        known = at.of_channels("thrust", library=with_given_speed(at.library), values=first.values)
+        known = known_from(first)
         given = [given_speed([record], first)[0] for record in runs]
         return _stage(with_speed_of(groups, first), given, known, others, smallest, effort, pool, " of the thrust")
 
-    speed = of_speed(at)
+    speed = by_thrust(of_speed(at))
     thrust = of_thrust(speed)
     if not _takes_pitch(speed.selection.whole) or not effort.allows(AGAIN):
         return [speed, thrust]
-    again = of_speed(_with_pitch_of(at, thrust.selection.whole))
+    again = by_thrust(of_speed(_with_pitch_of(at, thrust.selection.whole)))
     if again.selection.final.effects == speed.selection.final.effects:
         return [again, thrust]
     return [again, of_thrust(again)]
