@@ -485,6 +485,18 @@ def test_a_wider_effect_is_in_the_family_if_no_record_distinguishes_it(pitches, 
     assert found.verdict == ("family" if any(family.values()) else "attributed")
 
 
+@pytest.mark.parametrize("lag", [0.0, 0.6])
+def test_the_lag_of_a_sag_is_in_the_model_only_if_the_records_show_it(lag):
+    hidden = {"supply_sag.sag": 60.0, "supply_sag.time_constant": lag, "supply_sag.form": 2.0}
+    found = diagnose(rig(**hidden), some("supply_sag", "speed_saturation", "recirculation"))
+    assert found.final.effects == ("supply_sag",)
+    if lag:
+        error = found.final.values["supply_sag.time_constant"] - lag
+        assert abs(error) < 3.0 * found.std["supply_sag.time_constant"] < 0.3 * lag
+    else:
+        assert found.final.forms == {"supply_sag.form": 2.0, "supply_sag.time_constant": 0.0}
+
+
 def test_in_slow_noise_a_complete_model_trusts_the_steady_points_more_than_a_record():
     """Flicker noise, and steady points from 40 step responses. The fit with independent noise is the reference."""
     files, power = Files(seconds=60.0, repeat=False, validation=False, static=False, steps=True), {"before": 0.0, "after": 0.0}

@@ -418,6 +418,49 @@ def test_droop_answers_through_the_rotors_lags():
     np.testing.assert_allclose(omega[1:], exact[:-1], rtol=0, atol=0.05)  # the step is given in the second row
 
 
+def test_a_limit_that_recovers_follows_the_pitch_through_one_more_lag():
+    """Three lags in a row from the pitch to the speed: the battery's, then the rotor's two."""
+    inputs = {"omega_ref": np.full(1500, 6000.0), "beta_ref": np.r_[0.0, np.full(749, 9.0), np.full(750, 2.0)]}
+    omega = run("supply_sag", {"limit": 6000.0, "sag": 60.0, "time_constant": 0.8}, inputs)[1]
+    fine = np.arange(15000) * STEP / 10.0
+    pitch = steps_through(fine, (-1.0, STEP, 750 * STEP), (0.0, 9.0, 2.0), lambda t: two_lags(t, 0.374, 0.207))
+    lags = np.convolve(np.convolve([0.053, 1.0], [0.172, 1.0]), [0.8, 1.0])
+    exact = filtered([1.0], lags, 6000.0 - 60.0 * (5.0 + pitch), fine)[::10]
+    np.testing.assert_allclose(omega, exact, rtol=0, atol=0.02)
+
+
+def test_a_droop_that_recovers_is_the_networks_voltage_in_the_rotors_loop():
+    """The rotor's two lags towards the command minus the lagged droop, integrated by another solver."""
+    ref, sag, lift, tau = 5500.0, 80.0, 12.0, 0.6
+    inputs = {"omega_ref": np.r_[3000.0, np.full(749, ref)], "beta_ref": np.full(750, lift - 5.0)}
+    omega = run("supply_sag", {"sag": sag, "time_constant": tau, "form": 2.0}, inputs)[1]
+    start = 6000.0**2 / (2.0 * sag * lift) * (np.sqrt(1.0 + 4.0 * sag * lift * 3000.0 / 6000.0**2) - 1.0)
+
+    def slope(t, x):
+        inner, outer, lost = x
+        return [(ref - lost - inner) / 0.053, (inner - outer) / 0.172, (sag * lift * (outer / 6000.0) ** 2 - lost) / tau]
+
+    t = np.arange(750) * STEP
+    begin = [start, start, sag * lift * (start / 6000.0) ** 2]
+    exact = solve_ivp(slope, (0.0, t[-1]), begin, t_eval=t, rtol=1e-9, atol=1e-6).y[1]
+    np.testing.assert_allclose(omega[1:], exact[:-1], rtol=0, atol=0.05)
+    assert exact.max() > exact[-1] + 50.0  # it overshoots, which the law without a lag does not
+
+
+@pytest.mark.parametrize("form", [1.0, 2.0])
+def test_a_sag_without_a_lag_is_the_limit_of_a_short_one_with_its_slope(form):
+    model, name = plant(["supply_sag"]), "supply_sag.time_constant"
+    inputs, steps = random_steps(1500, 150, seed=5), np.full(1499, STEP)
+    values = {"supply_sag.limit": 5600.0, "supply_sag.sag": 60.0, "supply_sag.form": form}
+    short = 1e-5
+    at_once, tangents = simulator(model, (name,)).sensitivities(values | {name: 0.0}, inputs, steps)
+    lagged = simulator(model).simulate(values | {name: short}, inputs, steps)
+    slope = (lagged - at_once)[:, 1] / short
+    assert np.abs(slope).max() > 100.0  # rpm/s
+    apart = np.abs(slope - tangents[:, 1, 0])
+    assert np.quantile(apart, 0.95) < 0.02 * np.abs(slope).max()  # the others are at the kink of the limit
+
+
 @pytest.mark.parametrize(("share", "voltage"), [(1.0, 22.0), (0.5, 26.0), (0.3, 12.0)])
 def test_voltage_scales_the_speed(share, voltage):
     omega = settled("supply_voltage", {"share": share}, 4000.0, 3.0, voltage=voltage)[1]
@@ -478,6 +521,15 @@ def test_gain_drift_in_time_and_in_load_is_the_closed_form():
         np.testing.assert_allclose(shown, thrust * (1.0 + load * grown), rtol=1e-9)
     line = run("thrust_gain_drift", {"rate": -0.0006}, inputs, 0.1)[0]
     assert np.polyfit(t[:50], line[:50] / thrust, 1)[0] == pytest.approx(-0.0006, rel=5e-3)
+
+
+def test_gain_drift_with_load_is_the_lagged_thrust_under_scipy():
+    inputs = random_steps(5000, 300, seed=4)
+    time, thrust, *_ = fine_base(inputs)
+    drift = -0.02 * lsim(([12.0], [12.0, 1.0]), thrust / 15.0, time)[1]  # cold at the start
+    shown = run("thrust_gain_drift", {"rate": -0.02, "time_constant": 12.0, "form": 2.0}, inputs)[0]
+    np.testing.assert_allclose(shown, (thrust * (1.0 + drift))[::16], rtol=0, atol=1e-5)
+    assert np.ptp(thrust * drift) > 0.5
 
 
 # --- Sensor ----------------------------------------------------------------------------------------------------------------

@@ -249,7 +249,8 @@ def _near(found: Selection, effect: str) -> list[CandidateFit]:
 
 def _is_in(fit: Fit, candidate: Candidate) -> bool:
     """Whether a fit has a candidate, in the same form."""
-    return candidate.name in fit.effects and candidate.form.items() <= fit.forms.items()
+    own = {n: v for n, v in fit.forms.items() if n.startswith(f"{candidate.name}.")}
+    return candidate.name in fit.effects and candidate.form == own
 
 
 def _slack(found: Selection, effect: str) -> float:

@@ -8,8 +8,8 @@ from importlib import import_module
 
 STUDIES = (
     *("adaptive", "api", "commands", "days", "degenerate", "diagnosis", "energy", "exits", "fleet", "fmus", "fuzz", "gate"),
-    *("identification", "imports", "learned", "loggers", "long", "measured", "mutations", "paper", "policy", "power"),
-    *("power_residual", "readings", "refusals", "rigs", "rules", "size", "tuning", "twin"),
+    *("hidden", "identification", "imports", "learned", "loggers", "long", "measured", "mutations", "paper", "policy", "power"),
+    *("power_residual", "readings", "refusals", "rigs", "rules", "size", "tuning", "twin", "variation"),
 )
 
 

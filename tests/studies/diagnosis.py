@@ -118,6 +118,7 @@ def outcome(case: Case, threads: int = 1, library: Iterable[Effect] = LIBRARY) -
     row |= {"evidence": case.evidence(measured.open_loop), "equal": case.equals(measured.open_loop)}
     row |= {"verdict": content["verdict"], "effects": [e["name"] for e in content["effects"]]}
     row |= {"family": content["family"], "lack_of_fit": content.get("lack_of_fit")}
+    row |= {"learned": (term := content["learned"]) and [term["port"], term["driver"]]}
     record, true = case.unseen()
     errors = [_outputs(found, record)[:, 0] - true for found in (before, after)]
     row |= {"parameters": compared(content, case.truth())}

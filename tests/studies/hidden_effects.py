@@ -287,7 +287,9 @@ UNLISTED = (
     Hidden("blocked_speed", _some("notch", 0.03, 0.12)),
     Hidden("sticking_mount", _some("friction_cell", 0.006, 0.03)),
     Hidden("soft_stop", _some("bend", 0.05, 0.25)),
-    Hidden("draining_battery", lambda g: {"drain": g.size(0.03, 0.12), "drain_time": g.any(2.0, 8.0)}),
+    Hidden(
+        "draining_battery", lambda g: {"drain": g.size(0.03, 0.12), "drain_time": g.any(2.0, 8.0)}, relatives=("supply_sag",)
+    ),
     Hidden("coarse_controller", _some("esc_step", 0.012, 0.06)),
     Hidden("parting_flow", _some("parting", 0.04, 0.15)),
 )

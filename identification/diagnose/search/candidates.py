@@ -24,7 +24,7 @@ DECADE, CYCLES = 12, 2.0
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An effect in one form. `form`: values of its `choices` parameters; `free`: names of the others. All full names.
+    """An effect in one form. `form`: its `choices` parameters and those held at a limit; `free`: the others. All full names.
 
     `levels`: grid values of free parameters that depend on the records (a top speed, a nominal voltage).
     """
@@ -99,7 +99,10 @@ class Candidate:
 
 def candidates(library: Iterable[Effect], records: Iterable[Record]) -> list[Candidate]:
     """Candidates for records. Effects that need a measured input absent from a record are excluded; so are those that round a
-    constant command."""
+    constant command.
+
+    A shape parameter whose default is a limit form, such as a lag of 0 s, is free in one candidate and held there in another.
+    """
     records, found = tuple(records), []
     for effect in library:
         if effect.off is None or any(u.name not in r for u in effect.inputs if not u.clock for r in records):
@@ -108,9 +111,12 @@ def candidates(library: Iterable[Effect], records: Iterable[Record]) -> list[Can
             continue
         choices = [(effect.full(p.name), p.choices) for p in effect.parameters if p.choices]
         free = tuple(effect.full(p.name) for p in effect.parameters if not p.choices)
-        for values in product(*(options for _, options in choices)):
-            form = dict(zip((name for name, _ in choices), values, strict=True))
-            found.append(Candidate(effect, form, free, _levels(effect, records)))
+        shapes = [p for p in effect.parameters if p.limit_form and p.name not in effect.off]
+        limits = {effect.full(p.name): p.default for p in shapes if p.default in (p.minimum, p.maximum)}
+        levels, ways = _levels(effect, records), [{}, limits] if limits else [{}]
+        for *values, held in product(*(options for _, options in choices), ways):
+            form = dict(zip((name for name, _ in choices), values, strict=True)) | held
+            found.append(Candidate(effect, form, tuple(n for n in free if n not in held), levels))
     return found
 
 

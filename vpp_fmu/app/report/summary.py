@@ -255,7 +255,7 @@ def why_not(found: Diagnosis, tried: CandidateFit) -> str | None:
     if tried.fit is None:
         return "not refitted: screening predicts less gain than for the refitted candidates"
     if name in final.effects:
-        if any(final.forms.get(n) != v for n, v in tried.candidate.form.items()):
+        if {n: v for n, v in final.forms.items() if n.startswith(f"{name}.")} != tried.candidate.form:
             return "another form of it explains more"
         if name in found.left_out:
             return None
