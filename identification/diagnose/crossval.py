@@ -79,13 +79,32 @@ def cross_validated(
     `split(time, seconds)`: the fold of each time. `moving(name)`: whether a parameter is refitted; None: all are. `least`: a
     direction is not refitted if the other folds have at most this share of its information.
     """
-    problem, (residual, jacobian) = fit.problem, fit.tangent()
-    if moving is not None:
-        jacobian = jacobian * [float(moving(name)) for name in problem.coordinates.names]
-    residuals = [residual, *(problem.residual_at(values) for values in _alternatives(fit))]
-    size, held = problem.size, np.empty(problem.size)
-    fold_of = np.concatenate([split(time, seconds) for time, seconds in problem.times])
-    moves = []
+    problem = fit.problem
+    if fit.parts:
+        moves = _moves_of_parts(fit, split)
+        residual, jacobian = problem.rows(fit.values)
+        held = residual[: problem.size] + np.einsum("rn,rn->r", jacobian[: problem.size], moves[_fold_of(fit, split)])
+    else:
+        residual, jacobian = fit.tangent()
+        if moving is not None:
+            jacobian = jacobian * [float(moving(name)) for name in problem.coordinates.names]
+        held, steps = _predicted(fit, residual, jacobian, _fold_of(fit, split), least)
+        moves = steps @ problem.coordinates.jacobian(fit.solution.value).T
+    score = problem.score_of(held)
+    return HeldOut(score.squares, score.counts, *_errors(fit, moves, split))
+
+
+def _fold_of(fit: Fit, split: Callable[[np.ndarray, float], np.ndarray]) -> np.ndarray:
+    """(rows,): the fold of each row of the residual."""
+    return np.concatenate([split(time, seconds) for time, seconds in fit.problem.times])
+
+
+def _predicted(
+    fit: Fit, residual: np.ndarray, jacobian: np.ndarray, fold_of: np.ndarray, least: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """(residual (rows,) in each fold, predicted from the others; step (folds, coordinates) of the fit to them)."""
+    size, residuals = fit.problem.size, [residual, *(fit.problem.residual_at(values) for values in _alternatives(fit))]
+    held, moves = np.empty(size), []
     for fold in range(int(fold_of.max()) + 1):
         out = np.flatnonzero(fold_of == fold)
         kept = np.append(np.flatnonzero(fold_of != fold), np.arange(size, len(jacobian)))  # the prior's rows always
@@ -97,9 +116,18 @@ def cross_validated(
         likely /= likely.sum()
         held[out] = sum(p * (r[out] + jacobian[out] @ s) for p, r, s in zip(likely, residuals, steps, strict=True))
         moves.append(sum(p * s for p, s in zip(likely, steps, strict=True)))
-    score = problem.score_of(held)
-    thrust, omega = _errors(fit, moves, split)
-    return HeldOut(score.squares, score.counts, thrust, omega)
+    return held, np.array(moves)
+
+
+def _moves_of_parts(fit: Fit, split: Callable[[np.ndarray, float], np.ndarray]) -> np.ndarray:
+    """(folds, parameters): changes of the parameters when each part is fitted to the other folds."""
+    found: dict[str, np.ndarray] = {}
+    for part in fit.parts:
+        steps = _predicted(part, *part.tangent(), _fold_of(part, split), 0.0)[1]
+        moves = steps @ part.problem.coordinates.jacobian(part.solution.value).T
+        found |= zip(part.problem.coordinates.names, moves.T, strict=True)
+    names = fit.problem.coordinates.names
+    return np.array([found.get(n, np.zeros(len(moves))) for n in names]).T
 
 
 def p_no_decrease(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], further: Sequence[float] = ()) -> float:
@@ -180,17 +208,16 @@ def _alternatives(fit: Fit) -> list[dict[str, float]]:
 
 
 def _errors(
-    fit: Fit, moves: list[np.ndarray], split: Callable[[np.ndarray, float], np.ndarray]
+    fit: Fit, moves: np.ndarray, split: Callable[[np.ndarray, float], np.ndarray]
 ) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
-    """Errors (thrust [N], speed [rpm]) by experiment; the parameters of each fold moved by `moves` (coordinates)."""
+    """Errors (thrust [N], speed [rpm]) by experiment; the parameters of each fold moved by `moves` (folds, parameters)."""
     problem = fit.problem
-    simulator, inner = Simulator(problem.model, problem.coordinates.names), problem.coordinates.jacobian(fit.solution.value)
+    simulator = Simulator(problem.model, problem.coordinates.names)
     thrust, omega = [], []
     for e in problem.experiments:
         fold, predicted = split(e.record.time, e.record.time[-1]), np.empty((len(e.record), 2))
-        changes = np.column_stack([inner @ move for move in moves])
         for at, shown, tangents in simulator.pieces(fit.values, *e.record.run):
-            predicted[at] = shown[:, :2] + np.einsum("rcn,nr->rc", tangents[:, :2], changes[:, fold[at]])
+            predicted[at] = shown[:, :2] + np.einsum("rcn,nr->rc", tangents[:, :2], moves.T[:, fold[at]])
         thrust.append(predicted[:, 0] - e.thrust_rows)
         shown = [t.shows(predicted[:, 1]) - t.measured for t in e.tachometers]
         omega.append(np.concatenate(shown) if shown else np.zeros(0))

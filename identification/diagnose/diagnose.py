@@ -33,7 +33,7 @@ from identification.diagnose.search.fits import Fit
 from identification.diagnose.search.refits import evidence_over
 from identification.diagnose.selection import Selection, nearest, without
 from identification.diagnose.stages import Stage, joined, lack_of, searched, selection_of, verdict_of
-from identification.diagnose.validation import CHANGED, unnamed, validated
+from identification.diagnose.validation import CHANGED, UNEXPLAINED, unnamed, validated
 from identification.fit.coordinates import CHANNELS, slowest
 from identification.fit.noise import Noise
 from identification.gate.finding import Finding
@@ -51,9 +51,6 @@ from vpp_fmu.native.memory import give_back
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig
-
-UNEXPLAINED = ("partly", "unexplained")
-"""Verdicts with an unexplained lack of fit; a best guess is added."""
 
 
 @dataclass(frozen=True)
@@ -261,7 +258,7 @@ class _Searched:
     @property
     def word(self) -> str:
         """The verdict, of the base if validation refutes the selected set."""
-        return unnamed(lack_of(self.stages, "before")) if self.refuted else verdict_of(self.stages)
+        return "unexplained" if self.refuted else verdict_of(self.stages)
 
     def selection(self, stages: Sequence[Stage] | None = None) -> Selection:
         return selection_of(self.judge.searcher, self.judge.base, self.stages if stages is None else stages)
@@ -271,12 +268,13 @@ class _Searched:
         found, partly = self.selection(stages).final, verdict_of(stages) == "partly"
         if found is self.judge.base:
             return replace(self, stages=stages, final=self.base, refuted="")
-        final, why = self.shipped(self.base, self.judge.base, found, partly)
+        final, why = self.shipped(self.base, self.judge.base, found, [s.accepted for s in stages], partly)
         return replace(self, stages=stages, final=final, refuted=why)
 
-    def shipped(self, present: Fit, beside: Fit, found: Fit, partly: bool = False) -> tuple[Fit, str]:
-        """(final model, why held-out data refute `found`, fitted beside another set, in place of the `present` model)."""
-        return validated(self.judge, self.at.knowledge, self.unseen, present, beside, found, partly)
+    def shipped(self, present: Fit, beside: Fit, found: Fit, parts: Sequence[Fit], partly: bool = False) -> tuple[Fit, str]:
+        """(final model, why held-out data refute `found`, fitted beside another set, in place of the `present` model). `parts`:
+        the fits of the stages."""
+        return validated(self.judge, self.at.knowledge, self.unseen, present, beside, found, parts, partly)
 
 
 def _searched(task: _Task, gate: Passed) -> _Searched:
@@ -446,7 +444,8 @@ def _learned(task: _Task, found: _Searched, stage: Stage, present: Fit) -> tuple
             attempt = attempt.but_refuted("lack of fit remains, and a term at another port or driver explains as much")
             continue
         together = joined(term.searcher(found.judge.searcher), found.judge.base, [*others, term.fit])
-        final, why = found.shipped(present, joined(found.judge.searcher, found.judge.base, [*others, beside]), together)
+        without_it = joined(found.judge.searcher, found.judge.base, [*others, beside])
+        final, why = found.shipped(present, without_it, together, [*others, term.fit])
         if not why:
             return attempt.joined(together), final
         attempt = attempt.but_refuted(why)

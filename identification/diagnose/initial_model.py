@@ -201,13 +201,17 @@ def fitted_base(
     """(searcher on experiments with this noise, base fitted to them)."""
     experiments = [Experiment(group, noise, at.channels) for group in groups]
 
-    def fitted(values: Mapping[str, float], factor: float) -> tuple[Searcher, Fit]:
-        searcher = Searcher(experiments, at.fitted, at.knowledge, at.first, at.library, factor)
-        return searcher, searcher.fit((), {}, (), values)
+    # A missing effect biases the identified values, and a fit from them may end beside the minimum.
+    starts = [values, {**values, **{n: at.first[n] for n in at.fitted}}]
 
-    searcher, base = fitted(values, WIDEST)
+    def fitted(factor: float) -> tuple[Searcher, Fit]:
+        searcher = Searcher(experiments, at.fitted, at.knowledge, at.first, at.library, factor)
+        return searcher, min((searcher.fit((), {}, (), start) for start in starts), key=Fit.bic)
+
+    searcher, base = fitted(WIDEST)
     if at.knowledge and (prior := base.prior(at.knowledge)):
-        searcher, base = fitted(base.values, disagreement(prior, base.uncertainty))
+        starts.append(base.values)
+        searcher, base = fitted(disagreement(prior, base.uncertainty))
     return searcher, base
 
 

@@ -19,7 +19,7 @@ from identification.diagnose.lack_of_fit import LackOfFit, with_rotor_order
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.selection import Selection, select, without
-from identification.diagnose.validation import CHANGED, verdict
+from identification.diagnose.validation import CHANGED, UNEXPLAINED, verdict
 from identification.roles import Fitted
 from vpp_fmu.native import Simulator
 from vpp_fmu.native.memory import give_back
@@ -71,6 +71,19 @@ class Stage:
         rivals = {e: fits for e, fits in selection.rivals.items() if e != effect} | {name: dict(family)}
         return self.with_final(fit, judgements, refused=refused, rivals=rivals)
 
+    def on(self, groups: Sequence[Sequence[Fitted]], at: InitialModel, runs: Sequence[Record]) -> "Stage":
+        """The same selection, fitted to records of another speed."""
+        old, selection = self.judge.searcher, self.selection
+        searcher, base = fitted_base(groups, at, old.experiments[0].noise, self.selection.base.values)
+        searcher.points, searcher.base_score_gain = old.points, old.base_score_gain
+        judge = Judge(searcher, base, self.judge.smallest, runs)
+        final, whole = (searcher.again(fit) if fit.effects else base for fit in (selection.final, selection.whole))
+        judgements = {n: judge(n, final, without(searcher, base, final, n)) for n in final.effects}
+        rivals = {n: {name: searcher.again(fit) for name, fit in fits.items()} for n, fits in selection.rivals.items()}
+        found = replace(selection, base=base, final=final, whole=whole, judgements=judgements, rivals=rivals)
+        before, after = (with_rotor_order(judge.lack(fit), fit) for fit in (base, whole))
+        return replace(self, at=at, groups=groups, judge=judge, selection=found, before=before, after=after)
+
     def with_final(self, final: Fit, judgements: Mapping[str, Judgement], **changes) -> "Stage":
         """The stage with another selected set."""
         found = replace(self.selection, final=final, whole=final, judgements=dict(judgements), **changes)
@@ -117,10 +130,12 @@ def searched(
         return speed
 
     def of_thrust(speed: Stage) -> Stage:
+        return _stage(*of_known(speed), others, smallest, effort, pool, " of the thrust")
+
+    def of_known(speed: Stage) -> tuple[list[list[Fitted]], list[Record], InitialModel]:
         first = speed.selection.whole
-        known = known_from(first)
         given = [given_speed([record], first)[0] for record in runs]
-        return _stage(with_speed_of(groups, first), given, known, others, smallest, effort, pool, " of the thrust")
+        return with_speed_of(groups, first), given, known_from(first)
 
     speed = by_thrust(of_speed(at))
     thrust = of_thrust(speed)
@@ -128,7 +143,9 @@ def searched(
         return [speed, thrust]
     again = by_thrust(of_speed(_with_pitch_of(at, thrust.selection.whole)))
     if again.selection.final.effects == speed.selection.final.effects:
-        return [again, thrust]
+        own, given, known = of_known(again)
+        if (known_thrust := thrust.on(own, known, given)).word not in UNEXPLAINED:
+            return [again, known_thrust]
     return [again, of_thrust(again)]
 
 

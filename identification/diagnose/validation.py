@@ -57,12 +57,22 @@ def share_explained(base: Fit, final: Fit, before: LackOfFit, after: LackOfFit) 
     return share
 
 
+UNEXPLAINED = ("partly", "unexplained")
+"""Verdicts with an unexplained lack of fit; a best guess is added."""
+
 CHANGED = ("attributed", "family", "partly", "learned")
 """Verdicts that add effects to the model."""
 
 
 def validated(
-    judge: Judge, knowledge: Knowledge | None, unseen: Unseen | None, present: Fit, base: Fit, found: Fit, partly: bool = False
+    judge: Judge,
+    knowledge: Knowledge | None,
+    unseen: Unseen | None,
+    present: Fit,
+    base: Fit,
+    found: Fit,
+    parts: Sequence[Fit],
+    partly: bool = False,
 ) -> tuple[Fit, str]:
     """(final model, reason why `found` does not replace the `present` model; empty if it does).
 
@@ -74,7 +84,7 @@ def validated(
                 found = rest
     if found.effects == base.effects:
         return present, ""
-    final = _estimated(judge, knowledge, present, found)
+    final = _estimated(judge, knowledge, present, found, parts)
     too_small = [name for name in final.effects if not judge.matters(name, final)]
     given = Replacement(judge, present, base, found, final, unseen, partly)
     why = NOTHING_LEFT.format(too_small[0]) if too_small else reason_against(given)
@@ -116,14 +126,17 @@ def _at_supported_thresholds(given: "Replacement") -> Fit | None:
 NOTHING_LEFT = "{} is below the minimum size when estimated for the best prediction of held-out data"
 
 
-def _estimated(judge: Judge, knowledge: Knowledge | None, present: Fit, found: Fit) -> Fit:
+def _estimated(judge: Judge, knowledge: Knowledge | None, present: Fit, found: Fit, parts: Sequence[Fit]) -> Fit:
     """Estimate the accepted set for the best prediction of held-out folds and step responses.
 
     The prior from the static map had been widened to agree with records beside the base. It is weighted again beside the
     effects, unless the cross-validated thrust error then increases significantly. If folds or step responses are predicted
-    worse than by the `present` model, the estimates of an identification are tried, which give slow errors more weight. Then,
-    for effects without influence at rest, those with the map of the `present` model are tried.
+    worse than by the `present` model, the values of the fits of single channels, its `parts`, are tried; then the estimates of
+    an identification, which give slow errors more weight. Then, for effects without influence at rest, those with the map of
+    the `present` model are tried.
     """
+    if len(parts) > 1 and _worse(judge, found, present) and not _worse(judge, apart := found.with_values_of(parts), present):
+        return apart
     if knowledge is not None:
         agreed = found.agreed(knowledge)
         old, new = judge.held_out(found).thrust, judge.held_out(agreed).thrust

@@ -49,7 +49,8 @@ class Fit:
 
     `thresholds`: parameters with a piecewise constant cost, found by scanning, with their 95 % interval. `idle`: some of the
     effects' parameters had no influence, so that a simpler effect would do the same. `estimate`: the uncertainty of values
-    estimated as in an identification; None for values of maximum likelihood.
+    estimated as in an identification; None for values of maximum likelihood. `parts`: fits of single channels that gave the
+    values.
     """
 
     effects: tuple[str, ...]
@@ -63,6 +64,23 @@ class Fit:
     thresholds: Mapping[str, tuple[float, float]]
     idle: bool
     estimate: Uncertainty | None = None
+    parts: tuple["Fit", ...] = ()
+
+    def with_values_of(self, parts: Sequence["Fit"]) -> "Fit":
+        """The same effects with the values of fits of single channels. Where the law of the speed is not exact, a fit of all
+        channels pulls the parameters of the thrust away from theirs."""
+        names = [[n for n in (*p.problem.coordinates.names, *p.free) if n in self.values] for p in parts]
+        values = self.values | {n: p.values[n] for p, own in zip(parts, names, strict=True) for n in own}
+        again = replace(self, values=values)._anew(self.problem.experiments, self.problem.prior)
+        x = again.problem.coordinates.vector(values)
+        again.problem.weigh(again.problem.residual_at(values))
+        cost = 0.5 * float(np.sum(again.problem.residual_at(values) ** 2))
+        idle = np.zeros(len(x), bool)
+        estimate = parts[0].uncertainty
+        for part, own in zip(parts[1:], names[1:], strict=True):
+            estimate = estimate.beside(part.uncertainty, own)
+        solution = Solution(x, np.zeros(0), np.zeros((0, len(x))), (cost,), 1, True, idle)
+        return replace(again, values=values, solution=solution, estimate=estimate, parts=tuple(parts))
 
     def with_thresholds(self, values: Mapping[str, float], intervals: Mapping[str, tuple[float, float]]) -> "Fit":
         """The same with other thresholds, in narrower intervals. All other parameters are held."""
