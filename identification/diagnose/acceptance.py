@@ -62,7 +62,7 @@ class Judge:
         refused = refusals(likelihood_gain, needed, evidence, gain, more, material, carries_over)
         small = bool(refused) and not refusals(likelihood_gain, needed, evidence, gain, more, True, True)
         found = Judgement(effect, float(likelihood_gain), needed, float(evidence), gain, size, least, material)
-        return replace(found, refused=tuple(refused), small=small)
+        return replace(found, refused=tuple(refused), small=small, speed=speed)
 
     def likelihood_gain(self, with_it: Fit, without: Fit) -> tuple[dict[str, float], float]:
         """(log-likelihood gain of an effect by channel; the part of it that errors in the forms of the others may cause). The
@@ -98,6 +98,10 @@ class Judge:
             return self.smallest.speed
         known = [np.median(t.std) for e in self.searcher.experiments for t in e.tachometers if len(t)]
         return float(max(known, default=np.inf))
+
+    def within_sensor(self, judged: Judgement) -> bool:
+        """Whether an effect, found in the speed alone, is smaller than the uncertainty of the speed sensor."""
+        return "thrust" not in self.searcher.experiments[0].channels and judged.speed < self.least_speed()
 
     def _carries_over(self, with_it: Fit, without: Fit, slope: float) -> bool:
         """Whether the cross-validated error that an effect removes reaches the minimum size, in either channel. `slope` [N/rpm]:

@@ -24,14 +24,14 @@ from identification.diagnose.initial_model import (
     from_identification,
     with_slow_noise,
 )
-from identification.diagnose.judgement import MIN_EVIDENCE, Smallest
+from identification.diagnose.judgement import FORM, MIN_EVIDENCE, Smallest
 from identification.diagnose.lack_of_fit import LackOfFit
 from identification.diagnose.learned.learn import NAME, Attempt, Learned, learn
 from identification.diagnose.locate import locate
 from identification.diagnose.search.candidates import candidates
 from identification.diagnose.search.fits import Fit
 from identification.diagnose.search.refits import evidence_over
-from identification.diagnose.selection import Selection, nearest, without
+from identification.diagnose.selection import Selection, nearest
 from identification.diagnose.stages import Stage, joined, lack_of, searched, selection_of, verdict_of
 from identification.diagnose.validation import CHANGED, UNEXPLAINED, unnamed, validated
 from identification.fit.coordinates import CHANNELS, slowest
@@ -40,7 +40,7 @@ from identification.gate.finding import Finding
 from identification.gate.gate import Passed, passed
 from identification.identify import Identification, off_bounds
 from identification.logger import Logger
-from identification.logger_fit import likely_loggers
+from identification.logger_fit import as_logged, likely_loggers
 from identification.power.diagnose import PowerDiagnosis, diagnose_power
 from identification.roles import Fitted, Unseen, roles
 from vpp_fmu.campaign import Campaign
@@ -51,6 +51,10 @@ from vpp_fmu.native.memory import give_back
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig
+
+
+DELAYS = ("row_clock", "reading_delay", "speed_reading_delay", "speed_delay", "pitch_delay")
+"""Effects that an estimate of the logger has itself."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +199,8 @@ def diagnose(
     term of unknown form is learned. `budget` [s]: no further step of the search begins after this time; the result then depends
     on the machine's speed. BadInput if the campaign has no record to fit.
 
-    The logger is estimated first, beside the base model.
+    The logger is estimated first, beside the base model, which a missing effect may bias; then again beside the effects that
+    are found. If it differs significantly, the campaign is searched once more.
     """
     effort = Effort(budget, thorough, stage, progress)
     # The fits run in parallel, each with one thread of linear algebra.
@@ -208,6 +213,13 @@ def diagnose(
         stage("logger")
         likely = likely_loggers(gate, *present, each=pool.map)
         found = _searched(task, next(likely))
+        beside = [n for n in found.selection().final.effects if n in {e.name for e in library} and n not in DELAYS]
+        if beside and effort.allows(f"another logger beside {' + '.join(beside)}"):
+            stage("logger")
+            kept = given.without_power.model.optional if given else ()
+            again = as_logged(gate, [*kept, *beside], library, found.selection().final.values, pool.map)
+            if not again.logger.agrees_with(found.logger):
+                found = _simpler(found, _searched(task, again))
         done = _concluded(task, found)
         return replace(done, not_tried=tuple(effort.not_tried), power=_power(done))
 
@@ -277,6 +289,13 @@ class _Searched:
         return validated(self.judge, self.at.knowledge, self.unseen, present, beside, found, parts, partly)
 
 
+def _simpler(one: _Searched, other: _Searched) -> _Searched:
+    """The one with fewer effects, if its held-out mean square error exceeds that of the other by at most the share FORM."""
+    few, many = sorted((one, other), key=lambda s: (len(s.final.effects), s.word != "none", s.held_out_after.rmse_thrust))
+    powers = [found.held_out_after.rmse_thrust**2 for found in (few, many)]
+    return few if powers[0] <= (1.0 + FORM) * powers[1] else many
+
+
 def _searched(task: _Task, gate: Passed) -> _Searched:
     """Search a campaign whose records passed the `gate`, corrected for its logger."""
     task.effort.stage("identify")
@@ -328,12 +347,7 @@ def _other(found: _Searched) -> _Searched | None:
     if len(judged) < 2:
         return None
     k, weakest = min(judged, key=lambda each: judged[each].evidence)
-    stage = found.stages[k]
-    selection = stage.selection
-    rest = without(stage.judge.searcher, selection.base, selection.final, weakest)
-    kept = {n: j for n, j in selection.judgements.items() if n != weakest}
-    refused = {**selection.refused, weakest: replace(judged[k, weakest], refused=(found.refuted,))}
-    fewer = stage.with_final(rest, kept, refused=refused, rivals={n: {} for n in kept})
+    fewer = found.stages[k].less(weakest, found.refuted)
     return found.validated([*found.stages[:k], fewer, *found.stages[k + 1 :]])
 
 

@@ -27,26 +27,25 @@ def with_given_speed(library: Sequence[Effect]) -> tuple[Effect, ...]:
     return (*library[:at], measured_speed.EFFECT, *library[at:])
 
 
-def given_speed(records: Sequence[Record], first: Fit) -> list[Record]:
-    """Records of the same commands with the columns of the known speed. `first`: the fit of the speed."""
+def given_speed(records: Sequence[Record], first: Fit, readings: bool = True) -> list[Record]:
+    """Records of the same commands with the columns of the known speed. `first`: the fit of the speed; `readings`: add what
+    the readings show beyond it."""
     simulator, shown_at = first.problem.simulator, {}
     for e in first.problem.model.effects:
         if "speed" in e.reading and e.off:
             shown_at |= e.switched_off
     shown = simulator.simulate(first.values, *records[0].run)[:, 1]
     speed = simulator.simulate({**first.values, **shown_at}, *records[0].run)[:, 1] if shown_at else shown
-    beyond = [found for record in records if (found := _beyond(record, shown)) is not None]
+    beyond = [found for record in records if readings and (found := _beyond(record, shown)) is not None]
     speed = np.maximum(speed + np.mean(beyond, axis=0), 0.0) if beyond else speed
     columns = {"speed_at_row": speed, "speed_at_next_row": np.append(speed[1:], speed[-1:])}
     return [record.with_columns(**columns) for record in records]
 
 
-def with_speed_of(groups: Sequence[Sequence[Fitted]], first: Fit) -> list[list[Fitted]]:
+def with_speed_of(groups: Sequence[Sequence[Fitted]], first: Fit, readings: bool = True) -> list[list[Fitted]]:
     """The same for groups of fitted records."""
-    return [
-        [Fitted(one.name, record) for one, record in zip(group, given_speed([g.record for g in group], first), strict=True)]
-        for group in groups
-    ]
+    given = [given_speed([one.record for one in group], first, readings) for group in groups]
+    return [[Fitted(one.name, r) for one, r in zip(group, own, strict=True)] for group, own in zip(groups, given, strict=True)]
 
 
 def _beyond(record: Record, shown: np.ndarray) -> np.ndarray | None:

@@ -60,7 +60,7 @@ def select(
         tried = search_round(judge.searcher, found.whole, options, pool, effort.progress)
         found.rounds.append(tried)
         best, small = _first_accepted(found, tried, judge)
-        if best is None and small and judge.lack(found.whole).significant:
+        if best is None and small and judge.lack(found.whole).significant and not judge.lack(small).significant:
             nuisances.add(small.effects[-1])
             best = small
         if best is None:
@@ -72,6 +72,8 @@ def select(
         found.whole, found.judgements = _pruned(judge, best, nuisances)
         while len(found.whole.effects) > 1 and _exchanged(found, judge, nuisances, pool):
             pass
+        if any(judge.within_sensor(judged) for judged in found.judgements.values()):
+            break  # a further one would correct the model of the sensor
     effort.stage(f"judge{words}")
     while _exchanged(found, judge, nuisances, pool):
         pass

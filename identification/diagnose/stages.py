@@ -20,6 +20,7 @@ from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.selection import Selection, select, without
 from identification.diagnose.validation import CHANGED, UNEXPLAINED, verdict
+from identification.fit.noise import Noise
 from identification.roles import Fitted
 from vpp_fmu.native import Simulator
 from vpp_fmu.native.memory import give_back
@@ -71,6 +72,14 @@ class Stage:
         rivals = {e: fits for e, fits in selection.rivals.items() if e != effect} | {name: dict(family)}
         return self.with_final(fit, judgements, refused=refused, rivals=rivals)
 
+    def less(self, effect: str, why: str) -> "Stage":
+        """The stage without an effect, which is refused for a reason."""
+        selection = self.selection
+        rest = without(self.judge.searcher, selection.base, selection.final, effect)
+        judgements = {n: j for n, j in selection.judgements.items() if n != effect}
+        refused = {**selection.refused, effect: replace(selection.judgements[effect], refused=(why,))}
+        return self.with_final(rest, judgements, refused=refused, rivals={n: {} for n in judgements})
+
     def on(self, groups: Sequence[Sequence[Fitted]], at: InitialModel, runs: Sequence[Record]) -> "Stage":
         """The same selection, fitted to records of another speed."""
         old, selection = self.judge.searcher, self.selection
@@ -112,17 +121,24 @@ def searched(
     def known_from(first: Fit) -> InitialModel:
         return at.of_channels("thrust", library=with_given_speed(at.library), values=first.values)
 
+    def misfit(fit: Fit, readings: bool, noise: Noise) -> float:
+        """Half the deviance of the thrust, without effects of its own, given the speed of a fit."""
+        return 0.5 * fitted_base(with_speed_of(groups, fit, readings), known_from(fit), noise, at.values)[1].deviance
+
     def by_thrust(speed: Stage) -> Stage:
-        """The stage with the rival that the thrust prefers: a late speed and a late reading of it are the same to the speed."""
-        noise = speed.judge.searcher.experiments[0].noise
+        """The stage as the thrust prefers it. A late speed and a late reading of it are the same to the speed. The model of its
+        sensor is approximate: an effect that is smaller than the sensor's uncertainty must improve the thrust, too."""
+        noise, judge = speed.judge.searcher.experiments[0].noise, speed.judge
+        for effect, judged in list(speed.selection.judgements.items()):
+            final = speed.selection.final
+            rest = without(judge.searcher, speed.selection.base, final, effect)
+            if judge.within_sensor(judged) and misfit(rest, False, noise) < misfit(final, False, noise) + MIN_EVIDENCE:
+                speed = speed.less(effect, "it is smaller than the speed sensor's uncertainty, and does not improve the thrust")
         for effect, rivals in list(speed.selection.rivals.items()):
             fits = {effect: speed.selection.final, **rivals}
             if len({next(e.reading for e in at.library if e.name == name) for name in fits}) < 2:
                 continue
-            misfits = {
-                name: 0.5 * fitted_base(with_speed_of(groups, fit), known_from(fit), noise, at.values)[1].deviance
-                for name, fit in fits.items()
-            }
+            misfits = {name: misfit(fit, True, noise) for name, fit in fits.items()}
             least = min(misfits.values())
             best = next(name for name in fits if misfits[name] <= least + MIN_EVIDENCE)
             family = {n: fit for n, fit in fits.items() if n != best and misfits[n] <= least + MIN_EVIDENCE}
