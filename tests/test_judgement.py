@@ -43,9 +43,9 @@ def fit_of(residual, jacobian, time, thresholds=()):
         model=SimpleNamespace(parameters=(), inputs=(), outputs=()),
         score_of=lambda r: SimpleNamespace(squares={"thrust": float(r @ r)}, counts={"thrust": len(r)}),
     )
-    return SimpleNamespace(
-        problem=problem, solution=SimpleNamespace(value=solution), thresholds={}, values={}, tangent=lambda: (left, jacobian)
-    )
+    problem.coordinates = SimpleNamespace(jacobian=lambda x: np.eye(len(x)))
+    parts = {"thresholds": {}, "values": {}, "parts": ()}
+    return SimpleNamespace(problem=problem, solution=SimpleNamespace(value=solution), tangent=lambda: (left, jacobian), **parts)
 
 
 def reason_against(judge, shipped, base, found, final, partly=False):
@@ -154,11 +154,12 @@ def test_the_order_of_effects_is_tried_again_beside_the_whole_set(monkeypatch, b
     monkeypatch.setattr(selection, "_near", lambda found, effect: near if effect in worth else [])
     monkeypatch.setattr(selection, "_in_place", lambda searcher, rest, tried: fits[tried.candidate.name])
     monkeypatch.setattr(selection, "evidence_over", lambda fit, other: fit.worth - other.worth)
-    monkeypatch.setattr(selection, "_pruned", lambda searcher, base, one, judge: (one, {}))
-    found, judge = selection.Selection(fits["limits"], fits["limits"]), lambda *_: SimpleNamespace(refused=())
-    while selection._exchanged(None, found, judge, SimpleNamespace(map=map)):
+    monkeypatch.setattr(selection, "_pruned", lambda judge, one, nuisances: (one, dict.fromkeys(one.effects)))
+    found = selection.Selection(None, None, fits["limits"], dict.fromkeys(("limits", "wake")))
+    judge = type("Judged", (), {"searcher": None, "base": None, "__call__": lambda *_: SimpleNamespace(refused=())})()
+    while selection._exchanged(found, judge, set(), SimpleNamespace(map=map)):
         pass
-    assert found.final.effects == (name, "wake")
+    assert found.whole.effects == (name, "wake")
 
 
 def weighed(effect, evidence, size):
@@ -174,52 +175,73 @@ def test_an_effect_that_became_too_small_beside_another_is_dropped(monkeypatch, 
         {"band": 1500.0, "clock": 14.0},
         {"band": 0.3, "clock": size},
     )
-    judge = lambda name, fit, rest: weighed(name, evidence[name], sizes[name])  # noqa: E731
-    found, _ = selection._pruned(None, None, whole, judge)
-    assert found.effects == kept
+    judge = type("Judged", (), {"searcher": None, "base": None})()
+    judge.__class__.__call__ = lambda _, name, fit, rest: weighed(name, evidence[name], sizes[name])
+    assert selection._pruned(judge, whole, set())[0].effects == kept
+    found, named = selection._pruned(judge, whole, {"clock"})  # a nuisance stays, and is not named
+    assert (found.effects, list(named)) == (("band", "clock"), ["band"])
 
 
-def test_the_rest_of_a_refuted_set_is_judged_separately(monkeypatch):
-    monkeypatch.setattr(selection, "without", lambda searcher, base, fit, name: SimpleNamespace(effects=("band",)))
-    monkeypatch.setattr(selection, "_rivals", lambda *_: {})
-    judge = lambda name, fit, rest: weighed(name, 1490.0, 0.3)  # noqa: E731
-    judge.searcher = None
-    judged = {"band": weighed("band", 1500.0, 0.3), "clock": weighed("clock", 14.0, 0.2)}
-    whole = selection.Selection(None, SimpleNamespace(effects=("band", "clock")), judgements=judged)
-    fewer = selection.without_weakest(judge, whole, "it is predicted worse", None)
-    assert fewer.final.effects == ("band",)
-    assert fewer.refused["clock"].refused == ("it is predicted worse",)
-    assert fewer.judgements["band"].evidence == 1490.0
-
-
-def test_two_effects_are_found_where_a_third_alone_looks_better_than_either(monkeypatch):
-    """Gains alone: `limits` 39, `drift` 37, `delay` 10; `limits` and `map` together 50, `drift` and `delay` 67."""
-    worth = {(): 0, ("limits",): 39, ("drift",): 37, ("delay",): 10, ("limits", "map"): 50, ("delay", "drift"): 67}
-    model = SimpleNamespace(effects=[SimpleNamespace(name=n, contains={}) for n in ("limits", "drift", "delay", "map")])
+def searched_by(monkeypatch, worth, refused=(), lack=lambda effects: 0.0):
+    """A search in which each set of effects has this evidence over none. `refused`: names that the judge refuses; `lack`: what
+    a set of effects leaves of the lack of fit."""
+    names = sorted({name for effects in worth for name in effects})
+    model = SimpleNamespace(effects=[SimpleNamespace(name=n, contains={}) for n in names])
 
     def fit(*effects):
         problem = SimpleNamespace(model=model, experiments=())
-        return SimpleNamespace(effects=effects, forms={}, at_bound=(), worth=worth[tuple(sorted(effects))], problem=problem)
+        more = {"forms": {}, "at_bound": (), "thresholds": {}, "problem": problem}
+        return SimpleNamespace(effects=effects, worth=worth[tuple(sorted(effects))], **more)
 
-    def first_round(searcher, beside, options, pool, progress):
-        sets = {n: (*beside.effects, n) for n in ("limits", "drift", "delay", "map") if n not in beside.effects}
+    def search_round(searcher, beside, options, pool, progress):
+        sets = {n: (*beside.effects, n) for n in names if n not in beside.effects}
         known = {n: fit(*effects) for n, effects in sets.items() if tuple(sorted(effects)) in worth}
-        effect = lambda n: SimpleNamespace(name=n, effect=SimpleNamespace(contains={}))  # noqa: E731
-        return [SimpleNamespace(candidate=effect(n), fit=f, evidence=f.worth - beside.worth) for n, f in known.items()]
+        effect = lambda n: SimpleNamespace(name=n, effect=SimpleNamespace(contains={}), form={})  # noqa: E731
+        gains = {n: f.worth - beside.worth for n, f in known.items()}
+        return [SimpleNamespace(candidate=effect(n), fit=f, evidence=gains[n], beside=beside.effects) for n, f in known.items()]
 
-    monkeypatch.setattr(selection, "first_round", first_round)
-    monkeypatch.setattr(selection, "evidence_over", lambda one, other: one.worth - other.worth)
-    monkeypatch.setattr(selection, "_pruned", lambda searcher, base, one, judge: (one, {}))
+    def left(fit):
+        return SimpleNamespace(significant=lack(fit.effects) > 0.0, missing=lack(fit.effects))
+
+    monkeypatch.setattr(selection, "search_round", search_round)
     monkeypatch.setattr(selection, "_exchanged", lambda *_: False)
     monkeypatch.setattr(selection, "_rivals", lambda *_: {})
-    judge = type("Judged", (), {"searcher": SimpleNamespace(again=lambda one: one), "base": fit()})()
-    judge.__class__.__call__ = lambda *_: SimpleNamespace(refused=())
-    _, found = selection.select(judge, [], lambda judge, fit: None, Effort(thorough=False), None)
-    assert sorted(found.final.effects) == ["delay", "drift"]
+    monkeypatch.setattr(
+        selection, "_pruned", lambda judge, one, nuisances: (one, {n: weighed(n, 90.0, 0.3) for n in one.effects})
+    )
+    parts = {"searcher": SimpleNamespace(again=lambda one: one), "base": fit(), "lack": lambda _, fit: left(fit)}
+    judge = type("Judged", (), parts | {"within_sensor": lambda *_: False})()
+    judge.__class__.__call__ = lambda _, name, *rest: Judgement(
+        name, 9.0, 5.0, 8.0, {}, 0.2, 0.1, refused=("no",) if name in refused else ()
+    )
+    effort = Effort(thorough=False)
+    _, found = selection.select(judge, [], lambda judge, fit: None, effort, None)
+    return found
+
+
+def test_a_further_effect_must_explain_most_of_what_is_left(monkeypatch):
+    """A wrong law leaves 100; a correction to it 60, the other hidden effect 40."""
+    worth = {(): 0, ("sag",): 900, ("lag", "sag"): 990}
+    for leaves, names in ((60.0, ("sag",)), (40.0, ("sag", "lag"))):
+        lack = {(): 1000.0, ("sag",): 100.0, ("sag", "lag"): leaves}
+        found = searched_by(monkeypatch, worth, lack=lambda effects, lack=lack: lack[effects])
+        assert found.final.effects == names
+    assert "lag" not in found.refused
+
+
+@pytest.mark.parametrize(("weak", "named"), [(40, ()), (60, ("band",))])
+def test_nothing_weak_is_accepted_beside_a_strong_refused_candidate(monkeypatch, weak, named):
+    """The leader of 100 nats is refused: a candidate of less than half of that would stand in for it."""
+    worth = {(): 0, ("sag",): 100, ("band",): weak}
+    assert searched_by(monkeypatch, worth, refused=("sag",)).final.effects == named
+
+
+def test_the_budget_ends_a_search_between_rounds(monkeypatch):
+    worth = {(): 0, ("limits",): 39, ("limits", "map"): 50}
     spent = Effort(budget=0.0, thorough=False)
-    _, found = selection.select(judge, [], lambda judge, fit: None, spent, None)
-    (first,) = found.final.effects
-    assert spent.not_tried == [f"a further effect + {first}"]
+    monkeypatch.setitem(globals(), "Effort", lambda **_: spent)
+    assert searched_by(monkeypatch, worth).final.effects == ("limits",)
+    assert spent.not_tried == ["a further effect + limits"]
 
 
 @pytest.mark.parametrize(("gained", "word"), [(100.0, "partly"), (8.0, "unexplained")])
@@ -227,7 +249,8 @@ def test_a_residual_of_the_speed_does_not_hide_an_explained_thrust(gained, word)
     """A set gains 100 or 8 nats of log-likelihood, and generic regressors 10 more; the speed's residual is unchanged."""
     base, final = (SimpleNamespace(deviance=-2.0 * gain, effects=effects) for gain, effects in ((0.0, ()), (gained, ("lag",))))
     common = {"bands": (), "significant": True, "turns": False, "transient_lack_of_fit": False, "speed_lack_of_fit": True}
-    before, after = (SimpleNamespace(score=SimpleNamespace(gain=gain), speed=0.9, **common) for gain in (gained + 10.0, 10.0))
+    scores = [SimpleNamespace(gain=gain, count=9) for gain in (gained + 10.0, 10.0)]
+    before, after = (SimpleNamespace(score=score, speed=0.9, **common) for score in scores)
     assert validation.verdict(base, final, before, after, {}) == word
 
 
@@ -340,7 +363,7 @@ def test_the_previous_map_is_kept_if_step_runs_refute_the_new_one(at_rest, held,
     last = estimate("again", with_map_of=estimate("held"))
     last.at_rest = at_rest
     fit = estimate("found", as_identified=last)
-    assert validation._estimated(judge, None, estimate("present"), fit).name == chosen
+    assert validation._estimated(judge, None, estimate("present"), fit, []).name == chosen
 
 
 @pytest.mark.parametrize(("losses", "p"), [([1.0, 2.0, 3.0, 40.0, 500.0, 6e3], 1 / 64), ([-1.0, 2.0], 1 / 2), ([0.0] * 6, 1.0)])
@@ -360,7 +383,7 @@ def test_rivals_come_from_the_round_that_added_the_effect():
     rounds = [first, [tried("wake", 300.0), tried("map", 280.0)]]
     judgements = {"limit": SimpleNamespace(evidence=900.0), "wake": SimpleNamespace(evidence=300.0)}
     final = SimpleNamespace(effects=("limit", "wake"), forms={"limit.form": 1.0, "wake.form": 1.0})
-    found = SimpleNamespace(rounds=rounds, final=final, judgements=judgements)
+    found = SimpleNamespace(rounds=rounds, whole=final, judgements=judgements)
     near = {
         effect: [(t.candidate.name, *t.candidate.form.values()) for t in selection._near(found, effect)]
         for effect in judgements
@@ -376,7 +399,7 @@ def test_step_runs_can_choose_the_other_estimate(on_runs, chosen):
     judge = Estimates(present=0.1, found=0.08, again=0.09, held=0.2)
     judge.runs, judge.on_runs = [1], lambda fit: np.full(3, {"present": 0.01, "held": 1.0, **on_runs}[fit.name])
     fit = estimate("found", as_identified=estimate("again", with_map_of=held), with_map_of=held)
-    assert validation._estimated(judge, None, estimate("present"), fit).name == chosen
+    assert validation._estimated(judge, None, estimate("present"), fit, []).name == chosen
 
 
 @pytest.mark.parametrize(
@@ -412,35 +435,6 @@ def test_a_larger_error_on_step_runs_refutes_a_set(monkeypatch, every, rise, tol
     runs = {"was": np.full(40, 0.01), "now": 0.01 + np.where(np.arange(40) % every, 0.0, rise)}
     was, now = np.full(300, 0.11), np.full(300, 0.07)
     assert refuted(monkeypatch, was, now, now, runs=runs) == told
-
-
-@pytest.mark.parametrize(
-    ("refuted", "taken", "family"),
-    [(set(), "band", {"band": ["hold", "lag"]}), ({"band"}, "hold", {"hold": ["lag"]}), ({"band", "hold", "lag"}, None, None)],
-)
-def test_a_rival_replaces_a_refuted_effect_unless_it_is_refuted_too(monkeypatch, refuted, taken, family):
-    """Three rivals of a limit, in the order of their evidence."""
-    fits = {n: SimpleNamespace(effects=(n,), bic=lambda k=k: float(k)) for k, n in enumerate(("band", "hold", "lag"))}
-    stands = Judgement("", 9.0, 5.0, 8.0, {}, 0.2, 0.1)
-    found = selection.Selection(None, None, {"limit": stands}, rivals={"limit": dict(reversed(fits.items()))})
-    monkeypatch.setattr(selection, "without", lambda *_: None)
-    monkeypatch.setattr(validation, "with_rotor_order", lambda one, other: "nothing")
-    monkeypatch.setattr(validation, "verdict", lambda base, final, before, after, family: "attributed")
-    judged = type("Judged", (), {"searcher": None, "lack": lambda *_: None, "__call__": lambda *_: stands})()
-
-    def shipped(fit, partly):
-        assert not partly
-        return fit, "rises" if fit.effects[0] in refuted else ""
-
-    other = validation.next_valid_alternative(found, "rises there", judged, None, None, shipped)
-    if taken is None:
-        assert other is None
-        return
-    chosen, lack, final = other
-    assert (chosen.final, final, lack) == (fits[taken], fits[taken], "nothing")
-    assert (chosen.family, chosen.judgements) == (family, {taken: stands})
-    why = {n: j.refused for n, j in chosen.refused.items()}
-    assert why == {"limit": ("rises there",)} | dict.fromkeys(refuted, ("rises",))
 
 
 def test_the_allowance_for_the_form_of_another_effect():
@@ -509,16 +503,26 @@ def test_when_a_learned_term_is_accepted(monkeypatch, ahead, leaves, elsewhere, 
     is rejected if lack of fit remains and a term elsewhere explains as much."""
     base, known, seen = SimpleNamespace(name="base"), SimpleNamespace(name="known", effects=("one", "other")), []
 
-    def learned_beside(fit):
-        seen.append(fit.name)
-        term = SimpleNamespace(fit=SimpleNamespace(name=f"term beside {fit.name}"))
-        return diagnose.Attempt(learned=SimpleNamespace(term=term, curve=None, elsewhere=("another",) * elsewhere))
+    class Tried(diagnose.Attempt):
+        def joined(self, fit):
+            return self
 
+    def learn(judge, beside, *_):
+        seen.append(beside.name)
+        term = SimpleNamespace(fit=SimpleNamespace(name=f"term beside {beside.name}"), searcher=lambda other: other)
+        return Tried(learned=SimpleNamespace(term=term, curve=None, elsewhere=("another",) * elsewhere))
+
+    monkeypatch.setattr(diagnose, "learn", learn)
+    monkeypatch.setattr(diagnose, "joined", lambda searcher, base, fits: fits[-1])
     monkeypatch.setattr(diagnose, "evidence_over", lambda term, other: ahead)
-    judge = SimpleNamespace(lack=lambda fit: SimpleNamespace(significant=leaves))
-    attempt, final = diagnose._learned(
-        learned_beside, [base, known], judge, SimpleNamespace(name="present"), lambda present, beside, term: (term, refuted)
+    judge = SimpleNamespace(lack=lambda fit: SimpleNamespace(significant=leaves), searcher=None, base=base)
+    stage = SimpleNamespace(judge=judge, selection=SimpleNamespace(base=base), accepted=known)
+    shipping = lambda present, beside, term, parts: (term, refuted)  # noqa: E731
+    search = SimpleNamespace(
+        stages=[stage], judge=judge, at=SimpleNamespace(rig=SimpleNamespace(scales=None)), shipped=shipping
     )
+    task = SimpleNamespace(pool=None, effort=None)
+    attempt, final = diagnose._learned(task, search, stage, SimpleNamespace(name="present"))
     assert (seen, final.name) == (looks, shipped)
     assert (attempt.learned is None) == (shipped == "present")
 
@@ -529,7 +533,7 @@ def test_a_logger_replaces_a_delay_where_it_predicts_as_well(error, chosen):
 
     def found(name, effects, rmse, verdict="attributed"):
         final, held_out = SimpleNamespace(effects=effects), SimpleNamespace(rmse_thrust=rmse)
-        return SimpleNamespace(name=name, final=final, held_out_after=held_out, verdict=verdict)
+        return SimpleNamespace(name=name, final=final, held_out_after=held_out, word=verdict)
 
     few, many = found("few", ("a",), error), found("many", ("a", "delay"), 1.0)
     assert diagnose._simpler(few, many).name == diagnose._simpler(many, few).name == chosen

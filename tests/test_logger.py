@@ -2,7 +2,7 @@
 
 import json
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
@@ -340,52 +340,31 @@ def test_an_impossibly_early_response_leaves_the_default_logger():
     assert as_logged(passed(campaign(logged(4, -5.0)))).logger.rows == 0.0
 
 
-@dataclass(frozen=True)
-class Found:
-    """A diagnosis with these effects and a logger with an offset of `rows`."""
+@pytest.mark.parametrize(("offset", "again"), [(-1.0, True), (-0.1, False)])
+def test_the_logger_is_estimated_again_beside_the_effects_found(monkeypatch, offset, again):
+    """The records are searched once more if the offset differs by more than 4.4 of its standard errors of 0.1 rows. A delay is
+    part of each estimate of a logger."""
+    beside = []
 
-    effects: tuple[str, ...]
-    rows: float
-    verdict: str = "attributed"
-    not_tried: tuple[str, ...] = ()
-    power: None = None
-
-    @property
-    def selection(self):
-        return SimpleNamespace(final=SimpleNamespace(effects=self.effects, values={}))
-
-    @property
-    def final(self):
-        return self.selection.final
-
-    @property
-    def logger(self):
-        return Logger(self.rows, 0.1, period=0.01)
-
-    @property
-    def held_out_after(self):
-        return SimpleNamespace(rmse_thrust=0.1)
-
-
-def test_the_logger_is_estimated_beside_effects_that_resemble_an_offset_too(monkeypatch):
-    """An inflow lag biases the offset: beside the drift alone it is 0, beside both -1 row, and a third effect is not needed."""
-    beside, offsets = [], {("drift",): 0.0, ("drift", "inflow_lag"): -1.0}
-    diagnoses = {0.0: Found(("drift", "inflow_lag", "row_clock"), 0.0), -1.0: Found(("drift", "inflow_lag"), -1.0)}
+    def searched(task, gate):
+        final = SimpleNamespace(effects=("sensor_lag", "pitch_delay"), values={})
+        parts = {"final": final, "word": "attributed", "held_out_after": SimpleNamespace(rmse_thrust=2.0 + gate.logger.rows)}
+        return SimpleNamespace(logger=gate.logger, selection=lambda: SimpleNamespace(final=final), **parts)
 
     def estimated(gate, effects, library, values, each):
         beside.append(tuple(effects))
-        return SimpleNamespace(logger=Logger(offsets[tuple(effects)], 0.1, period=0.01))
+        return SimpleNamespace(logger=Logger(offset, 0.1, period=0.01))
 
     monkeypatch.setattr(diagnosing, "passed", lambda *_: None)
     monkeypatch.setattr(diagnosing, "likely_loggers", lambda *_, **each: iter([SimpleNamespace(logger=Logger(0.0))]))
     monkeypatch.setattr(diagnosing, "as_logged", estimated)
-    monkeypatch.setattr(diagnosing, "_may_be_loggers", lambda found: False)
-    monkeypatch.setattr(diagnosing, "_searched", lambda *given: diagnoses[given[-1].logger.rows])
-    monkeypatch.setattr(diagnosing, "_concluded", lambda *given: given[-1])
+    monkeypatch.setattr(diagnosing, "_searched", searched)
+    monkeypatch.setattr(diagnosing, "_concluded", lambda task, found: found)
+    monkeypatch.setattr(diagnosing, "replace", lambda found, **_: found)
     monkeypatch.setattr(diagnosing, "_power", lambda found: None)
-    library = [SimpleNamespace(name=name) for name in diagnoses[0.0].effects]
-    assert diagnosing.diagnose(None, library).effects == ("drift", "inflow_lag")
-    assert beside == [("drift",), ("drift", "inflow_lag")]
+    library = [SimpleNamespace(name=name) for name in ("sensor_lag", "pitch_delay")]
+    assert diagnosing.diagnose(None, library).logger.rows == (offset if again else 0.0)
+    assert beside == [("sensor_lag",)]
 
 
 @pytest.mark.parametrize(("speed", "pitch", "offset"), [(1.9, 2.9, 1.9), (4.0, 6.0, 0.0), (1.9, 0.0, 0.0), (1.9, 1.9, 1.9)])

@@ -33,7 +33,7 @@ from identification.diagnose.search.fits import Fit
 from identification.diagnose.search.refits import evidence_over
 from identification.diagnose.selection import Selection, nearest
 from identification.diagnose.stages import Stage, joined, lack_of, searched, selection_of, verdict_of
-from identification.diagnose.validation import CHANGED, UNEXPLAINED, unnamed, validated
+from identification.diagnose.validation import CHANGED, UNEXPLAINED, unnamed, validated, worse_than_noise
 from identification.fit.coordinates import CHANNELS, slowest
 from identification.fit.noise import Noise
 from identification.gate.finding import Finding
@@ -67,8 +67,9 @@ class Diagnosis:
     selected set. `held_out_before`, `held_out_after`: cross-validation of base and final model. `unseen`: the validation
     record, used only after the model is final. `refuted`: why validation refutes the selected set, else "". `attempt`: the
     search for a learned term, if no effect explains the lack of fit. `best_guess`: the best candidate if the lack of fit is not
-    explained; None otherwise, or without candidates. `not_tried`: steps for which the time budget did not suffice. `power`:
-    diagnosis of the electrical power, None without.
+    explained; None otherwise, or without candidates. `not_tried`: steps for which the time budget did not suffice. `channels`:
+    verdict and names of effects of the speed and of the thrust. `missed`: why the unseen record shows that something is missing,
+    else "". `power`: diagnosis of the electrical power, None without.
     """
 
     campaign: Campaign
@@ -97,6 +98,7 @@ class Diagnosis:
     best_guess: Guess | None
     not_tried: tuple[str, ...]
     channels: Mapping[str, Mapping]
+    missed: str
     power: PowerDiagnosis | None = None
 
     @property
@@ -371,6 +373,10 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
     if word == "none":
         identified = final = with_slow_noise(found.groups, at, judge.searcher.experiments[0].noise, found.base)
     fitted = tuple(one for group in found.groups for one in group)
+    missed = ""
+    if found.unseen and word not in UNEXPLAINED:
+        missed = worse_than_noise(found.unseen, fitted, judge.searcher.experiments[0].noise, final, judge.least())
+        word = word if not missed else "partly" if final.effects else "unexplained"
     experiment, guess = discriminating_experiment(_timed(at, final), task.seed, fitted[0].record.period), None
     if word in UNEXPLAINED:
         guess = _guessed(task, found, open_stages, experiment)
@@ -404,6 +410,7 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
         best_guess=guess,
         not_tried=tuple(task.effort.not_tried),
         channels=_channels(found, learned_in, refuted),
+        missed=missed,
     )
 
 

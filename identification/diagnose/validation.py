@@ -6,6 +6,7 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
+from scipy.stats import f as f_distribution
 
 from identification.assessment.prediction import predict
 from identification.diagnose.acceptance import Judge
@@ -17,14 +18,15 @@ from identification.diagnose.crossval import (
     error_increases,
     held_out_gain,
 )
-from identification.diagnose.judgement import MAJORITY, MIN_EVIDENCE
+from identification.diagnose.judgement import ALPHA_BASE, MAJORITY, MIN_EVIDENCE, SLOW
 from identification.diagnose.lack_of_fit import LackOfFit
 from identification.diagnose.search.fits import Fit
 from identification.diagnose.selection import without
-from identification.fit.noise import Noise
+from identification.fit.noise import Noise, blocks
 from identification.fit.uncertainty import NORMAL_95
-from identification.roles import Unseen
+from identification.roles import Fitted, Unseen
 from identification.static.at_rest import Knowledge
+from vpp_fmu.record import Record
 
 
 def verdict(base: Fit, final: Fit, before: LackOfFit, after: LackOfFit, family: Mapping[str, Sequence[str]]) -> str:
@@ -71,7 +73,7 @@ def validated(
     present: Fit,
     base: Fit,
     found: Fit,
-    parts: Sequence[Fit],
+    parts: Sequence[Fit] = (),
     partly: bool = False,
 ) -> tuple[Fit, str]:
     """(final model, reason why `found` does not replace the `present` model; empty if it does).
@@ -126,7 +128,32 @@ def _at_supported_thresholds(given: "Replacement") -> Fit | None:
 NOTHING_LEFT = "{} is below the minimum size when estimated for the best prediction of held-out data"
 
 
-def _estimated(judge: Judge, knowledge: Knowledge | None, present: Fit, found: Fit, parts: Sequence[Fit]) -> Fit:
+def worse_than_noise(unseen: Unseen, fitted: Sequence[Fitted], noise: Noise, fit: Fit, least: float) -> str:
+    """Why the unseen record shows that a model without lack of fit on the `fitted` records misses something; empty if it does
+    not: the whitened error below SLOW has more power than on those, by an F test, and exceeds the size `least` [N]. The level of
+    an error is not compared: the zero of a cell differs from record to record."""
+
+    def slow(record: Record) -> tuple[float, int, float]:
+        """(power of the whitened error below SLOW, degrees of freedom, power of the error itself [N^2])."""
+        error = predict(fit.problem.model, fit.values, record).thrust - record["thrust"]
+        white = noise.colour.whiten(blocks(record, noise.block).mean(error))
+        white = white[np.isfinite(white)] - np.nanmean(white)
+        frequency = np.fft.rfftfreq(len(white), max(noise.block, record.period))
+        power = np.abs(np.fft.rfft(white)[(frequency > 0.0) & (frequency < SLOW)]) ** 2 / len(white)
+        means = blocks(record, 0.5 / SLOW).mean(error)
+        return float(np.mean(power)), 2 * len(power), float(np.nanvar(means))
+
+    new, own, size = slow(unseen.record)
+    others = [slow(one.record) for one in fitted]
+    known = sum(n for _, n, _ in others)
+    usual = sum(power * n for power, n, _ in others) / known
+    excess = float(np.sqrt(size * max(1.0 - usual / new, 0.0)))
+    if excess <= least or f_distribution.sf(new / usual, own, known) >= ALPHA_BASE:
+        return ""
+    return f"{unseen.name}.csv is predicted worse than the noise allows, by {excess:.2g} N rms below {SLOW:g} Hz"
+
+
+def _estimated(judge: Judge, knowledge: Knowledge | None, present: Fit, found: Fit, parts: Sequence[Fit] = ()) -> Fit:
     """Estimate the accepted set for the best prediction of held-out folds and step responses.
 
     The prior from the static map had been widened to agree with records beside the base. It is weighted again beside the
