@@ -266,7 +266,7 @@ def test_an_effect_with_an_arbitrary_phase_is_kept_only_if_step_runs_confirm_it(
     squares = {names: None if r is None else r**2 * rng.uniform(0.9, 1.1, 12) for names, r in rms.items()}
     judge = SimpleNamespace(searcher=None, runs=runs, on_runs=lambda one: squares[one.effects], matters=lambda *_: True)
     monkeypatch.setattr(validation, "without", lambda searcher, base, one, name: rest)
-    monkeypatch.setattr(validation, "_estimated", lambda judge, knowledge, present, one: one)
+    monkeypatch.setattr(validation, "_estimated", lambda judge, knowledge, present, one, parts: one)
     monkeypatch.setattr(validation, "reason_against", lambda given: "")
     final, why = validation.validated(judge, None, None, SimpleNamespace(), SimpleNamespace(effects=()), both)
     assert (final.effects, why) == (ships, "")
@@ -274,7 +274,7 @@ def test_an_effect_with_an_arbitrary_phase_is_kept_only_if_step_runs_confirm_it(
 
 def test_an_effect_below_the_minimum_size_after_estimation_is_refuted(monkeypatch):
     fit = SimpleNamespace(effects=("band",), problem=SimpleNamespace(model=SimpleNamespace(effects=[])))
-    monkeypatch.setattr(validation, "_estimated", lambda judge, knowledge, present, one: one)
+    monkeypatch.setattr(validation, "_estimated", lambda judge, knowledge, present, one, parts: one)
     present, judge = SimpleNamespace(name="present"), SimpleNamespace(matters=lambda *_: False)
     final, why = validation.validated(judge, None, None, present, SimpleNamespace(effects=()), fit)
     assert final is present

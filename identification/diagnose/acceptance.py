@@ -2,10 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 
+from identification.diagnose.command_shapes import map_slopes
 from identification.diagnose.crossval import HeldOut, cross_validated, rms
 from identification.diagnose.judgement import (
     ACCURACY,
@@ -29,11 +31,12 @@ class Judge:
 
     `smallest`: minimum sizes of interest. Defaults: for the thrust, SMALLEST of the slow noise power, at least ACCURACY of the
     largest thrust; for the speed, the sensor's uncertainty. `runs`: step responses. No fit of a diagnosis uses them, except for
-    their settled ends as steady points, if there are no others.
+    their settled ends as steady points, if there are no others. `speed_error` [rpm]: standard error of a known speed; what it
+    changes in the thrust is no effect.
     """
 
-    def __init__(self, searcher: Searcher, base: Fit, smallest: Smallest, runs: Sequence[Record]):
-        self.searcher, self.base, self.smallest = searcher, base, smallest
+    def __init__(self, searcher: Searcher, base: Fit, smallest: Smallest, runs: Sequence[Record], speed_error: float = 0.0):
+        self.searcher, self.base, self.smallest, self.speed_error = searcher, base, smallest, speed_error
         self.runs = [r for r in runs if np.isfinite(r["thrust"]).any()]
         self._held_out: dict[int, tuple[Fit, HeldOut]] = {}
 
@@ -88,9 +91,15 @@ class Judge:
         """Minimum size of interest of the thrust below 10 Hz, N."""
         if self.smallest.thrust is not None:
             return self.smallest.thrust
+        return self._least
+
+    @cached_property
+    def _least(self) -> float:
         experiments = self.searcher.experiments
         largest = max(float(np.nanmax(np.abs(r.record["thrust"]))) for e in experiments for r in e.records)
-        return max(float(np.sqrt(SMALLEST * max(e.noise.slow for e in experiments))), ACCURACY * largest)
+        slopes = [rms([map_slopes(self.base.values, *predicted_rows(self.base, e).T[1:])[1]]) for e in experiments]
+        averaged = float(np.sqrt(SMALLEST * max(e.noise.slow for e in experiments)))
+        return max(averaged, ACCURACY * largest, self.speed_error * max(slopes))
 
     def least_speed(self) -> float:
         """Minimum size of interest of the speed, rpm; infinite where no speed was measured."""

@@ -41,6 +41,7 @@ from identification.gate.gate import Passed, passed
 from identification.identify import Identification, off_bounds
 from identification.logger import Logger
 from identification.logger_fit import as_logged, likely_loggers
+from identification.logs.commands import FILE as SPEED_MAP
 from identification.power.diagnose import PowerDiagnosis, diagnose_power
 from identification.roles import Fitted, Unseen, roles
 from vpp_fmu.campaign import Campaign
@@ -51,7 +52,6 @@ from vpp_fmu.native.memory import give_back
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig
-
 
 DELAYS = ("row_clock", "reading_delay", "speed_reading_delay", "speed_delay", "pitch_delay")
 """Effects that an estimate of the logger has itself."""
@@ -308,6 +308,9 @@ def _searched(task: _Task, gate: Passed) -> _Searched:
     else:
         at = from_identification(task.campaign, gate, task.library, task.seed)
     options, runs = candidates(at.library, records), gate.campaign.steps
+    if (gate.campaign.folder / SPEED_MAP).exists():
+        # The misfit of a fitted map differs from level to level, as that of a resolution does.
+        options = [c for c in options if c.name != "speed_command_resolution"]
     give_back()
     stages = searched(groups, runs, at, options, task.smallest, task.effort, task.pool)
     noises = [s.judge.searcher.experiments[0].noise for s in stages]

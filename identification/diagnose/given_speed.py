@@ -1,8 +1,9 @@
 """Records with a known rotor speed, for fits of thrust alone: a fault of the speed then leaves no trace in the thrust.
 
 The speed is that of a fitted model plus what its readings show beyond it. This remainder is placed at the instants of the
-readings and smoothed by a Gaussian kernel (Nadaraya, 1964; Watson, 1964), whose width leave-one-out cross-validation selects:
-a wide one where the remainder is noise, a narrow one where the model lacks a fast effect.
+readings and smoothed by a Gaussian kernel (Nadaraya, 1964; Watson, 1964). Its width differs from reading to reading, by the
+intersection of confidence intervals (Goldenshluger and Nemirovski, Math. Methods Statist., 1997): the widest whose mean agrees
+with those of all narrower ones. It is wide where the remainder is noise, and narrow where the model lacks a fast effect.
 """
 
 from collections.abc import Sequence
@@ -20,6 +21,9 @@ from vpp_fmu.record import Record
 WIDTHS = tuple((2.0 ** (0.5 * np.arange(0, 13))).tolist())
 """Widths of the kernel, in median intervals between readings."""
 
+CLEAR = 3.0
+"""Standard errors of a mean within which means of other widths agree with it."""
+
 
 def with_given_speed(library: Sequence[Effect]) -> tuple[Effect, ...]:
     """The library with the known speed in place of that of the speed channel, which no effect behind it changes."""
@@ -36,7 +40,7 @@ def given_speed(records: Sequence[Record], first: Fit, readings: bool = True) ->
             shown_at |= e.switched_off
     shown = simulator.simulate(first.values, *records[0].run)[:, 1]
     speed = simulator.simulate({**first.values, **shown_at}, *records[0].run)[:, 1] if shown_at else shown
-    beyond = [found for record in records if readings and (found := _beyond(record, shown)) is not None]
+    beyond = [found[0] for record in records if readings and (found := _beyond(record, shown)) is not None]
     speed = np.maximum(speed + np.mean(beyond, axis=0), 0.0) if beyond else speed
     columns = {"speed_at_row": speed, "speed_at_next_row": np.append(speed[1:], speed[-1:])}
     return [record.with_columns(**columns) for record in records]
@@ -48,24 +52,38 @@ def with_speed_of(groups: Sequence[Sequence[Fitted]], first: Fit, readings: bool
     return [[Fitted(one.name, r) for one, r in zip(group, own, strict=True)] for group, own in zip(groups, given, strict=True)]
 
 
-def _beyond(record: Record, shown: np.ndarray) -> np.ndarray | None:
-    """(rows,) rpm: what the readings show beyond a model's speed (rows,), smoothed; None without enough readings."""
+def uncertainty(groups: Sequence[Sequence[Fitted]], first: Fit) -> float:
+    """rpm: standard error of the known speed, from the noise of its readings; the largest of all groups."""
+    found = [0.0]
+    for group in groups:
+        shown = first.problem.simulator.simulate(first.values, *group[0].record.run)[:, 1]
+        errors = [each[1] for one in group if (each := _beyond(one.record, shown)) is not None]
+        found.append(float(np.sqrt(np.sum(np.square(errors)))) / len(errors) if errors else 0.0)
+    return max(found)
+
+
+def _beyond(record: Record, shown: np.ndarray) -> tuple[np.ndarray, float] | None:
+    """(what the readings show beyond a model's speed (rows,), smoothed, (rows,) rpm; its standard error, rpm); None without
+    enough readings."""
     if "omega" not in record or len(sensor := Tachometer(record)) < 3:
         return None
     found, centres = sensor.measured - sensor.shows(shown), np.maximum.accumulate(sensor.centres)
     weights, step = 1.0 / sensor.std**2, record.period
     at = np.maximum(np.round((centres - record.time[0]) / step).astype(int), 0)
     count, apart = int(at.max()) + 1, float(np.median(np.diff(centres))) / step
-    best, least = found, np.inf
+    change = np.diff(found * np.sqrt(weights)) / np.sqrt(2.0)
+    noise = max(1.0, 1.4826 * float(np.median(np.abs(change))))  # of a reading, in its standard deviations
+    low, high = np.full(len(found), -np.inf), np.full(len(found), np.inf)
+    best, error, going = found.copy(), noise * sensor.std, np.ones(len(found), bool)
     for width in (apart * share for share in WIDTHS):
-        sums = [
-            gaussian_filter1d(np.bincount(at, v, count), width, mode="constant", truncate=5.0)[at]
+        total, whole = (
+            gaussian_filter1d(np.bincount(at, v, count), width, mode="constant", truncate=4.0)[at]
             for v in (weights * found, weights)
-        ]
-        own = weights / (np.sqrt(2.0 * np.pi) * width)
-        others = np.maximum(sums[1] - own, 1e-300)
-        error = found - np.where(others > 1e-9 * own, (sums[0] - own * found) / others, 0.0)
-        cost = float(np.sum(weights * error**2))
-        if cost < least:
-            best, least = sums[0] / sums[1], cost
-    return np.interp(record.time, centres, best)
+        )
+        mean = total / whole
+        # The mean over a Gaussian kernel has 1 / (2 sqrt(pi) width) of the variance of independent readings.
+        std = noise / np.sqrt(whole * max(2.0 * np.sqrt(np.pi) * width, 1.0))
+        low, high = np.maximum(low, mean - CLEAR * std), np.minimum(high, mean + CLEAR * std)
+        going &= low <= high
+        best[going], error[going] = mean[going], std[going]
+    return np.interp(record.time, centres, best), float(np.sqrt(np.mean(error**2)))

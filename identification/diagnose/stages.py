@@ -12,7 +12,7 @@ import numpy as np
 
 from identification.diagnose.acceptance import Judge
 from identification.diagnose.effort import Effort
-from identification.diagnose.given_speed import given_speed, with_given_speed, with_speed_of
+from identification.diagnose.given_speed import given_speed, uncertainty, with_given_speed, with_speed_of
 from identification.diagnose.initial_model import InitialModel, always_on, fitted_base, prepared, with_lower_noise
 from identification.diagnose.judgement import MIN_EVIDENCE, Judgement, Smallest
 from identification.diagnose.lack_of_fit import LackOfFit, with_rotor_order
@@ -80,12 +80,12 @@ class Stage:
         refused = {**selection.refused, effect: replace(selection.judgements[effect], refused=(why,))}
         return self.with_final(rest, judgements, refused=refused, rivals={n: {} for n in judgements})
 
-    def on(self, groups: Sequence[Sequence[Fitted]], at: InitialModel, runs: Sequence[Record]) -> "Stage":
+    def on(self, groups: Sequence[Sequence[Fitted]], runs: Sequence[Record], at: InitialModel, speed_error: float) -> "Stage":
         """The same selection, fitted to records of another speed."""
         old, selection = self.judge.searcher, self.selection
         searcher, base = fitted_base(groups, at, old.experiments[0].noise, self.selection.base.values)
         searcher.points, searcher.base_score_gain = old.points, old.base_score_gain
-        judge = Judge(searcher, base, self.judge.smallest, runs)
+        judge = Judge(searcher, base, self.judge.smallest, runs, speed_error)
         final, whole = (searcher.again(fit) if fit.effects else base for fit in (selection.final, selection.whole))
         judgements = {n: judge(n, final, without(searcher, base, final, n)) for n in final.effects}
         rivals = {n: {name: searcher.again(fit) for name, fit in fits.items()} for n, fits in selection.rivals.items()}
@@ -111,12 +111,12 @@ def searched(
     """The stages of a search: of the speed and of the thrust; of the thrust alone if no speed was measured. `runs`: step
     responses. If an effect of the speed takes the pitch, the speed is searched again with the pitch of the second stage."""
     if not any("omega" in one.record and np.isfinite(one.record["omega"]).any() for group in groups for one in group):
-        return [_stage(groups, runs, at, options, smallest, effort, pool)]
+        return [_stage(groups, runs, at, 0.0, options, smallest, effort, pool)]
     own, others = ([c for c in options if c.effect.in_speed == in_speed] for in_speed in (True, False))
 
     def of_speed(at: InitialModel) -> Stage:
         at = at.of_channels("omega", library=at.library, values={})
-        return _stage(groups, [], at, own, smallest, effort, pool, " of the speed")
+        return _stage(groups, [], at, 0.0, own, smallest, effort, pool, " of the speed")
 
     def known_from(first: Fit) -> InitialModel:
         return at.of_channels("thrust", library=with_given_speed(at.library), values=first.values)
@@ -148,10 +148,10 @@ def searched(
     def of_thrust(speed: Stage) -> Stage:
         return _stage(*of_known(speed), others, smallest, effort, pool, " of the thrust")
 
-    def of_known(speed: Stage) -> tuple[list[list[Fitted]], list[Record], InitialModel]:
+    def of_known(speed: Stage) -> tuple[list[list[Fitted]], list[Record], InitialModel, float]:
         first = speed.selection.whole
         given = [given_speed([record], first)[0] for record in runs]
-        return with_speed_of(groups, first), given, known_from(first)
+        return with_speed_of(groups, first), given, known_from(first), uncertainty(groups, first)
 
     speed = by_thrust(of_speed(at))
     thrust = of_thrust(speed)
@@ -159,22 +159,21 @@ def searched(
         return [speed, thrust]
     again = by_thrust(of_speed(_with_pitch_of(at, thrust.selection.whole)))
     if again.selection.final.effects == speed.selection.final.effects:
-        own, given, known = of_known(again)
-        if (known_thrust := thrust.on(own, known, given)).word not in UNEXPLAINED:
+        if (known_thrust := thrust.on(*of_known(again))).word not in UNEXPLAINED:
             return [again, known_thrust]
     return [again, of_thrust(again)]
 
 
-def _stage(groups, runs, at, options, smallest, effort, pool, words: str = "") -> Stage:
+def _stage(groups, runs, at, speed_error, options, smallest, effort, pool, words: str = "") -> Stage:
     effort.stage(f"noise{words}")
     searcher, base = prepared(groups, at, options, pool)
-    judge = Judge(searcher, base, smallest, runs)
+    judge = Judge(searcher, base, smallest, runs, speed_error)
     searcher.base_score_gain = judge.lack(base).score.gain
     give_back()
 
     def clearer(judge: Judge, fit: Fit) -> Judge | None:
         there = with_lower_noise(groups, at, judge.searcher, judge.base, fit)
-        return there and Judge(*there, smallest, runs)
+        return there and Judge(*there, smallest, runs, speed_error)
 
     judge, found = select(judge, options, clearer, effort, pool, words)
     give_back()
