@@ -113,8 +113,8 @@ class Judge:
         return "thrust" not in self.searcher.experiments[0].channels and judged.speed < self.least_speed()
 
     def _carries_over(self, with_it: Fit, without: Fit, slope: float) -> bool:
-        """Whether the cross-validated error that an effect removes reaches the minimum size, in either channel. `slope` [N/rpm]:
-        of its changes of thrust and speed; an error of the speed counts by its thrust, too."""
+        """Whether the cross-validated error that an effect removes reaches the minimum size, in either channel. An error of the
+        speed counts by its thrust, too: `slope` [N/rpm] is the ratio of the changes of both."""
         now, was = self.held_out(with_it), self.held_out(without)
         if was.rmse_thrust**2 - now.rmse_thrust**2 >= self.least() ** 2:
             return True
@@ -129,8 +129,8 @@ class Judge:
         return self._size(fit, replace(fit, values={**fit.values, **declared.switched_off}), declared.common)[-1]
 
     def _size(self, with_it: Fit, without: Fit, common: float) -> tuple[float, float, float, bool]:
-        """(rms change of the thrust [N]; the minimum size; rms change of the speed's readings [rpm]; whether the change of thrust
-        or of speed reaches its minimum)."""
+        """(rms change of the thrust [N]; the minimum size; rms change of the speed's readings [rpm]; whether the change of
+        thrust or of speed reaches its minimum)."""
         thrust, rows, speed = [], [], []
         for e in self.searcher.experiments:
             shown = [predicted_rows(fit, e) for fit in (with_it, without)]

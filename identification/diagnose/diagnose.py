@@ -26,14 +26,14 @@ from identification.diagnose.initial_model import (
 )
 from identification.diagnose.judgement import FORM, MIN_EVIDENCE, Smallest
 from identification.diagnose.lack_of_fit import LackOfFit
-from identification.diagnose.learned.learn import NAME, Attempt, Learned, learn
+from identification.diagnose.learned.learn import NAME, Attempt, Learned, better_than, learn
 from identification.diagnose.locate import locate
 from identification.diagnose.search.candidates import candidates
 from identification.diagnose.search.fits import Fit
 from identification.diagnose.search.refits import evidence_over
-from identification.diagnose.selection import Selection, nearest
+from identification.diagnose.selection import Selection, nearest, without
 from identification.diagnose.stages import Stage, joined, lack_of, searched, selection_of, verdict_of
-from identification.diagnose.validation import CHANGED, UNEXPLAINED, unnamed, validated, worse_than_noise
+from identification.diagnose.validation import CHANGED, NAMED, UNEXPLAINED, unnamed, validated, worse_than_noise
 from identification.fit.coordinates import CHANNELS, slowest
 from identification.fit.noise import Noise
 from identification.gate.finding import Finding
@@ -46,6 +46,7 @@ from identification.power.diagnose import PowerDiagnosis, diagnose_power
 from identification.roles import Fitted, Unseen, roles
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.digits import number
+from vpp_fmu.kernel.learned import PORTS
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native.memory import give_back
@@ -68,8 +69,8 @@ class Diagnosis:
     record, used only after the model is final. `refuted`: why validation refutes the selected set, else "". `attempt`: the
     search for a learned term, if no effect explains the lack of fit. `best_guess`: the best candidate if the lack of fit is not
     explained; None otherwise, or without candidates. `not_tried`: steps for which the time budget did not suffice. `channels`:
-    verdict and names of effects of the speed and of the thrust. `missed`: why the unseen record shows that something is missing,
-    else "". `power`: diagnosis of the electrical power, None without.
+    verdict and names of effects of the speed and of the thrust. `missed`: why something is missing that the fitted records do
+    not show as lack of fit, else "". `power`: diagnosis of the electrical power, None without.
     """
 
     campaign: Campaign
@@ -361,13 +362,16 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
     at, judge, final, refuted, word = found.at, found.judge, found.final, found.refuted, found.word
     selection, before, after = found.selection(), lack_of(found.stages, "before"), lack_of(found.stages, "after")
     attempt, learned_in = Attempt(), None
-    open_stages = [s for s in found.stages if (s.before if refuted else s.after).significant]
+    doubts = _doubts(task, found) if word in NAMED and task.effort.thorough else {}
+    missed = "; ".join(doubts.values())
+    word = "partly" if doubts else word
+    open_stages = [s for s in found.stages if (s.before if refuted else s.after).significant or s.name in doubts]
     for stage in open_stages if task.effort.thorough and word in UNEXPLAINED else ():
         if not task.effort.allows("a term of unknown form"):
             break
         attempt, final = _learned(task, found, stage, final)
         if attempt.learned:
-            word, refuted, learned_in = "learned", "", stage
+            word, refuted, missed, learned_in = "learned", "", "", stage
             selection = _with(selection, attempt.learned)
             lack = stage.judge.lack(attempt.learned.stage_fit)
             after = lack_of([replace(s, after=lack) if s is stage else s for s in found.stages], "after")
@@ -376,7 +380,6 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
     if word == "none":
         identified = final = with_slow_noise(found.groups, at, judge.searcher.experiments[0].noise, found.base)
     fitted = tuple(one for group in found.groups for one in group)
-    missed = ""
     if found.unseen and word not in UNEXPLAINED:
         missed = worse_than_noise(found.unseen, fitted, judge.searcher.experiments[0].noise, final, judge.least())
         word = word if not missed else "partly" if final.effects else "unexplained"
@@ -415,6 +418,21 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
         channels=_channels(found, learned_in, refuted),
         missed=missed,
     )
+
+
+def _doubts(task: _Task, found: _Searched) -> dict[str, str]:
+    """For each stage, in words: a learned term that fits better than an accepted effect in its place. The effect then stands in
+    for one outside the library."""
+    doubts: dict[str, str] = {}
+    for stage in found.stages:
+        searcher, fit = stage.judge.searcher, stage.accepted
+        for name in fit.effects:
+            task.effort.stage(f"a learned term in place of {name}")
+            rest = without(searcher, stage.selection.base, fit, name)
+            if term := better_than(stage.judge, rest, fit, found.at.rig.scales, task.pool):
+                gain = number(evidence_over(term.fit, fit), 3)
+                doubts[stage.name] = f"a learned term at {PORTS[term.lead.port].words} fits better than {name}, by {gain} nats"
+    return doubts
 
 
 def _channels(found: _Searched, learned_in: Stage | None, refuted: str) -> dict[str, dict]:

@@ -62,9 +62,9 @@ def exportable(model: Model) -> Model:
 
 @dataclass(frozen=True)
 class InitialModel:
-    """The library, scaled for the `rig`, and the `names` of the free base parameters. `channels`: those that are fitted. `refinement`: start values, with their
+    """The library, scaled for the `rig`, and the `names` of the free base parameters. `refinement`: start values, with their
     `uncertainty`; `first`: values before any fit; `knowledge`: the prior from the steady points, None without any; `noise`: of
-    one thrust reading; `identification`: the source of all this, None for a given model."""
+    one thrust reading; `identification`: the source of all this, None for a given model; `channels`: those that are fitted."""
 
     library: tuple[Effect, ...]
     names: tuple[str, ...]

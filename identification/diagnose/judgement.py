@@ -66,7 +66,8 @@ class Judgement:
     `likelihood_gain`: gain of log-likelihood on the fitted records. `needed`: its threshold, from chance at the level ALPHA and
     from the forms of the other effects. `evidence`: the gain minus the BIC penalty. `gain`: cross-validated log-likelihood
     ratio by channel. `size` [N]: rms change of the thrust below SLOW; `least`: its minimum; `material`: the effect's thrust or
-    speed reaches its minimum. `refused`: reasons; empty: accepted; `small`: its size is the only one. `speed` [rpm]: rms change of the speed's readings."""
+    speed reaches its minimum. `refused`: reasons; empty: accepted; `small`: its size is the only
+    one. `speed` [rpm]: rms change of the speed's readings."""
 
     effect: str
     likelihood_gain: float

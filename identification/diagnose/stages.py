@@ -34,8 +34,8 @@ AGAIN = "the speed again, with the pitch that was found"
 
 @dataclass(frozen=True)
 class Stage:
-    """The search in some channels. `at`: its start; `options`: candidates; `groups`: the fitted records; `before`, `after`: lack
-    of fit of the base, and of the selected set with its nuisances."""
+    """The search in some channels. `at`: its start; `options`: candidates; `groups`: the fitted records; `before`, `after`:
+    lack of fit of the base, and of the selected set with its nuisances."""
 
     at: InitialModel
     groups: Sequence[Sequence[Fitted]]
@@ -129,11 +129,6 @@ def searched(
         """The stage as the thrust prefers it. A late speed and a late reading of it are the same to the speed. The model of its
         sensor is approximate: an effect that is smaller than the sensor's uncertainty must improve the thrust, too."""
         noise, judge = speed.judge.searcher.experiments[0].noise, speed.judge
-        for effect, judged in list(speed.selection.judgements.items()):
-            final = speed.selection.final
-            rest = without(judge.searcher, speed.selection.base, final, effect)
-            if judge.within_sensor(judged) and misfit(rest, False, noise) < misfit(final, False, noise) + MIN_EVIDENCE:
-                speed = speed.less(effect, "it is smaller than the speed sensor's uncertainty, and does not improve the thrust")
         for effect, rivals in list(speed.selection.rivals.items()):
             fits = {effect: speed.selection.final, **rivals}
             if len({next(e.reading for e in at.library if e.name == name) for name in fits}) < 2:
@@ -143,6 +138,11 @@ def searched(
             best = next(name for name in fits if misfits[name] <= least + MIN_EVIDENCE)
             family = {n: fit for n, fit in fits.items() if n != best and misfits[n] <= least + MIN_EVIDENCE}
             speed = speed.with_rival(effect, best, family)
+        for effect, judged in list(speed.selection.judgements.items()):
+            final = speed.selection.final
+            rest = without(judge.searcher, speed.selection.base, final, effect)
+            if judge.within_sensor(judged) and misfit(rest, False, noise) < misfit(final, False, noise) + MIN_EVIDENCE:
+                speed = speed.less(effect, "it is smaller than the speed sensor's uncertainty, and does not improve the thrust")
         return speed
 
     def of_thrust(speed: Stage) -> Stage:

@@ -62,6 +62,9 @@ def share_explained(base: Fit, final: Fit, before: LackOfFit, after: LackOfFit) 
 UNEXPLAINED = ("partly", "unexplained")
 """Verdicts with an unexplained lack of fit; a best guess is added."""
 
+NAMED = ("attributed", "family")
+"""Verdicts that name all effects."""
+
 CHANGED = ("attributed", "family", "partly", "learned")
 """Verdicts that add effects to the model."""
 
@@ -130,8 +133,8 @@ NOTHING_LEFT = "{} is below the minimum size when estimated for the best predict
 
 def worse_than_noise(unseen: Unseen, fitted: Sequence[Fitted], noise: Noise, fit: Fit, least: float) -> str:
     """Why the unseen record shows that a model without lack of fit on the `fitted` records misses something; empty if it does
-    not: the whitened error below SLOW has more power than on those, by an F test, and exceeds the size `least` [N]. The level of
-    an error is not compared: the zero of a cell differs from record to record."""
+    not. The whitened error below SLOW has more power than on those, by an F test, and the excess has the size `least` [N]. The
+    level of an error is not compared: the zero of a cell differs from record to record."""
 
     def slow(record: Record) -> tuple[float, int, float]:
         """(power of the whitened error below SLOW, degrees of freedom, power of the error itself [N^2])."""

@@ -33,8 +33,8 @@ class Tachometer:
 
     `rows` (m,): the rows with a new value; `measured` (m,) rpm: the speed read there; `std` (m,) rpm: its uncertainty from
     resolution and from the unknown instant within the sampling step; `unknown` s: median of half that time. `centres` (m,) s:
-    when the rotor had that speed, on average. `sensor`: as the record declares it. An unknown kind is taken for one mark, or for an encoder if values are renewed faster than the rotor
-    turns.
+    when the rotor had that speed, on average. `sensor`: as the record declares it. An unknown kind is taken for one mark, or
+    for an encoder if values are renewed faster than the rotor turns.
     """
 
     def __init__(self, record: Record):

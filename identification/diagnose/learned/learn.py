@@ -13,7 +13,7 @@ import numpy as np
 from identification.diagnose.acceptance import Judge
 from identification.diagnose.crossval import HeldOut, contiguous_folds, cross_validated, p_no_decrease
 from identification.diagnose.effort import Effort
-from identification.diagnose.judgement import ALPHA, ALPHA_HELD_OUT, ALTERNATIVE_WINDOW, MIN_EVIDENCE, Judgement, Smallest
+from identification.diagnose.judgement import ALPHA, ALPHA_HELD_OUT, ALTERNATIVE_WINDOW, FORM, MIN_EVIDENCE, Judgement, Smallest
 from identification.diagnose.learned.laws import laws_of
 from identification.diagnose.learned.refit import Term, refitted
 from identification.diagnose.learned.score import ESTIMABLE
@@ -133,6 +133,21 @@ def learn(known: Judge, beside: Fit, scales: Scales, pool, effort: Effort) -> At
     return Attempt(tried, comparisons, Learned(term, curve, judgement, beside, tuple(rivals), laws, term.fit))
 
 
+def better_than(known: Judge, rest: Fit, with_it: Fit, scales: Scales, pool) -> Term | None:
+    """A learned term that fits better than an accepted effect, in its place and channel; None without one. The effect then
+    stands in for one that the library lacks. `rest`, `with_it`: the fits without and with it.
+
+    The term must exceed the effect by MIN_EVIDENCE, and by what the form of a right effect may leave."""
+    name = with_it.effects[-1] if len(with_it.effects) == 1 else (set(with_it.effects) - set(rest.effects)).pop()
+    effect = next(e for e in with_it.problem.model.effects if e.name == name)
+    channel = "omega" if effect.in_speed and not effect.reading else "".join(effect.channels[:1])
+    leads = short_list(screened(rest, spread=pool.map, channel=channel), (), AGAIN)
+    terms = _refitted(known.searcher, rest, leads, scales, pool)
+    best = max(terms, key=lambda t: evidence_over(t.fit, with_it), default=None)
+    needed = MIN_EVIDENCE + FORM * max(evidence_over(with_it, rest), 0.0)
+    return best if best and evidence_over(best.fit, with_it) > needed else None
+
+
 def _place(term: Term) -> tuple[str, str]:
     return term.lead.port.removesuffix("_share"), term.lead.driver
 
@@ -163,8 +178,8 @@ class Carried(Judge):
         return min(min(sum(g.values()), g.get("thrust", np.inf)) for g in gains)
 
     def p_no_decrease(self, fit: Fit, beside: Fit) -> float:
-        """p-value of the hypothesis that the held-out error does not decrease: of the thrust on left-out thirds, and in each step
-        response, which no fit of a diagnosis uses; of the speed, where it alone is fitted."""
+        """p-value of the hypothesis that the held-out error does not decrease: of the thrust on left-out thirds, and in each
+        step response, which no fit of a diagnosis uses; of the speed, where it alone is fitted."""
         old, new, experiments = self.carried(beside), self.carried(fit), fit.problem.experiments
         if "thrust" not in experiments[0].channels:
             times = [np.concatenate([t.times for t in e.tachometers]) for e in experiments if e.tachometers]

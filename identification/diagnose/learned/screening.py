@@ -78,17 +78,20 @@ class Lead:
         return self.scored.likelihood_gain > self.needed and self.scored.held_out > 0.0
 
 
-def screened(fit: Fit, values: Mapping[str, float] | None = None, spread: Callable = map) -> list[Lead]:
+def screened(
+    fit: Fit, values: Mapping[str, float] | None = None, spread: Callable = map, channel: str | None = None
+) -> list[Lead]:
     """All leads beside a fit, the best held-out score first. `values`: linearise there instead of at the fit; `spread`: maps a
-    function over the groups of leads, as `map` does."""
+    function over the groups of leads, as `map` does; `channel`: at ports of this channel alone, "" for the thrust."""
     problem, simulator = fit.problem, fit.problem.simulator
     x = fit.solution.value if values is None else problem.coordinates.vector({**fit.values, **values})
     at = {**fit.values, **problem.coordinates.values(x)}
     residual, jacobian = problem.evaluate(x)
     about = Linearised(problem, x, residual, jacobian)
-    ports = {name: place for name, place in PORTS.items() if _of_channels(place, problem.experiments[0].channels)}
+    fitted = problem.experiments[0].channels
+    ports = [n for n, place in PORTS.items() if _of_channels(place, fitted) and channel in (None, place.channel)]
     courses = [Course.of(e, at, simulator.simulate(at, *e.record.run)) for e in problem.experiments]
-    scores = Scores(about, jacobian[: problem.size], courses, problem.scale, problem.times, tuple(ports))
+    scores = Scores(about, jacobian[: problem.size], courses, problem.scale, problem.times, ports)
     groups = [*_curves(scores), *_memories(scores), *_relays(scores), *_sines(scores)]
     leads = [lead for some in spread(lambda group: group(), groups) for lead in some]
     found = [replace(lead, needed=chance_threshold(lead.scored.rank, len(leads)), comparisons=len(leads)) for lead in leads]

@@ -50,6 +50,7 @@ def summary(found: Diagnosis) -> dict:
         "units": UNITS,
         "verdict": found.verdict,
         "refuted": {"effects": list(found.selection.final.effects), "why": found.refuted} if found.refuted else None,
+        "missed": found.missed or None,
         "quality": [finding.summary() for finding in found.quality],
         "logger": found.logger.summary(),
         "lack_of_fit": {"before": found.before.summary(), "after": found.after.summary()},

@@ -235,6 +235,8 @@ def findings(found: Diagnosis) -> list[str]:
     lines = [f"{name.capitalize()}: {_channel(one)}." for name, one in found.channels.items()]
     lines.append(f"Noise of one reading: {size(found.noise.floor, 'N')}, {found.reading_noise.basis}.")
     lines += [f"{words(n)} could as well be {' or '.join(map(words, o))}." for n, o in found.selection.family.items() if o]
+    if found.missed:
+        lines.append(f"{found.missed[0].upper()}{found.missed[1:]}.")
     if found.verdict in UNEXPLAINED:
         _, band, note = _where(found)
         lines.append(f"Residual: {band}, {note}.")

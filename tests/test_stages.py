@@ -1,0 +1,129 @@
+"""The search in stages: the speed given to the thrust stage, and how the thrust decides between effects of the speed."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from studies.synthetic import TRUTH, commands
+
+from identification.demo import example_folder
+from identification.diagnose import given_speed
+from identification.diagnose.diagnose import diagnose
+from identification.diagnose.given_speed import with_given_speed
+from identification.diagnose.lack_of_fit import LackOfFit
+from identification.diagnose.score_test import ScoreTest
+from identification.diagnose.stages import Stage, lack_of, verdict_of
+from vpp_fmu.campaign import Campaign
+from vpp_fmu.kernel.plant import LIBRARY, plant
+from vpp_fmu.native import Simulator
+from vpp_fmu.record import Record
+from vpp_fmu.rig import infer_rig
+from vpp_fmu.sensors import SpeedSensor
+
+NOISE, SPEED_NOISE = 0.1, 2.0  # N, rpm
+ENCODER = SpeedSensor("encoder")
+
+
+def test_a_known_speed_replaces_that_of_the_model_between_rows():
+    """It is linear between rows. At its start value, -1, it is unknown, and the model's speed is kept."""
+    record = commands(np.random.default_rng(1), 3.0)
+    known = 4000.0 + 500.0 * np.sin(record.time)
+    given = record.with_columns(speed_at_row=known, speed_at_next_row=np.append(known[1:], known[-1:]))
+    model = plant((), with_given_speed(LIBRARY))
+    values = model.values(TRUTH)
+    shown = Simulator(model).simulate(values, *given.run)
+    np.testing.assert_allclose(shown[:, 1], known, rtol=1e-9)  # the start settles for a nanosecond
+    plain = Simulator(plant()).simulate(plant().values(TRUTH), *record.run)
+    np.testing.assert_allclose(shown[:, 2], plain[:, 2], rtol=1e-12)
+    np.testing.assert_allclose(Simulator(model).simulate(values, *record.run), plain, rtol=1e-12)
+
+
+def readings(beyond, noise, seed=0):
+    """A record of 60 s at 100 Hz whose speed reads 5000 rpm and `beyond` (rows,), with noise."""
+    time = np.arange(len(beyond)) / 100.0
+    speed = 5000.0 + beyond + noise * np.random.default_rng(seed).standard_normal(len(time))
+    columns = {"time": time, "omega_ref": np.full(len(time), 5000.0), "beta_ref": np.zeros(len(time)), "omega": speed}
+    return Record(columns, "speed.csv", sensor=ENCODER)
+
+
+def test_a_remainder_of_noise_is_smoothed_away():
+    """The widest kernel, of 64 readings, leaves 1 / sqrt(2 sqrt(pi) 64) = 6.6 % of the noise."""
+    found, error = given_speed._beyond(readings(np.zeros(6000), 10.0), np.full(6000, 5000.0))
+    assert np.std(found) < 2.0 * 0.066 * 10.0
+    assert error == pytest.approx(0.066 * 10.0, rel=0.3)
+
+
+def test_a_fast_remainder_is_kept():
+    """A dip of 100 rpm for 0.1 s, ten times the noise: a kernel of 64 readings would leave a tenth of it."""
+    dip = np.where((np.arange(6000) >= 3000) & (np.arange(6000) < 3010), -100.0, 0.0)
+    found, _ = given_speed._beyond(readings(dip, 10.0), np.full(6000, 5000.0))
+    assert found[3003:3007].mean() < -70.0
+    assert np.std(np.delete(found, slice(2800, 3210))) < 3.0
+
+
+def rig(seed=0, **values) -> Campaign:
+    """Records with an encoder's speed, a repeat and a validation record."""
+    rng = np.random.default_rng(seed)
+    first, other = commands(rng, 16.0), commands(rng, 8.0)
+    model, records = plant({name.partition(".")[0] for name in values}), []
+    for record, name in ((first, "open_loop"), (first, "repeat"), (other, "validation")):
+        shown = Simulator(model).simulate(model.values(TRUTH | values), *record.run)
+        noisy = shown[:, :2] + [NOISE, SPEED_NOISE] * rng.standard_normal((len(record), 2))
+        measured = record.with_columns(thrust=noisy[:, 0], omega=noisy[:, 1])
+        records.append(replace(measured, source=f"{name}.csv", sensor=ENCODER))
+    sensor = {"kind": "encoder"}
+    return Campaign(example_folder(), None, (), *records, rig=replace(infer_rig(records, None, {}), sensor=sensor))
+
+
+DELAYS = tuple(e for e in LIBRARY if e.off is None or e.name in ("speed_delay", "speed_reading_delay", "thrust_gain_drift"))
+
+
+def test_the_thrust_decides_whether_the_speed_or_its_reading_is_late():
+    """Both are the same to the speed. A late reading is the delay of the sensor, which the logger has."""
+    found = diagnose(rig(**{"speed_delay.delay": 0.05}), DELAYS)
+    assert (found.verdict, found.final.effects) == ("attributed", ("speed_delay",))
+    assert found.final.values["speed_delay.delay"] == pytest.approx(0.05, abs=0.003)
+    shown = {"speed": ("attributed", ["speed_delay"]), "thrust": ("none", [])}
+    assert {name: (one["verdict"], one["effects"]) for name, one in found.channels.items()} == shown
+    found = diagnose(rig(**{"speed_reading_delay.delay": 0.05}), DELAYS)
+    assert (found.verdict, found.logger.sensor.delay) == ("none", pytest.approx(0.05, abs=0.003))
+
+
+def test_a_fault_of_the_thrust_leaves_the_speed_alone():
+    found = diagnose(rig(**{"thrust_gain_drift.rate": -0.004}), DELAYS)
+    assert found.channels["speed"] == {"verdict": "none", "effects": []}
+    assert found.channels["thrust"]["effects"] == ["thrust_gain_drift"]
+
+
+@pytest.mark.parametrize(
+    ("words", "whole"),
+    [
+        (("none", "none"), "none"),
+        (("attributed", "none"), "attributed"),
+        (("attributed", "family"), "family"),
+        (("attributed", "unexplained"), "partly"),
+        (("none", "unexplained"), "unexplained"),
+        (("none", "partly"), "partly"),
+    ],
+)
+def test_the_verdict_of_the_whole_is_the_weaker_one(words, whole):
+    assert verdict_of([SimpleNamespace(word=word) for word in words]) == whole
+
+
+def test_a_stage_that_explains_less_than_half_gives_no_effect_to_the_model(monkeypatch):
+    parts = SimpleNamespace(base="base", final="final", family={})
+    stage = Stage(None, (), (), None, parts, None, None)
+    for word, accepted in (("unexplained", "base"), ("partly", "final"), ("none", "base")):
+        monkeypatch.setattr(Stage, "word", word)
+        assert stage.accepted == accepted
+
+
+def test_the_lack_of_fit_of_the_speed_is_that_of_its_stage():
+    def shown(speed, size):
+        return LackOfFit((), ScoreTest(0.0, 0, ()), 0.5, size, 0.1, True, speed, speed, 10.0 * speed, 3.0)
+
+    stages = [SimpleNamespace(before=shown(0.9, 0.0)), SimpleNamespace(before=shown(0.0, 0.4))]
+    both = lack_of(stages, "before")
+    assert (both.speed, both.thrust_equivalent, both.speed_rpm, both.size) == (0.9, 0.9, 9.0, 0.4)
+    assert lack_of(stages[1:], "before") is stages[1].before
