@@ -316,7 +316,7 @@ def test_a_refuted_effect_is_reported_as_the_best_guess_with_the_reason():
     commands = found.experiment
     fits = found.selection.final, found.selection.base
     with_it, without = (Simulator(f.problem.model).simulate(f.values, commands.columns, commands.steps)[:, 0] for f in fits)
-    assert told["next_experiment"]["difference"]["value"] == pytest.approx(np.sqrt(np.mean((with_it - without) ** 2)))
+    assert told["next_experiment"]["difference"]["value"] == pytest.approx(np.sqrt(np.mean((with_it - without) ** 2)), rel=1e-4)
     shown = number(size.value, 2)
     label, value, note = key_figures(found)[-1]  # the command's last lines
     assert (label, shown in value, found.refuted in note) == ("best guess", True, True)

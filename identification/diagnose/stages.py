@@ -149,19 +149,22 @@ def searched(
         return _stage(*of_known(speed), others, smallest, effort, pool, " of the thrust")
 
     def of_known(speed: Stage) -> tuple[list[list[Fitted]], list[Record], InitialModel, float]:
-        first = speed.selection.whole
-        given = [given_speed([record], first)[0] for record in runs]
-        return with_speed_of(groups, first), given, known_from(first), uncertainty(groups, first)
+        first, noise = speed.selection.whole, speed.judge.searcher.experiments[0].noise
+        # If the thrust does not follow what the readings show beyond the model, that is an error of the readings.
+        readings = misfit(first, True, noise) <= misfit(first, False, noise) + MIN_EVIDENCE
+        given = [given_speed([record], first, readings)[0] for record in runs]
+        error = uncertainty(groups, first) if readings else 0.0
+        return with_speed_of(groups, first, readings), given, known_from(first), error
 
     speed = by_thrust(of_speed(at))
     thrust = of_thrust(speed)
     if not _takes_pitch(speed.selection.whole) or not effort.allows(AGAIN):
         return [speed, thrust]
     again = by_thrust(of_speed(_with_pitch_of(at, thrust.selection.whole)))
-    if again.selection.final.effects == speed.selection.final.effects:
-        if (known_thrust := thrust.on(*of_known(again))).word not in UNEXPLAINED:
-            return [again, known_thrust]
-    return [again, of_thrust(again)]
+    if again.selection.final.effects != speed.selection.final.effects:
+        return [again, of_thrust(again)]
+    known_thrust = thrust.on(*of_known(again))
+    return [again, known_thrust if known_thrust.word not in UNEXPLAINED else of_thrust(again)]
 
 
 def _stage(groups, runs, at, speed_error, options, smallest, effort, pool, words: str = "") -> Stage:

@@ -117,6 +117,8 @@ def _finding(found: Diagnosis) -> str:
         return f"Nothing is missing{also} {error.removesuffix('.')}{_other_conditions(found, before) or '.'}"
     if refuted:
         return f"{refuted}{error}"
+    if found.verdict == "unexplained" and found.missed:
+        return f"No effect is named, but something is missing: {found.missed}. {error}"
     if found.verdict == "unexplained" and not found.before.significant:
         line = f"The thrust reading has a line at the rotor frequency of {size(found.before.turning.size, 'N')} rms"
         return f"{line}: most of the noise power, and nothing else is missing. {error}"
@@ -127,7 +129,7 @@ def _finding(found: Diagnosis) -> str:
         return f"No effect of the library explains the lack of fit. {error}"
     if found.final.effects:
         error = thrust_error(unseen, change(before, after, "N"), noise)
-    doubt = "; a part of the lack of fit remains unexplained" if found.verdict == "partly" else ""
+    doubt = f"; {found.missed or 'a part of the lack of fit remains unexplained'}" if found.verdict == "partly" else ""
     return f"{sentence(_effects(found)).removesuffix('.')}{_rivals(found)}{doubt}. {error}"
 
 
