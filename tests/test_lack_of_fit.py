@@ -167,6 +167,7 @@ def fit_with_transients(monkeypatch, std=1.0, verified=False, count=0.0):
         tachometers=[sensor],
         converter=Converter(count, 0.0, 1.0),
         noise=SimpleNamespace(verified=verified),
+        channels=("thrust", "omega"),
     )
     values = {f"tau_{u}_{k}": 0.2 for u in ("omega", "beta") for k in (1, 2)}
     monkeypatch.setattr(lack_of_fit, "predicted_rows", lambda fit, e: np.column_stack([thrust, speed, speed]))

@@ -123,7 +123,7 @@ def test_the_score_test_of_noise_has_its_distribution(nothing):
     terms = hats(course.drivers["pitch_rate"], np.array([-10.0, -2.0, 0.0, 2.0, 10.0]))[:, [0, 1, 3, 4]]
     for _ in range(200):
         about.residual = about.orthogonal_part(rng.standard_normal(len(columns)))
-        scores = Scores(about, columns, [course], base.problem.scale, base.problem.times)
+        scores = Scores(about, columns, [course], base.problem.scale, base.problem.times, ())
         scored = scores.group(*scores.products([(terms * base.problem.scale["thrust"], None)]))
         falls.append(2.0 * scored.likelihood_gain)
     assert scored.rank == 4

@@ -315,7 +315,7 @@ def _searched(task: _Task, gate: Passed) -> _Searched:
     give_back()
     stages = searched(groups, runs, at, options, task.smallest, task.effort, task.pool)
     noises = [s.judge.searcher.experiments[0].noise for s in stages]
-    searcher, base = fitted_base(groups, at, replace(noises[-1], speed=noises[0].speed), at.values)
+    searcher, base = fitted_base(groups, at, replace(noises[-1], speed=noises[0].speed), at.values, agreed=True)
     searcher.points = max(s.judge.searcher.points for s in stages)
     judge = Judge(searcher, base, task.smallest, runs)
     task.effort.stage("distinguishable effects")

@@ -192,13 +192,15 @@ def with_slow_noise(groups: Sequence[Sequence[Fitted]], at: InitialModel, noise:
         outputs = Simulator(base.problem.model).simulate(base.values, *record.run)
         speed = _speed_residual(record, outputs[:, 1])[1]
         noise = noise_from(record, [outputs[:, 0] - record["thrust"]], [speed], noise.block, SLOW, noise.floor, verified=False)
-    return fitted_base(groups, at, noise, base.values)[1] if noise.colour.corner else base
+    return fitted_base(groups, at, noise, base.values, agreed=True)[1] if noise.colour.corner else base
 
 
 def fitted_base(
-    groups: Sequence[Sequence[Fitted]], at: InitialModel, noise: Noise, values: Mapping[str, float]
+    groups: Sequence[Sequence[Fitted]], at: InitialModel, noise: Noise, values: Mapping[str, float], agreed: bool = False
 ) -> tuple[Searcher, Fit]:
-    """(searcher on experiments with this noise, base fitted to them)."""
+    """(searcher on experiments with this noise, base fitted to them). `agreed`: the prior is as wide as its disagreement with
+    the records requires. Else it is as wide as can be: steady points may include a missing effect, which would then fit worse.
+    """
     experiments = [Experiment(group, noise, at.channels) for group in groups]
 
     # A missing effect biases the identified values, and a fit from them may end beside the minimum.
@@ -209,7 +211,7 @@ def fitted_base(
         return searcher, min((searcher.fit((), {}, (), start) for start in starts), key=Fit.bic)
 
     searcher, base = fitted(WIDEST)
-    if at.knowledge and (prior := base.prior(at.knowledge)):
+    if agreed and at.knowledge and (prior := base.prior(at.knowledge)):
         starts.append(base.values)
         searcher, base = fitted(disagreement(prior, base.uncertainty))
     return searcher, base
