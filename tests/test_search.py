@@ -1,6 +1,7 @@
 """The search: candidates, fits, thresholds and refits, each against a closed form or a fit from the truth."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest

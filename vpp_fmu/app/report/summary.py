@@ -254,7 +254,7 @@ def why_not(found: Diagnosis, tried: CandidateFit) -> str | None:
     """Why a candidate is rejected, for figure, table and JSON; None if it is accepted."""
     name, final = tried.candidate.name, found.selection.final
     if tried.fit is None:
-        return "not refitted: screening predicts less gain than for the refitted candidates"
+        return "after two steps from each start, others fit better"
     if name in final.effects:
         if {n: v for n, v in final.forms.items() if n.startswith(f"{name}.")} != tried.candidate.form:
             return "another form of it explains more"
