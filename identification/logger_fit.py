@@ -8,7 +8,7 @@ Effects of a rig delay its response. There are three delays: from each command t
 measured speed. The smallest is the logger's; the excess of the others belongs to the sensor or the rig.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -91,23 +91,14 @@ ALL_DELAYS = tuple(f"{name}.delay" for name in DELAYS.values())
 def as_logged(
     gate: Passed, effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, values=None, each: Callable = map
 ) -> Passed:
-    """The first of `likely_loggers`."""
-    return next(likely_loggers(gate, effects, library, values, each))
-
-
-def likely_loggers(
-    gate: Passed, effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, values=None, each: Callable = map
-) -> Iterator[Passed]:
-    """The records that passed the gate, corrected for their logger and without run-ins: for the most likely logger first, then
-    for others that are not distinguished from it.
+    """The records that passed the gate, corrected for their logger and without run-ins.
 
     The logger is estimated from the fitted records, beside `effects` of a `library` at `values`. Without records it has no
     offset, and run-ins are not searched. `each`: as `map`, for fits that may run in parallel."""
     campaign, declared = gate.campaign, gate.campaign.rig.sensor
     if not any((campaign.open_loop, campaign.repeat, campaign.validation, *gate.further.values())):
         found = Logger(sensor=SpeedSensor(**declared) if "kind" in declared else SpeedSensor())
-        yield replace(gate.changed(found.applied), logger=found)
-        return
+        return replace(gate.changed(found.applied), logger=found)
     values = {**AVERAGED, **(values or {})}
     longest = 0.5 * BLOCKS * slowest(values, values)
     settled = gate.without_run_ins(lambda record: min(longest, QUARTER * float(record.time[-1])))
@@ -118,8 +109,8 @@ def likely_loggers(
         before, settled = settled, gate.without_run_ins(of.run_in)
         if {(f.code, f.where) for f in settled.findings} == {(f.code, f.where) for f in before.findings}:
             break
-    for found in of.loggers(each):
-        yield replace(settled.changed(found.applied), logger=found)
+    found = of.logger(each)
+    return replace(settled.changed(found.applied), logger=found)
 
 
 def mended(record: Record) -> tuple[Record, list[str]]:
@@ -170,16 +161,15 @@ class _Estimate:
         outputs = Simulator(self._model).simulate(self.values, *shown.run)
         return run_in(shown, outputs, slowest(self.values, self._names))
 
-    def loggers(self, each: Callable = map) -> Iterator[Logger]:
-        """The most likely logger, then others that are not distinguished from it.
+    def logger(self, each: Callable = map) -> Logger:
+        """The most likely logger.
 
         Each sensor is fitted roughly with one offset of all readings, the best ones in full. A sensor is rejected if another
         one of no more parameters fits the thrust better. Of those that are not distinguished, those that read samples come
         before those that read means."""
         start = _SensorFit(self, None, (), tied=True).solved(FULL)
         if not self._measured:
-            yield from self._loggers_of(start)
-            return
+            return self._logger_of(start)
         fits = list(each(lambda one: _SensorFit(self, *one, start, tied=True).solved(ROUGH), self._hypotheses()))
         scores = _scores(fits)
         near = [fit for fit, score in zip(fits, scores, strict=True) if score > max(scores) - NEAR]
@@ -187,20 +177,14 @@ class _Estimate:
         near = [fit for fit in near if not any(other.fits_thrust_better_than(fit) for other in near)]
         scores = _scores(near)
         likely = [(s, fit) for s, fit in zip(scores, near, strict=True) if s >= max(scores) - NOT_DISTINGUISHED]
-        shown: list[Logger] = []
-        for _, fit in sorted(likely, key=lambda pair: (pair[1].sensor.averaged, -pair[0])):
-            for found in self._loggers_of(fit):
-                if not any(found.agrees_with(other) for other in shown):
-                    shown.append(found)
-                    yield found
+        return self._logger_of(min(likely, key=lambda pair: (pair[1].sensor.averaged, -pair[0]))[1])
 
-    def _loggers_of(self, fit: "_SensorFit") -> Iterator[Logger]:
+    def _logger_of(self, fit: "_SensorFit") -> Logger:
         """The logger of a fit with one offset, unless further parameters have very strong evidence. An offset of zero or of
         whole rows comes before the estimate if it explains the records as well. An offset at its lower limit counts as zero:
         the rig's response begins faster than that of two lags."""
         if not self._delays:
-            yield Logger(sensor=fit.sensor, period=self._period)
-            return
+            return Logger(sensor=fit.sensor, period=self._period)
         shared = fit.offset
         freer = fit.tied or fit.with_delay != fit.free
         loose = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit).solved(FULL) if freer else fit
@@ -208,8 +192,7 @@ class _Estimate:
         if delayed:  # the rig or the sensor has further delays
             shared = loose.shared()
         elif contract := self._one_delay(fit):
-            yield contract
-            return
+            return contract
         rows, std = shared.value / self._period, shared.std / self._period
         if rows < FINEST - EARLIEST:
             rows, std = 0.0, 0.0
@@ -225,11 +208,8 @@ class _Estimate:
             simpler = _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=value).solved(FULL)
             same = abs(rows - value) < FINEST
             if same or not (simpler.worse_than(fit) or simpler.reads_ahead):
-                yield logger_at(value, simpler)
-                if same:
-                    return
-                break
-        yield logger_at(rows, _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=rows).solved(FULL))
+                return logger_at(value, simpler)
+        return logger_at(rows, _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=rows).solved(FULL))
 
     def _one_delay(self, fit: "_SensorFit") -> Logger | None:
         """The logger without an offset, if a delay of one command explains the record better than the offset of `fit`, or as

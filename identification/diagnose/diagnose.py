@@ -40,7 +40,7 @@ from identification.gate.finding import Finding
 from identification.gate.gate import Passed, passed
 from identification.identify import Identification, off_bounds
 from identification.logger import Logger
-from identification.logger_fit import as_logged, likely_loggers
+from identification.logger_fit import as_logged
 from identification.logs.commands import FILE as SPEED_MAP
 from identification.power.diagnose import PowerDiagnosis, diagnose_power
 from identification.roles import Fitted, Unseen, roles
@@ -214,8 +214,7 @@ def diagnose(
         present = (given.without_power.model.optional, library, given.without_power.values) if given else ()
         task = _Task(campaign, library, pool, seed, effort, given, Smallest(smallest, smallest_speed))
         stage("logger")
-        likely = likely_loggers(gate, *present, each=pool.map)
-        found = _searched(task, next(likely))
+        found = _searched(task, as_logged(gate, *present, each=pool.map))
         beside = [n for n in found.selection().final.effects if n in {e.name for e in library} and n not in DELAYS]
         if beside and effort.allows(f"another logger beside {' + '.join(beside)}"):
             stage("logger")
