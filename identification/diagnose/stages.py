@@ -35,7 +35,8 @@ AGAIN = "the speed again, with the pitch that was found"
 @dataclass(frozen=True)
 class Stage:
     """The search in some channels. `at`: its start; `options`: candidates; `groups`: the fitted records; `before`, `after`:
-    lack of fit of the base, and of the selected set with its nuisances."""
+    lack of fit of the base, and of the selected set with its nuisances. `corroborated`: effects of the speed improve the
+    thrust, too."""
 
     at: InitialModel
     groups: Sequence[Sequence[Fitted]]
@@ -44,6 +45,7 @@ class Stage:
     selection: Selection
     before: LackOfFit
     after: LackOfFit
+    corroborated: bool = False
 
     @property
     def name(self) -> str:
@@ -52,9 +54,10 @@ class Stage:
 
     @property
     def word(self) -> str:
-        """The verdict on these channels."""
+        """The verdict on these channels. Effects that explain less than half, but are corroborated, are a partial one."""
         found = self.selection
-        return verdict(found.base, found.final, self.before, self.after, found.family)
+        word = verdict(found.base, found.final, self.before, self.after, found.family)
+        return "partly" if word == "unexplained" and found.final.effects and self.corroborated else word
 
     @property
     def accepted(self) -> Fit:
@@ -143,7 +146,9 @@ def searched(
             rest = without(judge.searcher, speed.selection.base, final, effect)
             if judge.within_sensor(judged) and misfit(rest, False, noise) < misfit(final, False, noise) + MIN_EVIDENCE:
                 speed = speed.less(effect, "it is smaller than the speed sensor's uncertainty, and does not improve the thrust")
-        return speed
+        found = speed.selection
+        gain = misfit(found.base, False, noise) - misfit(found.final, False, noise) if found.final.effects else 0.0
+        return replace(speed, corroborated=gain > MIN_EVIDENCE)
 
     def of_thrust(speed: Stage) -> Stage:
         return _stage(*of_known(speed), others, smallest, effort, pool, " of the thrust")
