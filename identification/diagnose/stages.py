@@ -124,9 +124,10 @@ def searched(
     def known_from(first: Fit) -> InitialModel:
         return at.of_channels("thrust", library=with_given_speed(at.library), values=first.values)
 
-    def misfit(fit: Fit, readings: bool, noise: Noise) -> float:
-        """Half the deviance of the thrust, without effects of its own, given the speed of a fit."""
-        return 0.5 * fitted_base(with_speed_of(groups, fit, readings), known_from(fit), noise, at.values)[1].deviance
+    def misfit(fit: Fit, readings: bool, noise: Noise, beside: Fit | None = None) -> float:
+        """Half the deviance of the thrust, given the speed of a fit; without effects of its own, or with those of a fit."""
+        searcher, base = fitted_base(with_speed_of(groups, fit, readings), known_from(fit), noise, at.values)
+        return 0.5 * (searcher.again(beside) if beside and beside.effects else base).deviance
 
     def by_thrust(speed: Stage) -> Stage:
         """The stage as the thrust prefers it. A late speed and a late reading of it are the same to the speed. The model of its
@@ -146,9 +147,13 @@ def searched(
             rest = without(judge.searcher, speed.selection.base, final, effect)
             if judge.within_sensor(judged) and misfit(rest, False, noise) < misfit(final, False, noise) + MIN_EVIDENCE:
                 speed = speed.less(effect, "it is smaller than the speed sensor's uncertainty, and does not improve the thrust")
-        found = speed.selection
-        gain = misfit(found.base, False, noise) - misfit(found.final, False, noise) if found.final.effects else 0.0
-        return replace(speed, corroborated=gain > MIN_EVIDENCE)
+        return speed
+
+    def checked(speed: Stage, thrust: Stage) -> list[Stage]:
+        """Both stages; whether the effects of the speed improve the thrust that its model predicts."""
+        noise, found, own = thrust.judge.searcher.experiments[0].noise, speed.selection, thrust.selection.final
+        gain = misfit(found.base, False, noise, own) - misfit(found.final, False, noise, own) if found.final.effects else 0.0
+        return [replace(speed, corroborated=gain > MIN_EVIDENCE), thrust]
 
     def of_thrust(speed: Stage) -> Stage:
         return _stage(*of_known(speed), others, smallest, effort, pool, " of the thrust")
@@ -164,12 +169,12 @@ def searched(
     speed = by_thrust(of_speed(at))
     thrust = of_thrust(speed)
     if not _takes_pitch(speed.selection.whole) or not effort.allows(AGAIN):
-        return [speed, thrust]
+        return checked(speed, thrust)
     again = by_thrust(of_speed(_with_pitch_of(at, thrust.selection.whole)))
     if again.selection.final.effects != speed.selection.final.effects:
-        return [again, of_thrust(again)]
+        return checked(again, of_thrust(again))
     known_thrust = thrust.on(*of_known(again))
-    return [again, known_thrust if known_thrust.word not in UNEXPLAINED else of_thrust(again)]
+    return checked(again, known_thrust if known_thrust.word not in UNEXPLAINED else of_thrust(again))
 
 
 def _stage(groups, runs, at, speed_error, options, smallest, effort, pool, words: str = "") -> Stage:
