@@ -1,5 +1,6 @@
 """The judgement of effects: cross-validation, rules, selection, estimation and refutation, each against a closed form."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,11 +19,13 @@ from identification.diagnose.judgement import (
     model_form_allowance,
     refusals,
 )
+from identification.diagnose.learned import learn
 from identification.diagnose.selection import _ranked
 from identification.fit.experiment import Experiment
+from identification.fit.noise import independent
 from identification.fit.problem import Block, Prior, Score
 from identification.fit.uncertainty import WIDEST, Uncertainty, disagreement
-from identification.roles import Unseen, roles
+from identification.roles import Fitted, Unseen, roles
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.record import Record
 
@@ -539,3 +542,46 @@ def test_a_logger_replaces_a_delay_where_it_predicts_as_well(error, chosen):
     assert diagnose._simpler(few, many).name == diagnose._simpler(many, few).name == chosen
     nothing, some = found("few", (), error, "none"), found("many", (), 1.0, "unexplained")
     assert diagnose._simpler(nothing, some).name == diagnose._simpler(some, nothing).name == chosen
+
+
+@pytest.mark.parametrize(("extra", "missed"), [(0.0, False), (0.04, True)])
+def test_an_unseen_record_may_have_no_more_power_than_the_noise(monkeypatch, extra, missed):
+    """60 s at 100 Hz, in blocks of 0.05 s: noise of 0.1 / sqrt(5) N a block, and a sine of 2 Hz of `extra` N rms, 0.8 of its
+    power. Some 600 ordinates have a ratio of powers within 1.15 of 1. A constant error is the zero of another day."""
+    rng, time = np.random.default_rng(3), np.arange(0.0, 60.0, 0.01)
+
+    def record(name, more, zero=0.0):
+        thrust = zero + np.sqrt(2.0) * more * np.sin(4.0 * np.pi * time) + 0.1 * rng.standard_normal(len(time))
+        return Record({"time": time, "omega_ref": 0.0 * time, "beta_ref": 0.0 * time, "thrust": thrust}, f"{name}.csv")
+
+    shown = lambda model, values, record: SimpleNamespace(thrust=0.0 * record.time)  # noqa: E731
+    monkeypatch.setattr(validation, "predict", shown)
+    fit = SimpleNamespace(problem=SimpleNamespace(model=None), values={})
+    noise = replace(independent(0.1 / np.sqrt(5.0)), block=0.05)
+    unseen, fitted = (
+        Unseen("validation", record("validation", extra, zero=0.5)),
+        [Fitted("open_loop", record("open_loop", 0.0))],
+    )
+    why = validation.worse_than_noise(unseen, fitted, noise, fit, 0.01)
+    assert ("worse than the noise allows" in why) is missed
+    assert validation.worse_than_noise(unseen, fitted, noise, fit, 0.1) == ""  # smaller than anything of interest
+
+
+@pytest.mark.parametrize(("gained", "explained", "stands_in"), [(4.0, 0.0, False), (6.0, 0.0, True), (20.0, 8000.0, False)])
+def test_a_learned_term_must_not_fit_better_than_a_named_effect(monkeypatch, gained, explained, stands_in):
+    """By more than 5 nats and the 0.25 % that the form of a right effect may leave: 20 of 8000."""
+    effect = SimpleNamespace(name="lag", channels=("beta",), in_speed=False, reading="")
+    with_it = SimpleNamespace(effects=("lag",), problem=SimpleNamespace(model=SimpleNamespace(effects=[effect])))
+    rest, term = SimpleNamespace(effects=()), SimpleNamespace(fit="term")
+    channels = []
+
+    def screened(fit, spread, channel):
+        channels.append(channel)
+        return []
+
+    monkeypatch.setattr(learn, "screened", screened)
+    monkeypatch.setattr(learn, "_refitted", lambda *_: [term])
+    monkeypatch.setattr(learn, "evidence_over", lambda one, other: gained if one == "term" else explained)
+    judge, pool = SimpleNamespace(searcher=None), SimpleNamespace(map=map)
+    assert learn.better_than(judge, rest, with_it, None, pool) is (term if stands_in else None)
+    assert channels == ["beta"]

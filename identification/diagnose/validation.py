@@ -50,7 +50,7 @@ def share_explained(base: Fit, final: Fit, before: LackOfFit, after: LackOfFit) 
     remaining lack of fit is in the transient thrust, the share of that, if smaller. Lack of fit of the speed alone does not
     reduce the share: it is a fault of the motor, and hides no effect of the rotor."""
     gain = 0.5 * (base.deviance - final.deviance)
-    if before.bands or (before.speed_rpm and not before.score.count):
+    if before.bands or (not before.score.count and before.speed_rpm):
         share = 1.0 - after.missing / before.missing if before.missing > 0.0 else 0.0
     else:
         share = gain / (gain + max(after.score.gain, 0.0)) if gain > 0.0 else 0.0

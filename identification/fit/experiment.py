@@ -113,7 +113,7 @@ class Experiment:
 
     @cached_property
     def _row_means(self) -> csr_array:
-        read = self.record.time[self._measured]
+        read = self.record.time[self._there]
         return row_means(self.record.time, float(np.median(np.diff(read))))
 
     def _over_rows(self, thrust: np.ndarray) -> np.ndarray:
