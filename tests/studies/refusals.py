@@ -63,7 +63,6 @@ OPTIONS = [
     ("plan", "--parameters", "x", "--seconds", "inf"),
     ("plan", "--parameters", "x", "--omega", "2000", "1e9"),
     ("cosim", "x", "y", "--profile", "z", "--step", "0"),
-    ("paper", "--seed", "-1"),
     ("hil", "campaign", "--points", "1"),
     ("hil", "selftest", "--load", "65"),
     ("hil", "run", "--profile", "z", "--seed", "-1"),

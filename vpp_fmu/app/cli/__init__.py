@@ -36,7 +36,6 @@ VERBS = {
     "import": "convert a log to a file of a campaign",
     "effects": "the effects that the model may have, and a page of their theory",
     "check-effect": "check a user-defined effect",
-    "paper": "the paper's study on the emulated rig, every number beside the paper's",
     "twin": "a rig's day: model and controller improve each other, round by round",
     "completion": "a script with which bash, zsh or fish completes verbs and options",
     "cache": "show or delete the cached compiled models",
