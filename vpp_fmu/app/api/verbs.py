@@ -321,8 +321,8 @@ def export_fmu(
     values: Mapping[str, float] | None = None,
     **fields: Any,
 ) -> dict[str, Path]:
-    """Write VppPlant and VppController as FMUs, with parameter values (.ssv), reference files and their loop (.ssp); or a
-    model of your own.
+    """Write VppPlant and VppController as FMUs, with parameter values (.ssv) and their loop (.ssp); or a model of your
+    own.
 
     `parameters`: a file, a set or a result; or a Model or Slave, with `values` of its parameters by name. `author`, and
     `fields` (version, license, copyright, description, stop_time, step_size, tolerance) replace what the model declares.
