@@ -56,7 +56,7 @@ ABOUT: Mapping[str, tuple[Callable, str]] = {
 def configure(parser):
     add_plant(parser, " (default: the paper's fine-tuned set)")
     add_gains(parser, GAINS)
-    text = "a learned law in the controller's place: a .json or .npz of arrays (vpp_fmu/policy.py); --gains are its fallback's"
+    text = "a learned law as the controller: a policy.json (vpp_fmu/policy.py) or its folder; --gains are its fallback's"
     parser.add_argument("--policy", type=policy_file, metavar="FILE", help=text)
     text = "also the adaptive twin of the parameters' rig; I: identification.json of --parameters (default: the one beside F)"
     parser.add_argument("--twin", nargs="?", const="", type=knowledge_file, metavar="I", help=text)

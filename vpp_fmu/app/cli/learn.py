@@ -67,14 +67,8 @@ def run(options):
     )
     folder = OutputSet(options.output, "learn")
     with tqdm(total=100, unit="%", disable=None, leave=False) as bar:
-        found = learn(
-            task,
-            settings,
-            options.hidden,
-            options.generations,
-            options.plants,
-            lambda share: bar.update(round(100 * share) - bar.n),
-        )
+        size = options.hidden, options.generations, options.plants
+        found = learn(task, settings, *size, lambda share: bar.update(round(100 * share) - bar.n))
     write_learning(folder, found, parameters.label)
     return Answer(headline(found), summary(found), figures=key_figures(found), written=written(options, folder, parameters))
 
