@@ -65,7 +65,7 @@ class Flights:
 
 
 @dataclass(frozen=True, eq=False)
-class Learned:
+class LearnedLaw:
     """The policy, its search (`evaluations`, `cost`, each (generations,)), and held-out flights by controller. `example`: a
     held-out flight on the nominal plant, by controller. `fallback`: share of time that the policy spends in it."""
 
@@ -178,7 +178,7 @@ def learn(
     generations: int,
     judged: int,
     progress: Callable[[float], None] = lambda share: None,
-) -> Learned:
+) -> LearnedLaw:
     """Learn a policy of `hidden` units in so many generations; compare it with the controller of these `settings` on `judged`
     plants.
 
@@ -223,7 +223,7 @@ def learn(
         example[name] = ClosedLoop(model, which).run((nominal, trial.chain, vector), course)
     fallback = _seen(policy, trial, plants[: min(judged, 20)], (task.seed, 14))[1]
     curves = np.array(evaluations), np.array(curve)
-    return Learned(policy, *curves, flights, example, fallback, time.monotonic() - began)
+    return LearnedLaw(policy, *curves, flights, example, fallback, time.monotonic() - began)
 
 
 def _guarded(network: _Network, weights: np.ndarray, trial: Trial, plants: np.ndarray) -> Policy:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from identification.tune.learn import Learned
+from identification.tune.learn import LearnedLaw
 from vpp_fmu.app.report.figures.loop import cost_ranks
 from vpp_fmu.app.report.figures.parameters import learning_curve
 from vpp_fmu.app.report.figures.time import closed_loop
@@ -13,7 +13,7 @@ from vpp_fmu.digits import number
 NAMES = {"policy": "learned law", "PID": "tuned PID"}
 
 
-def key_figures(found: Learned) -> list[tuple[str, str, str]]:
+def key_figures(found: LearnedLaw) -> list[tuple[str, str, str]]:
     """(label, value, note) of the figures of the first screen."""
     policy, pid = found.flights["policy"], found.flights["PID"]
     more, count = np.mean(policy.errors) / np.mean(pid.errors) - 1.0, len(policy.errors)
@@ -28,7 +28,7 @@ def key_figures(found: Learned) -> list[tuple[str, str, str]]:
     ]
 
 
-def headline(found: Learned) -> str:
+def headline(found: LearnedLaw) -> str:
     """The comparison in a sentence."""
     policy, pid = (float(np.mean(found.flights[name].errors)) for name in ("policy", "PID"))
     word = "less" if policy < pid else "more"
@@ -38,7 +38,7 @@ def headline(found: Learned) -> str:
     )
 
 
-def learning_page(found: Learned, source: str = "") -> Page:
+def learning_page(found: LearnedLaw, source: str = "") -> Page:
     """The page of one learned law; `source`: of the parameters."""
     size = " x ".join(map(str, found.policy.size))
     text = f"A network of {size} units in the controller's place. Its weights were searched on plants drawn from the "
