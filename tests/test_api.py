@@ -56,8 +56,10 @@ def test_the_example_of_every_public_name_runs(name, identified, monkeypatch):
     assert runner.failures == 0, "".join(said)
 
 
-def test_the_import_is_lazy():
-    code = "import sys, vpp_fmu; print(sorted({'numpy', 'scipy', 'plotly', 'fmpy'} & set(sys.modules)))"
+@pytest.mark.parametrize("module", ["vpp_fmu", "vpp_fmu.app.cli"])
+def test_the_import_is_lazy(module):
+    """Also that of `vpp --help`."""
+    code = f"import sys, {module}; print(sorted({{'numpy', 'scipy', 'plotly', 'fmpy', 'tqdm'}} & set(sys.modules)))"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
 

@@ -6,7 +6,7 @@ import pytest
 from builders import refusal
 
 from vpp_fmu.campaign import read_campaign, read_static, read_steps
-from vpp_fmu.record import RecordWarning
+from vpp_fmu.errors import RecordWarning
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 

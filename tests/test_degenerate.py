@@ -67,7 +67,7 @@ def test_a_record_at_rest_is_not_called_a_poor_fit(tmp_path):
 
 @pytest.mark.parametrize("method", ["gradient-descent", "adjoint"])
 def test_every_method_writes_its_files(method, tmp_path):
-    options = {"identify": ("--starts", "1", "--method", method, "--bootstrap", "2")}
+    options = {"identify": ("--starts", "1", "--method", method)}
     (found,) = rows(["fixed pitch"], ("identify",), tmp_path, options)
     assert not found.fault
     told = found.outcome.partition("not ")[2].partition(";")[0].split(", ")

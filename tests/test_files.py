@@ -11,7 +11,8 @@ import pytest
 from builders import refusal
 
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import InFolder, OutputFolder, read_table, read_text
+from vpp_fmu.files import InFolder, OutputFolder, read_text
+from vpp_fmu.table import read_table
 
 NOBODY = 65534
 

@@ -158,6 +158,7 @@ def test_the_command_exports_fmi_3_in_the_native_flavour_alone(tmp_path, refused
     for options, words in (
         (["--fmi", "3.0"], "--fmi: found 3.0 with --flavour python, expected --flavour native"),
         (["--fmi", "3.0", "--flavour", "both"], "--fmi: found 3.0 with --flavour both"),
+        (["--fmi", "3.0", "--flavour", "native", "--flat"], "--flat: found --flat and --fmi 3.0"),
         (["--platforms", "all"], "--platforms: found all with --flavour python, expected --flavour native or both"),
     ):
         assert words in refused("export", *options, "-o", tmp_path / "none")

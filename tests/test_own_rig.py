@@ -19,11 +19,12 @@ from identification.plan import plan as planning
 from identification.tune.controllers import rig_controller
 from vpp_fmu.app import cli
 from vpp_fmu.app.cli import hil as hil_verb
+from vpp_fmu.errors import RecordWarning
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.parameters import ParameterSet, read_parameters, to_json
-from vpp_fmu.record import RecordWarning, read_record
+from vpp_fmu.record import read_record
 from vpp_fmu.rig import Rig, rig_of
 
 DATA = Path(__file__).parent / "data"

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from builders import refusal
 
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, RecordWarning
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA, OMEGA_REF, THRUST
-from vpp_fmu.record import Record, RecordWarning, read_profile, read_record, write_record
+from vpp_fmu.record import Record, read_profile, read_record, write_record
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 NEED_THRUST = ("time", "omega_ref", "beta_ref", "thrust")

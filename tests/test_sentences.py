@@ -12,12 +12,12 @@ from hil.emulator.rig import NEAREST, effects_to_hide
 from hil.physics.rig_model import library
 from hil.replay import other_settings
 from vpp_fmu.app.cli import main
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, RecordWarning
 from vpp_fmu.kernel.controller import DUAL
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.plants import Sample
 from vpp_fmu.reach import thrust_range, warn_beyond_reach
-from vpp_fmu.record import Record, RecordWarning
+from vpp_fmu.record import Record
 
 FILES = {
     "p.csv": "time,thrust_set\n0,2\n0.5,5\n1,5\n",

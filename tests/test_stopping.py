@@ -14,14 +14,10 @@ from pathlib import Path
 import pytest
 from processes import VPP, cpu_seconds, group, signalled
 
-from identification.demo import example_folder
 from identification.workers import spread
 from vpp_fmu.app.cli import main
-from vpp_fmu.campaign import NEED
 from vpp_fmu.errors import WorkerLost
-from vpp_fmu.files import OutputFolder
 from vpp_fmu.fmu import Fmu, FmuInstance
-from vpp_fmu.record import read_record, write_record
 from vpp_fmu.scratch import Scratch
 from vpp_fmu.stopping import SIGNALS, Stopped, stoppable, unbroken
 
@@ -33,13 +29,11 @@ def told(verb, number):
 
 
 @has_proc
-def test_a_bootstrap_and_its_workers_end_and_write_nothing(tmp_path):
-    record = read_record(example_folder() / "open_loop.csv.gz", NEED).part(slice(0, 2500))
-    write_record(OutputFolder(tmp_path / "campaign"), "open_loop.csv", record)
-    words = [*VPP, "identify", str(tmp_path / "campaign"), "--starts", "1", "--bootstrap", "100000", "--workers", "2"]
-    ended = signalled([*words, "-o", str(tmp_path / "out")], signal.SIGTERM, at_work)
+def test_a_search_and_its_workers_end_and_write_nothing(tmp_path):
+    words = [*VPP, "tune", "--robust", "mean", "--draws", "10000", "--workers", "2", "-o", str(tmp_path / "out")]
+    ended = signalled(words, signal.SIGTERM, at_work)
     assert (ended.code, ended.left) == (143, ())
-    assert told("vpp identify", signal.SIGTERM) in ended.error.splitlines()  # Python 3.10 counts semaphores behind it
+    assert told("vpp tune", signal.SIGTERM) in ended.error.splitlines()  # Python 3.10 counts semaphores behind it
     assert "Traceback" not in ended.error
     assert os.listdir(tmp_path / "out") == []
 

@@ -16,8 +16,8 @@ from hil.session import found_log, read_log
 from tests.hil.stubborn import stubborn
 from vpp_fmu.app.cli import main
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import read_table
 from vpp_fmu.plants import KernelController
+from vpp_fmu.table import read_table
 
 ROOT = Path(__file__).parents[2]
 

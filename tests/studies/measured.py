@@ -25,11 +25,10 @@ from identification.logs.rcbenchmark import read_log
 from vpp_fmu.app import cli
 from vpp_fmu.app.report.summary import artefact
 from vpp_fmu.campaign import NAMES, Campaign, read_campaign
-from vpp_fmu.errors import BadInput, VppError
+from vpp_fmu.errors import BadInput, RecordWarning, VppError
 from vpp_fmu.export import python_fmu
 from vpp_fmu.fmu import simulate_in_fmpy
 from vpp_fmu.parameters import ParameterSet
-from vpp_fmu.record import RecordWarning
 
 MAP = ("c20", "c11", "c21", "c12", "c30")
 

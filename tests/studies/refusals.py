@@ -51,8 +51,6 @@ class Refusal:
 
 OPTIONS = [
     ("identify", "x", "--seed", "-1"),
-    ("identify", "x", "--workers", "0"),
-    ("identify", "x", "--bootstrap", "-1"),
     ("identify", "x", "--starts", "1e9"),
     ("diagnose", "x", "--workers", "many"),
     ("diagnose", "x", "--seed", "0.5"),
@@ -63,7 +61,6 @@ OPTIONS = [
     ("plan", "--parameters", "x", "--seconds", "inf"),
     ("plan", "--parameters", "x", "--omega", "2000", "1e9"),
     ("cosim", "x", "y", "--profile", "z", "--step", "0"),
-    ("paper", "--seed", "-1"),
     ("hil", "campaign", "--points", "1"),
     ("hil", "selftest", "--load", "65"),
     ("hil", "run", "--profile", "z", "--seed", "-1"),
@@ -174,8 +171,8 @@ def _files(folder: Path) -> set[str]:
 
 
 STOPPED = {
-    "identify, bootstrap in 2 processes": ["--bootstrap", "100000", "--workers", "2", "--starts", "1"],
-    "diagnose, in 2 threads": [],
+    "tune, in 2 processes": ["tune", "--workers", "2", "--robust", "mean", "--draws", "10000"],
+    "diagnose, in 2 threads": ["diagnose", str(example_folder())],
 }
 
 
@@ -184,7 +181,7 @@ def stops(folder: Path) -> Iterator[str]:
     for what, options in STOPPED.items():
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             out = folder / f"{what[:8]}{number}"
-            words = [*VPP, what.partition(",")[0], str(example_folder()), *options, "-o", str(out)]
+            words = [*VPP, *options, "-o", str(out)]
             ended = signalled(words, number, lambda process: cpu_seconds(process.pid) > 8.0, to_all=number == signal.SIGINT)
             left = f"{len(ended.left)} processes left, {len(_files(out))} files written"
             yield f"{what:36} {number.name:8} {ended.code:4} after {ended.seconds:.1f} s, {left}: {ended.error.strip()}"
