@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from builders import refusal
 from import_logs import lagged
-from studies.gate import FAULTS, good, planted, said, written
+from planted_faults import FAULTS, good, planted, said, written
 
 from identification.gate.contents import contents
 from identification.gate.files import (

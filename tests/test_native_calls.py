@@ -322,7 +322,6 @@ def test_threads_with_instances_of_their_own_do_not_mix(fmus):
     ("name", "version", "calls"), [("plain", "2.0", 3000), ("controller", "2.0", 3000), ("controller", "3.0", 10_000)]
 )
 def test_no_sequence_of_calls_crashes_it(name, version, calls, tmp_path):
-    """`python -m tests.studies fmus` tests the other models, with ten times the calls."""
     program, _ = fuzzer(tmp_path, *MODELS[name], version)  # where there are no sanitizers, a crash still shows
     for seed in (1, 2, 3):
         done = fuzz(program, seed, calls)
