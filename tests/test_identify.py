@@ -1,7 +1,6 @@
 """From the files of a campaign to parameters: the records that are fitted, those that are only predicted, and the output."""
 
 import json
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,8 +13,7 @@ from identification.gate.gate import passed
 from identification.identify import identify, off_bounds, slowest
 from identification.steps.response import StepSummary
 from vpp_fmu.app.cli import main
-from vpp_fmu.campaign import Campaign, read_campaign
-from vpp_fmu.errors import BadInput
+from vpp_fmu.campaign import read_campaign
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
 from vpp_fmu.native import Simulator
@@ -89,15 +87,6 @@ def test_raw_samples_give_the_static_map(found):
         assert abs(coefficients[name] - TRUTH[name]) < 5 * std
 
 
-def test_one_further_record_is_enough(folder):
-    more = {"tuesday": read_campaign(folder).open_loop}
-    found = identify(Campaign(folder, None, (), None, None, None), starts=1, records=more)
-    assert found.fitted == ("tuesday",)
-    assert all(near_truth(found))
-    with pytest.raises(BadInput, match=r"no identifiable parameter .* expected a record with time"):
-        identify(Campaign(folder, None, (), None, None, None))
-
-
 def test_command_fits_further_records_and_says_what_it_did(folder, tmp_path, capsys):
     taken = str(folder / "more" / "open_loop.csv")
     further = ["--record", str(folder / "more" / "tuesday.csv.gz"), "--record", taken]
@@ -125,14 +114,6 @@ def test_a_further_record_that_cannot_be_read_is_refused_in_one_line(folder, tmp
     assert str(path) in said
     assert says in said
     assert not (tmp_path / "parameters.json").exists()
-
-
-def test_findings_name_the_record_of_the_rows_left_out(folder):
-    campaign = read_campaign(folder)
-    clipped = campaign.repeat.with_columns(thrust=np.minimum(campaign.repeat["thrust"], 9.0))
-    found = identify(replace(campaign, repeat=clipped), starts=1)
-    (finding,) = [f for f in found.quality if f.code == "clipped"]
-    assert (finding.file, finding.field, finding.level) == ("repeat.csv", "thrust", "warning")
 
 
 def test_a_lag_on_its_bound_is_not_used_as_a_time_scale():

@@ -88,11 +88,6 @@ def test_without_python_control_one_line_says_what_installs_it(monkeypatch):
         Found().to_control(4000.0, 2.0)
 
 
-def test_effects_are_named_as_left_out():
-    with pytest.warns(UserWarning, match="not part of the linear model: pitch_command_deadband"):
-        Found("pitch_command_deadband").to_scipy(4000.0, 2.0)
-
-
 @pytest.mark.parametrize(("point", "said"), [((-1.0, 2.0), "omega: found -1 rpm"), ((4000.0, 200.0), "beta: found 200 deg")])
 def test_a_point_that_no_rig_has_is_refused(point, said):
     with pytest.raises(BadInput, match=f"working point: {said}, expected "):
@@ -115,14 +110,6 @@ def test_a_mat_file_has_the_matrices_the_parameters_and_their_units(tmp_path):
     assert "load('rig.mat')" in script
     with pytest.raises(BadInput, match="name: found my rig"):
         found.save_mat(tmp_path / "my rig.mat", 4000.0, 2.0)
-
-
-def test_an_effects_parameter_has_a_name_that_matlab_takes(tmp_path):
-    with pytest.warns(UserWarning, match="pitch_delay"):
-        path = Found("pitch_delay").save_mat(tmp_path / "rig", 4000.0, 2.0)
-    held = loadmat(path, simplify_cells=True)
-    assert held["units"]["pitch_delay__delay"] == "s"
-    assert held["effects"] == "pitch_delay"
 
 
 def test_results_of_identify_and_diagnose_can_be_linearised():

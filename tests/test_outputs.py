@@ -30,20 +30,6 @@ def names(folder):
     return sorted(name for name in os.listdir(folder) if name != WRITTEN)
 
 
-def test_files_appear_when_the_run_ends(tmp_path):
-    (tmp_path / "parameters.json").write_text("old")
-    run = OutputSet(tmp_path, "identify")
-    staged = run.write("parameters.json", "new")
-    run.write("identification.json", "new")
-    assert staged.read_text() == "new"
-    assert (tmp_path / "parameters.json").read_text() == "old"
-    assert not (tmp_path / "identification.json").exists()
-    run.finish(ONE)
-    assert names(tmp_path) == ["identification.json", "parameters.json"]
-    assert (tmp_path / "parameters.json").read_text() == "new"
-    assert run.replaced == ("parameters.json",)
-
-
 def test_a_run_that_fails_leaves_what_was_there(tmp_path):
     ran(tmp_path, "identify", ONE, parameters_json="old", identification_json="old")
     before = {name: (tmp_path / name).read_bytes() for name in os.listdir(tmp_path)}
@@ -121,32 +107,6 @@ def test_a_file_that_the_user_has_changed_is_kept(tmp_path):
     assert (tmp_path / "diagnosis.json").exists()
     again = ran(tmp_path, "diagnose", ONE, parameters_json="3")
     assert (again.kept, again.removed) == ((), ())
-
-
-def test_files_that_other_verbs_made_of_other_parameters_are_kept_and_named(tmp_path):
-    ran(tmp_path, "identify", ONE, parameters_json="1")
-    ran(tmp_path, "tune", ONE, gains_json="1")
-    ran(tmp_path, "export", ONE, VppPlant_fmu="1")
-    same = ran(tmp_path, "identify", ONE, parameters_json="1, on another day")
-    assert same.others == {}
-    run = ran(tmp_path, "diagnose", OTHER, parameters_json="2")
-    assert run.others == {"gains.json": "tune", "VppPlant.fmu": "export"}
-    assert names(tmp_path) == ["VppPlant.fmu", "gains.json", "parameters.json"]
-    assert ran(tmp_path, "export", OTHER, VppPlant_fmu="2").others == {"gains.json": "tune"}
-
-
-def test_a_verb_replaces_its_own_set(tmp_path):
-    ran(tmp_path, "export", ONE, VppPlant_fmu="1", VppController_fmu="1")
-    run = ran(tmp_path, "export", ONE, VppController_fmu="2")
-    assert run.removed == ("VppPlant.fmu",)
-    assert run.replaced == ("VppController.fmu",)
-
-
-def test_a_run_without_parameters_leaves_no_list_of_its_files(tmp_path):
-    run = OutputSet(tmp_path, "compare")
-    run.write("comparison.json", "{}")
-    run.finish()
-    assert os.listdir(tmp_path) == ["comparison.json"]
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from vpp_fmu.kernel.plant import FINE_TUNED, LIBRARY, plant
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.kernel.types import BOOLEAN, REAL
 from vpp_fmu.parameters import Estimate, ParameterSet, read_parameters, to_json, to_ssv
-from vpp_fmu.units import UnknownUnit, base_unit, display_units
+from vpp_fmu.units import base_unit, display_units
 
 SSV = "{http://ssp-standard.org/SSP1/SystemStructureParameterValues}"
 SSC = "{http://ssp-standard.org/SSP1/SystemStructureCommon}"
@@ -62,21 +62,6 @@ def test_parameters_not_in_the_file_keep_their_defaults(tmp_path):
     assert {name: parameters.values[name] for name in FINE_TUNED} == FINE_TUNED
 
 
-def test_gains(tmp_path):
-    gains = {"kp_omega": {"value": 5, "std": None, "unit": "1"}, "speed_only": {"value": 1.0, "std": None, "unit": "1"}}
-    parameters = read_parameters(written(tmp_path, content(parameters=gains, effects=[])), controller)
-    assert parameters.model is CONTROLLER
-    assert parameters.values == {**CONTROLLER.values(), "kp_omega": 5.0, "speed_only": 1.0}
-    assert isinstance(parameters.estimates["kp_omega"].value, float)
-
-
-def test_the_ends_of_the_range_are_allowed(tmp_path):
-    for p in plant().parameters:
-        for value in (p.minimum, p.maximum):
-            path = written(tmp_path, entry(p.name, value=value, unit=p.unit))
-            assert read_parameters(path, plant).values[p.name] == value
-
-
 BAD = {
     "no JSON": ('{\n"format": "vpp-parameters/1",\n}', "line 3: found no JSON from column 1 on"),
     "no format": ({"parameters": {}}, 'format: found null, expected "vpp-parameters/1"'),
@@ -120,35 +105,6 @@ def test_bad_files(tmp_path, what, message):
     said = refusal(read_parameters, path, plant)
     assert said.startswith(f"{path}: {message}")
     assert ", expected " in said
-
-
-def test_a_parameter_of_an_effect_that_is_not_on(tmp_path):
-    path = written(tmp_path, content(effects=[]))
-    with pytest.raises(BadInput, match=r'"pitch_delay\.delay": found a name .*, or "pitch_delay" among the effects$'):
-        read_parameters(path, plant)
-
-
-def test_effects_of_a_model_without_any(tmp_path):
-    path = written(tmp_path, content(parameters={}))
-    with pytest.raises(BadInput, match=r'effects: found "pitch_delay", expected no effects: VppController has none'):
-        read_parameters(path, controller)
-
-
-def test_an_error_in_the_builder_stays_one(tmp_path):
-    def broken(effects):
-        raise KeyError("something else")
-
-    with pytest.raises(KeyError, match="something else"):
-        read_parameters(written(tmp_path, content()), broken)
-
-
-def test_replaced_takes_units_from_the_model():
-    first = ParameterSet(plant(["pitch_delay"])).replaced({"c20": np.float64(0.3), "tau_omega_1": 0.1}, {"c20": 0.02})
-    second = first.replaced({"c20": 0.4})
-    assert first.estimates == {"c20": Estimate(0.3, 0.02, "1"), "tau_omega_1": Estimate(0.1, None, "s")}
-    assert second.estimates == {"c20": Estimate(0.4, None, "1"), "tau_omega_1": Estimate(0.1, None, "s")}
-    with pytest.raises(KeyError, match="c99"):
-        first.replaced({"c99": 1.0})
 
 
 def random_set(model):
@@ -273,14 +229,3 @@ def test_a_switch_must_be_0_or_1(tmp_path, value):
     path.write_text(json.dumps(content))
     with pytest.raises(BadInput, match=f"speed_only, value: found {value}, expected 0 or 1"):
         read_parameters(path, controller)
-
-
-def test_an_unknown_unit_is_no_unit():
-    for unit, why in (
-        ("bit/s", "FMI's base units are kg, m, s"),
-        ("foo", "no unit"),
-        ("N m", "written as"),
-        ("dB", "proportional"),
-    ):
-        with pytest.raises(UnknownUnit, match=why):
-            base_unit(unit)

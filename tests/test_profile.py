@@ -85,12 +85,6 @@ def test_the_interval_at_a_bound_is_the_likelihood_interval(readings):
     assert found.intervals[0, 1] == pytest.approx(-0.3 + np.sqrt(0.09 + NORMAL_95**2 * variance / 20.0), rel=0.02)
 
 
-def test_interval_ends_at_a_bound_that_the_cost_does_not_reach(readings):
-    found = Level(readings, np.exp, np.exp, minimum=-0.2).interval(2.0)
-    assert found.intervals[0, 0] == pytest.approx(-0.2)
-    assert found.intervals[0, 1] == pytest.approx(np.log(1.0 + 2.0 * NORMAL_95 / np.sqrt(20.0)), rel=0.02)
-
-
 def test_an_interval_reaches_other_optima_that_the_data_leave_open(readings):
     """cos(p) has the same minimum at p and at -p: a search from one never reaches the other."""
     level = Level(readings - 0.5, np.cos, lambda p: -np.sin(p))
@@ -103,42 +97,6 @@ def test_an_interval_reaches_other_optima_that_the_data_leave_open(readings):
         told = profiled(level, found, uncertainty, others)
         assert told.intervals[0, 0] == pytest.approx(-float(found.value[0]))
     assert told.intervals[0, 1] == pytest.approx(profiled(level, found, uncertainty).intervals[0, 1])
-
-
-class Plane(Level):
-    """Two parameters: readings of p + q, and as many of q alone; q may not be negative."""
-
-    def __init__(self, first, second):
-        parameters = (Parameter("p", "1", 0.5, -10.0, 10.0, ""), Parameter("q", "1", 0.5, 0.0, 10.0, ""))
-        self.model = Model("plane", "", (), (), (Effect("plane", "", parameters=parameters),))
-        self.coordinates = Coordinates(self.model, ["p", "q"])
-        self.first, self.second = first, second
-
-    def rows(self, values, inner=None):
-        p, q = values["p"], values["q"]
-        n = len(self.first)
-        jacobian = np.vstack([np.ones((n, 2)), np.column_stack([np.zeros(n), np.ones(n)])])
-        return np.concatenate([p + q - self.first, q - self.second]), jacobian if inner is None else jacobian @ inner
-
-    def residual_at(self, values):
-        return self.rows(values)[0]
-
-
-def test_a_parameter_on_its_bound_is_excluded_from_the_intervals_of_others(readings):
-    """q would be -5 and is at its bound 0, so p is the plain mean of twenty readings, whatever q's column."""
-    plane = Plane(readings, readings - 6.0)
-    found = solve(lambda x: plane.rows(dict(zip("pq", x, strict=True))), np.ones(2), *[[-10.0, 0.0], [10.0, 10.0]])
-    variance = 2.0 * found.cost / (len(found.residual) - 2)
-    uncertainty = Uncertainty(("p", "q"), found.value, np.diag([variance / 20.0, 0.0]), np.ones(2))
-    half = NORMAL_95 * np.sqrt(variance / 20.0)
-    # Upwards q stays at 0; downwards only q > 0 would help, which costs more than it gains.
-    assert profiled(plane, found, uncertainty).intervals[0] == pytest.approx([1.0 - half, 1.0 + half], rel=0.01)
-
-
-def test_data_without_noise_leave_nothing_to_search():
-    found = Level(np.ones(20), np.exp, np.exp).interval(std=1e-9)
-    assert found.profiled == ()
-    assert found.std[0] == pytest.approx(1e-9)
 
 
 @pytest.fixture(scope="module")
@@ -181,22 +139,6 @@ def test_ends_near_a_double_pole_are_where_another_search_finds_them(near_double
         rise = least_cost(found.problem, name, end, found.values) - found.solution.cost
         # Kept where within 5 % of a parabola, so within 10 % in the cost.
         assert rise == pytest.approx(wanted, rel=0.12)
-
-
-def test_a_profile_is_cheap(near_double_pole):
-    """Two of nine parameters are searched; each evaluation costs one step of the fit."""
-    found, _ = near_double_pole
-    count, rows = 0, found.problem.rows
-
-    def counted(*at):
-        nonlocal count
-        count += 1
-        return rows(*at)
-
-    found.problem.rows = counted
-    profiled(found.problem, found.solution, found.uncertainty)
-    del found.problem.rows
-    assert count < 100
 
 
 @pytest.mark.parametrize("seed", [0, 3, 5])

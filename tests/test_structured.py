@@ -104,18 +104,6 @@ def test_entries_of_a_source_are_of_their_kind(source, words, tmp_path):
     assert words in refusal_of(READERS["parameters.json"], tmp_path / "x.json")
 
 
-@pytest.mark.parametrize("noise", [[], "0.1", -1.0, True])
-def test_an_invalid_noise_is_refused(noise, tmp_path):
-    (tmp_path / "x.json").write_text(json.dumps({"noise_floor_thrust": noise}))
-    assert "noise_floor_thrust" in refusal_of(read_noise, tmp_path / "x.json")
-
-
-@pytest.mark.parametrize("effects", [[[]], {}, "pitch_delay", [1]])
-def test_effects_of_an_identification_are_names(effects, tmp_path):
-    (tmp_path / "x.json").write_text(json.dumps({"effects": effects, "parameters": {}}))
-    assert "effects" in refusal_of(READERS["identification.json, its model"], tmp_path / "x.json")
-
-
 @pytest.mark.parametrize("kind", [{}, [], [[]], 3])
 def test_a_sensor_of_no_kind_is_refused(kind, tmp_path):
     (tmp_path / "rig.json").write_text(json.dumps({"format": "vpp-rig/1", "sensors": {"speed": {"kind": kind}}}))
@@ -175,8 +163,3 @@ def test_a_file_above_the_limit_of_size_is_refused(name, tmp_path, monkeypatch):
             assert "expected 1 MB at most" in refusal_of(read_bytes, tmp_path / name)
         else:
             assert read_bytes(tmp_path / name) == data
-
-
-def test_several_gzip_files_in_one_are_one(tmp_path):
-    (tmp_path / "x.csv.gz").write_bytes(gzip.compress(b"a,b\n") + gzip.compress(b"1,2\n") + bytes(512))
-    assert read_bytes(tmp_path / "x.csv.gz") == b"a,b\n1,2\n"

@@ -11,7 +11,6 @@ from identification.fit.problem import Prior
 from identification.thrust_steps import step_profile
 from identification.tune.draws import draws, standard_deviations
 from identification.tune.objective import Point
-from identification.tune.operating import margins_at
 from identification.tune.rounds import rounds
 from identification.tune.search import search
 from identification.tune.summary import summary
@@ -53,15 +52,6 @@ def test_the_cost_is_the_papers(gains):
     error = ((record["thrust_set"] - record["thrust"]) / 15.0)[:-1]
     expected = np.sum(error**2) * 0.004 + 1e-5 * sum(gains[name] ** 2 for name in names)
     assert objective.cost(objective.gains) == pytest.approx(expected, rel=1e-12)
-
-
-def test_over_many_plants_it_is_their_worst_or_their_mean():
-    task = a_task()
-    one = task.objective(DUAL)
-    many = replace(one, plants=task.plants(5, stream=0))
-    alone = [replace(one, plants=own[None]).cost(one.gains) for own in many.plants]
-    assert many.cost(one.gains) == max(alone)
-    assert replace(many, over="mean").cost(one.gains) == pytest.approx(np.mean(alone), rel=1e-12)
 
 
 def test_the_penalty_is_proportional_to_the_excess_over_a_limit():
@@ -117,21 +107,6 @@ def test_tuned_gains_cost_less_than_the_published_ones_and_keep_the_limits(nomin
     assert all(m.stable for m in tuned.margins["tuned"])
     assert max(m.sensitivity for m in tuned.margins["tuned"]) <= 2.03
     assert tuned.fmu_difference == 0.0
-
-
-def test_both_actuators_settle_sooner_on_a_step_down(nominal):
-    down = {name: tuned.objective.steps(tuned.final)[1] for name, tuned in nominal.tuned.items()}
-    assert down["dual"].settling < 0.8 * down["speed_only"].settling
-
-
-def test_without_limits_the_cost_prefers_an_unstable_loop(nominal):
-    """The reason for limits: these gains follow the test signal better than tuned ones, and are unstable a little above it."""
-    tuned = nominal.tuned["dual"]
-    keen = np.array([61.3, 16.6, 40.8, 139.0, 0.742, 1.225])
-    assert tuned.objective.cost(keen) < tuned.cost("tuned")
-    above = Point(13.0, (5500.0, 8.0), ("omega", "beta"))
-    assert not margins_at(tuned.objective, keen, (above,))[0].stable
-    assert replace(tuned.objective, points=(above,)).penalised(keen) > 10.0 * tuned.cost("tuned")
 
 
 def test_the_gains_do_not_depend_on_the_number_of_workers():
@@ -236,17 +211,6 @@ def test_the_command_writes_gains_that_export_takes(tmp_path, capsys, short_sear
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Both actuators against speed alone" in page
     assert "tau_beta_1 = 0.15" in page
-
-
-@pytest.mark.parametrize(("wanted", "points"), [(20.0, 0), (5.0, 1)])
-def test_a_constant_set_point_has_no_steps_and_may_be_out_of_reach(wanted, points, short_search):
-    flat = Record({"time": np.array([0.0, 0.4]), "thrust_set": np.array([wanted, wanted])}, "flat")
-    found = tune(a_task(flat), {"speed_only": SPEED_ONLY})
-    content = summary(found)["controllers"]["speed_only"]["tuned"]
-    assert content["steps"] == []
-    assert len(content["margins"]) == points
-    assert content["squared_error"] <= summary(found)["controllers"]["speed_only"]["published"]["squared_error"]
-    assert "speed alone" in tuning_page(found).html()
 
 
 def test_given_gains_bring_limits_and_sampling(tmp_path, short_search):
