@@ -8,7 +8,7 @@ from rigs import LIMITS
 
 from hil.campaign import PARTS, Plan, measure, plan_for, recorded, same_commands, seconds, steep, step_responses
 from hil.campaign_folder import measured_so_far, partial
-from hil.commands import PAPERS, Step, grid, open_loop, resampled, steps, validation
+from hil.commands import Step, grid, open_loop, steps, validation
 from hil.cycle import PERIOD
 from hil.physics.rig_model import FULL_RIG
 from hil.rig import Rig
@@ -117,13 +117,6 @@ def test_a_missed_slot_leaves_its_row_empty(rig):
     assert (found["omega_ref"] == 3000.0).all()
 
 
-def test_any_commands_are_brought_to_the_loops_own_times():
-    given = Record({"time": np.array([0.0, 0.1, 0.2]), "omega_ref": np.array([3.0, 4.0, 5.0]), "beta_ref": np.zeros(3)}, "r")
-    found = resampled(given, PERIOD)
-    assert len(found) == 51
-    assert [found["omega_ref"][k] for k in (0, 24, 25, 49, 50)] == [3.0, 3.0, 4.0, 4.0, 5.0]
-
-
 @pytest.fixture
 def short_steps(monkeypatch):
     """Record half a second after a step instead of five."""
@@ -208,12 +201,6 @@ def test_commands_beyond_the_limits_are_not_begun(tmp_path, refused):
     assert "omega_ref, row 2 of the data: found 6500, expected 2000 to 6000 rpm" in said
     far = declared(tmp_path / "far.json", pitch={"min": 12.0, "max": 25.0})
     assert "for a rig of 2000 to 6000 rpm, 12 to 25 deg" in refused(*words, "--rig", far)  # beyond the rod's range
-
-
-def test_a_slow_rig_gets_longer_times():
-    slow = plan_for(PAPERS.timed(5.0))
-    assert (slow.settle, slow.after, slow.section, slow.points) == (30.0, 50.0, 300.0, 10)
-    assert plan_for(PAPERS.timed(0.05)) == Plan()
 
 
 @pytest.mark.parametrize(

@@ -12,10 +12,10 @@ from hil.calibration import to_json
 from hil.columns import COLUMNS
 from hil.commands import PAPERS
 from hil.emulator.rig import Rig as Emulated
-from hil.outcome import SPAN, judged_steps, reach
-from hil.run import ON_ALARM, LimitedPlant, loop_part, run_on_rig, write_run
+from hil.outcome import SPAN, judged_steps
+from hil.run import ON_ALARM, LimitedPlant, run_on_rig
 from hil.runs import sha256_of
-from hil.session import Setup, read_log
+from hil.session import read_log
 from hil.twin.band import Band
 from hil.twin.twin import Twin
 from vpp_fmu.app.cli import main
@@ -47,14 +47,6 @@ def test_the_papers_controller_settles_the_papers_step_on_the_rig(done):
     assert max(up.overshoot, down.overshoot) < 5.0  # the paper: without any overshoots
     last = done.record["thrust"][int(3.0 / 0.004) : int(4.0 / 0.004)]
     assert last.mean() == pytest.approx(12.0, abs=0.1)
-
-
-def test_a_command_reaches_as_far_as_every_limit_allows():
-    rig = {"omega_min": 2000.0, "omega_max": 6000.0, "beta_min": -10.0, "beta_max": 10.0, "omega_trip": 6900.0}
-    own = {"omega_min": 0.0, "omega_max": 5519.0, "beta_min": 4.0, "beta_max": 4.0}
-    assert reach(rig, own) == {"omega_ref": (2000.0, 5519.0), "beta_ref": (4.0, 4.0)}
-    assert reach(rig, {}) == {"omega_ref": (2000.0, 6000.0), "beta_ref": (-10.0, 10.0)}
-    assert reach({}, {}) == {}
 
 
 def test_a_set_point_beyond_the_limits_is_said_to_be_out_of_reach(tmp_path, printed):
@@ -96,13 +88,6 @@ def test_the_record_is_the_loops_part_of_the_log(done):
     assert (record["thrust_set"] == np.repeat(wanted[:3], 500)).all()
 
 
-def test_a_run_reads_back_to_the_bit(done, tmp_path):
-    write_run(tmp_path / "run.csv", done.record)
-    again = columns_of(tmp_path / "run.csv")
-    for name, column in done.record.columns.items():
-        np.testing.assert_array_equal(again[name], column)
-
-
 def columns_of(path):
     return np.genfromtxt(path, delimiter=",", names=True)
 
@@ -120,12 +105,6 @@ def test_a_run_that_a_fault_ends_keeps_what_was_measured(tmp_path):
     assert found.log["throttle"][-1] < 0.01
     facts = found.session.summary()
     assert [t["state"] for t in facts["transitions"]][-2:] == ["ramp down", "fault"]
-
-
-def test_a_run_that_never_began_has_no_record(tmp_path):
-    with pytest.raises(Exception, match="not ready"):
-        run_on_rig(Setup(CALIBRATION, LIMITS), KernelController(), step_profile(), tmp_path)  # no such hardware here
-    assert loop_part(Record({c.name: np.empty(0) for c in COLUMNS}, "empty")).time.size == 0
 
 
 def twinned(emulated, steady, folder, **more):

@@ -7,7 +7,6 @@ import random
 
 import pytest
 
-from hil.commands import PAPERS
 from hil.safety.faults import FaultKind
 from hil.safety.limits import Cut, Limiter, Limits, limits_of, read_limits
 from vpp_fmu.errors import BadInput
@@ -20,11 +19,6 @@ DT = 0.004
 def written(path, limits, **more):
     path.write_text(json.dumps({"format": "vpp-limits/1", "limits": limits, **more}))
     return path
-
-
-def test_a_file_changes_only_the_limits_in_it(tmp_path):
-    path = written(tmp_path / "limits.json", {"omega_max": {"value": 5000, "unit": "rpm"}})
-    assert read_limits(path) == dataclasses.replace(Limits(), omega_max=5000.0)
 
 
 @pytest.mark.parametrize(
@@ -48,14 +42,6 @@ def test_a_wrong_file_is_refused(tmp_path, limits, said):
         read_limits(path)
     assert said in str(raised.value)
     assert str(path) in str(raised.value)
-
-
-def test_the_papers_limits_follow_from_its_rig():
-    own = Limits()
-    assert own == limits_of(PAPERS)
-    assert (own.omega_min, own.omega_max, own.omega_trip) == (2000.0, 6000.0, 6900.0)
-    assert (own.beta_min, own.beta_max, own.thrust_trip) == (-10.0, 10.0, 25.0)
-    assert (own.omega_slew, own.beta_slew, own.omega_ramp, own.beta_ramp) == (20000.0, 60.0, 4000.0, 20.0)
 
 
 @pytest.mark.parametrize(
@@ -174,8 +160,3 @@ def test_outputs_are_within_range_and_slope_for_any_input():
         reached = reached or omega >= limits.omega_min
         assert (limits.omega_min if reached else 0.0) <= omega <= limits.omega_max
         assert limits.beta_min <= beta <= limits.beta_max
-
-
-def test_each_cut_has_its_own_bit():
-    """The log has their sum."""
-    assert [int(cut) for cut in (Cut.OMEGA_RANGE, Cut.OMEGA_SLEW, Cut.BETA_RANGE, Cut.BETA_SLEW)] == [1, 2, 4, 8]
