@@ -208,7 +208,10 @@ def no_compiler(monkeypatch):
 def pytest_terminal_summary(terminalreporter):
     """Print in one line which tests were not run, and why."""
     reasons = {report.longrepr[2].removeprefix("Skipped: ") for report in terminalreporter.stats.get("skipped", ())}
-    drawn = ["two thirds of the effects and of the rigs in tests of each (a file that runs alone tries all)"]
+    drawn = [
+        "two thirds of the effects and of the rigs in tests of each (a file that runs alone tries all)",
+        "slow tests (make study)",
+    ]
     side_by_side = bool(terminalreporter.config.getoption("numprocesses", None))
     terminalreporter.write_line(f"not run: {'; '.join([*sorted(reasons), *drawn * side_by_side]) or 'nothing'}")
 

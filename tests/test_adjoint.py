@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from builders import ALL_ON, OPTIONAL, PROBES, TWO_DELAYS, named, random_steps, simulator
+from builders import OPTIONAL, named, random_steps, simulator
 
 from identification.demo import example_folder
 from identification.fit.adjoint import AdjointProblem
 from identification.fit.problem import Prior, Problem
-from identification.fit.refine import BASE_PARAMETERS, METHODS, independent_readings, refine
+from identification.fit.refine import BASE_PARAMETERS, independent_readings
 from identification.static.static_map import fit_static_map
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.errors import CompilerMissing
@@ -15,10 +15,8 @@ from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import AVERAGED, BASE, plant
 from vpp_fmu.kernel.types import Effect, Model, Parameter, Signal, State
 from vpp_fmu.native import Adjoint
-from vpp_fmu.record import Record
 from vpp_fmu.tracer.graph import CALLS
 
-PITCH, SPEED = "pitch_delay.delay", "test_speed_delay.delay"
 ROWS = 3000
 UNEVEN = np.random.default_rng(4).choice([1e-4, 0.0013, 0.004, 0.0047, 0.031], ROWS - 1)
 
@@ -48,16 +46,6 @@ EACH = {"plain": (BASE, {})} | {e.name: (plant([e.name]), named(e, e.probe)) for
 def test_gradient_is_the_tangents_for_each_effect(model, step):
     model, values = EACH[model]
     is_the_tangents(model, values, random_steps(ROWS, 150, model=model), np.full(ROWS - 1, step))
-
-
-@pytest.mark.parametrize(
-    ("model", "values", "every"),
-    [(ALL_ON, PROBES, 5), (TWO_DELAYS, {PITCH: 0.0413, SPEED: 0.0087}, 1)],
-    ids=["all on", "two delays"],
-)
-def test_gradient_at_uneven_steps(model, values, every):
-    """With all effects, only each fifth parameter: all tangents at once take most of a minute to compile."""
-    is_the_tangents(model, values, random_steps(ROWS, 60, model=model), UNEVEN, every)
 
 
 @pytest.mark.parametrize("step", [0.0013, 0.004, 0.0091])
@@ -141,19 +129,3 @@ def test_the_adjoint_fit_has_the_minimum_of_levenberg_marquardt(campaign):
     spread = np.sqrt(np.diag(np.linalg.inv(wanted.jacobian.T @ wanted.jacobian) * wanted.cost / len(record)))
     assert (np.abs(found.value - wanted.value) < 0.02 * spread).all()
     np.testing.assert_allclose(found.jacobian, wanted.jacobian, atol=1e-3 * np.abs(wanted.jacobian).max())
-
-
-def test_refine_accepts_the_adjoint_method():
-    """A plant with a pitch delay, which the adjoint must move too."""
-    model, truth = plant(["pitch_delay"]), {PITCH: 0.0331, "tau_beta_1": 0.3, "tau_beta_2": 0.15, "c11": 0.1}
-    inputs, steps = random_steps(5001, 250, model=model), np.full(5000, 0.004)
-    thrust = simulator(model).simulate(truth, inputs, steps)[:, 0] + np.random.default_rng(6).normal(0.0, 0.1, 5001)
-    record = Record({"time": np.arange(5001) * 0.004, **inputs, "thrust": thrust}, "made up")
-    names, start = (*BASE_PARAMETERS, PITCH), {PITCH: 0.0213, "tau_beta_1": 0.25, "tau_beta_2": 0.17}
-    found, wanted = (refine(model, [record], start, names, method=method) for method in ("adjoint", METHODS[0]))
-    assert found.method == "adjoint"
-    assert found.names == names
-    for name, value in zip(names, (model.values(truth)[name] for name in names), strict=True):
-        assert found.values[name] == pytest.approx(wanted.values[name], abs=0.05 * wanted.std[name])
-        assert found.values[name] == pytest.approx(value, abs=4.5 * wanted.std[name])
-    assert found.std == pytest.approx(wanted.std, rel=0.02)

@@ -93,24 +93,6 @@ def test_a_fixed_pitch_has_a_map_of_speed():
     assert found.values == pytest.approx([60.0])
 
 
-@pytest.mark.parametrize("broken", [[], {"parameters": {"power_map.p30": {}}, "covariance": [[1.0, 2.0]]}, {"parameters": 3}])
-def test_an_invalid_covariance_is_refused(tmp_path, broken):
-    found = fitted(points(noise=3.0))
-    plant_of = found.added_to(pitch_only())
-    path = tmp_path / "identification.json"
-    path.write_text(json.dumps({"power": found.summary()}))
-    np.testing.assert_allclose(PowerModel.of(plant_of, path).covariance, found.covariance)
-    path.write_text(json.dumps({"power": broken}))
-    with pytest.raises(BadInput, match="covariance"):
-        PowerModel.of(plant_of, path)
-
-
-def test_volts_times_amperes_are_electrical_power():
-    found = fitted(points(voltage=lambda w, b: 600.0 + 0.0 * w, current=lambda w, b: w**3))
-    assert (found.effects, found.names) == (("power_map",), ("power_map.p30",))
-    assert found.values == pytest.approx([600.0])
-
-
 FRICTION, LOSS, IDLE = 0.004, 90.0, 3.0
 """The paper's eqs. 3 and 4 at rest: Q_m omega + R i^2 with k i = Q_m, and the ESC."""
 

@@ -24,7 +24,6 @@ from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.campaign import write_static
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import LIBRARY
-from vpp_fmu.rig import SLEWS, read_rig
 
 SCHEMAS = {path.name.removesuffix(".json"): json.loads(path.read_text()) for path in files("vpp_fmu.app.cli.schemas").iterdir()}
 EXAMPLE = str(example_folder())
@@ -207,19 +206,6 @@ def test_the_first_line_shows_the_number_of_the_json_object(said, name):
     assert any(x == pytest.approx(found, rel=6e-3) for x in shown)
 
 
-def test_a_measured_campaign_declares_its_rig_and_has_a_report(said, monkeypatch, capsys):
-    """The emulated rig is the paper's: 2000 to 6000 rpm, -10 to 10 deg."""
-    monkeypatch.chdir(said.folder)
-    assert {n: read_rig("measured/rig.json")[n] for n in SLEWS} == {"speed": (2000.0, 6000.0), "pitch": (-10.0, 10.0)}
-    page = Path("measured/report.html").read_text()
-    assert said.answers["hil-campaign"].text in page
-    assert "Commands and thrust of validation" in page
-    main(["check", "measured"])
-    out = capsys.readouterr().out
-    assert "missing steps.csv" in out
-    assert "missing rig.json" not in out
-
-
 NOWHERE = {"file": "nowhere.csv", "field": "file", "found": "no such file", "expected": "a file that exists", "try": None}
 SEED = {"file": "command line", "field": "--seed", "found": "-1", "expected": "a whole number from 0 to 4294967295"}
 
@@ -288,11 +274,3 @@ def test_quiet_prints_the_answer_alone(said, monkeypatch, capsys):
         assert main([*words]) == 0
         out, err = capsys.readouterr()
         assert (out.count("\n"), err) == (1, "")
-
-
-def test_every_verb_and_subverb_has_the_options_quiet_and_verbose():
-    for verb in VERBS:
-        parser = parser_of(verb)[0]
-        below = [p for a in parser._actions if isinstance(a.choices, dict) for p in a.choices.values()]
-        for each in (parser, *below):
-            assert {"--quiet", "--verbose"} <= {name for a in each._actions for name in a.option_strings}

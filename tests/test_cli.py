@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from vpp_fmu.app.cli import VERBS, cosim, main, parser_of
-from vpp_fmu.app.cli.output import stages
 from vpp_fmu.record import Record, read_record
 from vpp_fmu.response import steps
 
@@ -29,14 +28,6 @@ def test_help_of_every_verb_has_an_example(verb, capsys):
         main([verb, "--help"])
     assert left.value.code == 0
     assert f"vpp {verb}" in capsys.readouterr().out.split("example:")[1]
-
-
-def test_swapped_plant_and_controller_are_refused_in_one_line(exported, tmp_path, refused):
-    (tmp_path / "profile.csv").write_text("time,thrust_set\n0,1.5\n0.1,1.5\n")
-    swapped = exported / "VppController.fmu", exported / "VppPlant.fmu"
-    said = refused("cosim", *swapped, "--profile", tmp_path / "profile.csv", "-o", tmp_path)
-    for word in ("VppController.fmu", "omega_ref", "found", "expected"):
-        assert word in said
 
 
 def test_cosim_writes_the_paper_s_step(exported, tmp_path, printed):
@@ -98,16 +89,6 @@ def test_a_folder_of_parameters_stands_for_its_parameters_json(verb, tmp_path):
     verb, *what = verb.split()
     options = parser_of(verb)[0].parse_args([*what, *more, "--parameters", str(tmp_path)])
     assert options.parameters == str(tmp_path / "parameters.json")
-
-
-def test_each_stage_is_a_line_if_standard_error_is_a_pipe(capsys):
-    with stages("vpp diagnose") as stage:
-        stage("identify")
-        stage("noise")
-    assert [line.rpartition(" (")[0] for line in capsys.readouterr().err.splitlines()] == [
-        "vpp diagnose: identify",
-        "vpp diagnose: noise",
-    ]
 
 
 LIMITS = {"omega_ref": (0.0, 5573.0), "beta_ref": (0.5, 13.6)}

@@ -24,7 +24,7 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.record import Record
-from vpp_fmu.rig import DECLARED, Rig, declared_rig, infer_rig, read_rig, rig_of, rounded, rounded_up
+from vpp_fmu.rig import DECLARED, Rig, declared_rig, infer_rig, read_rig, rounded, rounded_up
 
 ROUNDING = 1e-9
 """Relative rounding error that is allowed for a sum of floating-point numbers."""
@@ -212,11 +212,6 @@ def test_the_step_profile_is_the_papers_and_leaves_room_on_other_rigs():
     assert step_profile(large).time[-1] == 36.0
 
 
-def moves(column):
-    """Rows at which a command changes."""
-    return np.flatnonzero(np.diff(column))
-
-
 def test_the_discriminating_experiment_of_the_papers_rig():
     found = discriminating_experiment(Rig())
     assert found.time[-1] == pytest.approx(96.0, abs=0.1)
@@ -230,42 +225,6 @@ def test_the_discriminating_experiment_of_the_papers_rig():
     for rest in (first, last):
         assert set(rest["omega_ref"]) == {2000.0}
         assert set(rest["beta_ref"]) == {2.5}
-
-
-@pytest.mark.parametrize(("unit", "seconds"), [(5.0, 960.0), (0.05, 19.2)])
-def test_a_slow_rig_gets_a_long_experiment_and_a_fast_one_more_moves(unit, seconds):
-    paper, found = discriminating_experiment(Rig()), discriminating_experiment(Rig().timed(unit))
-    assert found.time[-1] == pytest.approx(seconds, rel=0.01)
-    random = [
-        record.part((record.time > 0.04 * record.time[-1]) & (record.time < 0.2 * record.time[-1])) for record in (paper, found)
-    ]
-    holds = [np.median(np.diff(record.time[moves(record["omega_ref"])])) for record in random]
-    assert holds[1] / holds[0] == pytest.approx(unit / 0.5, rel=0.5)
-
-
-def test_a_fixed_channel_is_not_moved_and_the_other_gets_all_moves():
-    fixed = discriminating_experiment(Rig(pitch=(4.0, 4.0)))
-    assert set(fixed["beta_ref"]) == {4.0}
-    sizes = np.unique(np.round(np.abs(np.diff(fixed["omega_ref"])), 1))
-    assert {80.0, 200.0, 400.0, 800.0, 4000.0} <= set(sizes)
-    still = discriminating_experiment(Rig(speed=(3000.0, 3000.0)))
-    assert set(still["omega_ref"]) == {3000.0}
-    assert len(moves(still["beta_ref"])) > 1000
-    both = discriminating_experiment(Rig(speed=(3000.0, 3000.0), pitch=(4.0, 4.0)))
-    assert len(moves(both["omega_ref"])) == len(moves(both["beta_ref"])) == 0
-
-
-def test_a_slew_is_given_the_time_that_a_full_step_takes():
-    slow = discriminating_experiment(Rig(speed_slew=800.0))  # 5 s from end to end
-    assert np.abs(np.diff(slow["omega_ref"])).max() <= 800.0 * 0.004 * (1.0 + 1e-9)
-    at_top = slow["beta_ref"] == 10.0
-    assert (slow["omega_ref"][at_top].min(), slow["omega_ref"][at_top].max()) == (2000.0, 6000.0)
-
-
-def test_the_campaigns_sampling_is_the_experiments():
-    assert discriminating_experiment(Rig(), period=0.01).period == 0.01
-    assert discriminating_experiment(Rig(), period=0.125).period == 0.02  # 8 Hz would not draw the moves
-    assert Record({"time": np.array([0.0, 0.1, 0.2, 0.5])}, "").period == 0.1
 
 
 def declared(path, **entries):
@@ -320,11 +279,6 @@ def test_a_range_in_another_unit_is_refused(tmp_path, name, unit, own):
 def test_impossible_values_in_a_rig_json_are_refused_with_their_field(tmp_path, entries, said):
     with pytest.raises(BadInput, match=said):
         read_rig(declared(tmp_path / "rig.json", **entries))
-
-
-def test_a_range_of_one_value_and_a_negative_offset_are_valid(tmp_path):
-    found = read_rig(declared(tmp_path / "rig.json", pitch={"min": 4, "max": 4}, scales={"beta_offset": -1000}))
-    assert found == {"pitch": (4.0, 4.0), "scales": {"beta_offset": -1000.0}}
 
 
 LEADING = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
@@ -394,9 +348,3 @@ def test_declared_ranges_override_measured_ones():
     whole = {"omega_scale": 6000.0, "beta_scale": 15.0, "beta_offset": 5.0, "thrust_scale": 15.0}
     assert infer_rig([], points, {"scales": whole}).origin["scales"] == f"{', '.join(whole)}: rig.json"
     assert infer_rig([], points, {}).origin["scales"] == papers
-
-
-def test_ranges_of_a_parameter_file_without_a_rig_come_from_its_scales():
-    rig = rig_of(Scales(9000.0, 20.0, -4.0, 3.0), {})
-    assert (rig.speed, rig.pitch, rig.thrust) == ((3000.0, 9000.0), (4.0, 24.0), (0.0, 3.0))
-    assert rig.unknown == ("speed", "pitch")

@@ -13,7 +13,6 @@ from tests.studies.rig import save
 from vpp_fmu.app.cli import diagnose as command
 from vpp_fmu.app.cli import main
 from vpp_fmu.app.report.pages.fleet import Entry, ThrustMap, compared, fleet_page
-from vpp_fmu.campaign import measured_on
 
 FEW = ["--effects", "pitch_command_deadband,sensor_drift"]
 SHORT = {"size": "paper", "rate": 100, "noise": "white", "level": 1.0, "strength": 1.0, "seconds": 20.0} | WHOLE
@@ -101,33 +100,6 @@ def test_every_worker_has_one_thread_of_blas():
     with threadpool_limits(2):
         assert threads(None) == 2
         assert spread(threads, [None]) == [1]
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["a", "--scheduler", "tcp://127.0.0.1:1"], "--scheduler: found one campaign"),
-        (["a", "b", "--record", "c.csv"], "--record: found 2 campaigns"),
-        (["a", "b", "--effects", "magic"], "--effects: found magic"),
-    ],
-)
-def test_options_that_do_not_suit_the_number_of_campaigns_are_refused(words, said, tmp_path, refused):
-    assert said in refused("diagnose", *words, "-o", tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
-    ("name", "date"),
-    [
-        ("2026-03-01_rig", "2026-03-01"),
-        ("rig_20260301", "2026-03-01"),
-        ("rig_2026-13-45", ""),
-        ("rig_120260301", ""),
-        ("monday", ""),
-    ],
-)
-def test_the_date_is_read_from_the_name_of_the_folder(name, date, tmp_path):
-    assert measured_on(tmp_path / name) == date
 
 
 def test_the_rig_with_less_thrust_is_named_and_leads_to_its_report():

@@ -88,12 +88,6 @@ def test_without_python_control_one_line_says_what_installs_it(monkeypatch):
         Found().to_control(4000.0, 2.0)
 
 
-@pytest.mark.parametrize(("point", "said"), [((-1.0, 2.0), "omega: found -1 rpm"), ((4000.0, 200.0), "beta: found 200 deg")])
-def test_a_point_that_no_rig_has_is_refused(point, said):
-    with pytest.raises(BadInput, match=f"working point: {said}, expected "):
-        Found().to_scipy(*point)
-
-
 def test_a_mat_file_has_the_matrices_the_parameters_and_their_units(tmp_path):
     found = Found()
     path = found.save_mat(tmp_path / "rig.mat", 4000.0, 2.0)

@@ -130,19 +130,6 @@ def test_an_invalid_list_of_files_removes_nothing(tmp_path, noted):
     assert names(folder) == ["a.json", "c.json"]
 
 
-def test_a_scratch_folder_is_removed_with_its_owner(tmp_path):
-    scratch = Scratch(tmp_path)
-    path = scratch.path
-    (path / "file").write_text("x")
-    assert path.parent == tmp_path
-    assert path.name.startswith(".")
-    other = Scratch(tmp_path)  # sweeps; but this one lives
-    assert path.exists()
-    other.close()
-    del scratch
-    assert os.listdir(tmp_path) == []
-
-
 DIES = """
 import os, signal, sys
 from pathlib import Path

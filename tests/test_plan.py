@@ -12,11 +12,9 @@ from identification.fit.refine import BASE_PARAMETERS, independent_readings
 from identification.plan.excitation import candidate, paper_plan
 from identification.plan.plan import plan
 from vpp_fmu.app import cli
-from vpp_fmu.errors import BadInput
-from vpp_fmu.files import OutputFolder
-from vpp_fmu.kernel.plant import BASE, FINE_TUNED, plant
+from vpp_fmu.kernel.plant import BASE, FINE_TUNED
 from vpp_fmu.parameters import ParameterSet, to_json
-from vpp_fmu.record import Record, read_record, write_record
+from vpp_fmu.record import read_record
 from vpp_fmu.rig import Rig
 
 SORTED = FINE_TUNED | {"tau_beta_1": 0.374, "tau_beta_2": 0.207}
@@ -233,20 +231,6 @@ def test_a_plan_stays_in_the_measured_ranges_unless_a_rig_json_widens_them(param
     assert "--omega-slew: found 9001 rpm/s, expected more than 0 and at most 9000" in said
 
 
-def test_range_sampling_and_noise_come_from_the_campaign(parameters, tmp_path, printed):
-    rng, time = np.random.default_rng(0), 0.01 * np.arange(3000)
-    commands = {"time": time, "omega_ref": 2000.0 + 500.0 * (time // 3 % 3), "beta_ref": 6.0 * (time // 1 % 2)}
-    folder = tmp_path / "campaign"
-    for name in ("open_loop", "repeat"):
-        noisy = Record({**commands, "thrust": 5.0 + rng.normal(0.0, 0.07, len(time))}, "")
-        write_record(OutputFolder(folder), f"{name}.csv", noisy)
-    words = ["plan", "--parameters", str(parameters), "--campaign", str(folder), "--seconds", "8", "-o", str(tmp_path / "out")]
-    told = printed(*words)
-    assert "speed 2000 to 3000 rpm (the campaign), pitch 0 to 6 deg (the campaign)" in told
-    assert float(told.partition("noise of a thrust reading ")[2].split()[0]) == pytest.approx(0.07, rel=0.05)
-    assert read_record(tmp_path / "out" / "plan.csv").period == 0.01
-
-
 def test_bad_calls_are_refused_in_one_line(parameters, tmp_path, refused):
     broken = tmp_path / "broken.json"
     broken.write_text(json.dumps({"parameters": {}, "correlation": {"names": ["c11"], "matrix": [[1.0]]}}))
@@ -266,36 +250,3 @@ def test_bad_calls_are_refused_in_one_line(parameters, tmp_path, refused):
         for word in (says, "found", "expected"):
             assert word in said
     assert not (tmp_path / "bad" / "plan.csv").exists()
-
-
-def test_an_identification_beside_the_parameters_is_used_as_knowledge(tmp_path, capsys, monkeypatch):
-    """identification.json is used without an option if it is of the same model, and ignored if it is not."""
-    seen = []
-
-    def planned(*given, **more):
-        seen.append((given[4], given[5]))
-        raise BadInput("test", "plan", "reached", "nothing")
-
-    monkeypatch.setattr("vpp_fmu.app.cli.plan.plan", planned)
-    values = plant().values()
-    entries = {n: {"value": values[n], "std": 0.01 * abs(values[n])} for n in ("tau_omega_1", "c20")}
-    known = {
-        "effects": [],
-        "parameters": entries,
-        "noise_floor_thrust": 0.07,
-        "correlation": {"names": list(entries), "matrix": np.eye(2).tolist()},
-    }
-    rig = Rig(origin=dict.fromkeys(("speed", "pitch", "thrust"), "the campaign"))
-    (tmp_path / "parameters.json").write_text(to_json(ParameterSet(plant(), source={"rig": rig.summary()})))
-    (tmp_path / "identification.json").write_text(json.dumps(known))
-    words = ["plan", "--parameters", str(tmp_path / "parameters.json"), "-o", str(tmp_path / "next")]
-    assert cli.main(words) == 2
-    noise, prior = seen.pop()
-    assert noise == 0.07
-    np.testing.assert_allclose(np.sqrt(np.diag(prior.covariance)), [0.01 * values["tau_omega_1"], 0.01 * values["c20"]])
-    entries["c20"]["value"] *= 2.0
-    (tmp_path / "identification.json").write_text(json.dumps(known))
-    capsys.readouterr()
-    assert cli.main(words) == 2
-    assert seen.pop() == (pytest.approx(0.3), None)
-    assert "not used: " in capsys.readouterr().err

@@ -4,9 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
 from scipy.stats import chi2
-from studies.synthetic import commands, measured
 
 from identification.assessment.profile import profiled
 from identification.diagnose.search.fits import Searcher
@@ -14,10 +12,9 @@ from identification.fit.coordinates import Coordinates
 from identification.fit.experiment import Experiment
 from identification.fit.least_squares import solve
 from identification.fit.noise import independent
-from identification.fit.refine import BASE_PARAMETERS, refine
 from identification.fit.uncertainty import NORMAL_95, Uncertainty
 from identification.roles import Fitted
-from vpp_fmu.kernel.plant import AVERAGED, BASE, LIBRARY, plant
+from vpp_fmu.kernel.plant import LIBRARY, plant
 from vpp_fmu.kernel.types import Effect, Model, Parameter
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
@@ -97,48 +94,6 @@ def test_an_interval_reaches_other_optima_that_the_data_leave_open(readings):
         told = profiled(level, found, uncertainty, others)
         assert told.intervals[0, 0] == pytest.approx(-float(found.value[0]))
     assert told.intervals[0, 1] == pytest.approx(profiled(level, found, uncertainty).intervals[0, 1])
-
-
-@pytest.fixture(scope="module")
-def near_double_pole():
-    """A record whose two pitch lags came out close to each other."""
-    rng = np.random.default_rng(1)
-    record = measured(commands(rng), rng)
-    found = refine(BASE, [record], AVERAGED, channels=("thrust",))
-    return found, profiled(found.problem, found.solution, found.uncertainty)
-
-
-def least_cost(problem, name, value, start) -> float:
-    """The cost with one constant of the pitch fixed, by scipy, in the parameters themselves."""
-    names = [n for n in BASE_PARAMETERS if n != name]
-    columns = [BASE_PARAMETERS.index(n) for n in names]
-
-    def rows(p):
-        return problem.rows(dict(zip(names, p, strict=True)) | {name: value})
-
-    low = {n: 0.001 if n.startswith("tau") else -10.0 for n in names}
-    high = dict.fromkeys(names, 10.0)
-    if name == "tau_beta_1":  # else the two would change their names
-        high["tau_beta_2"] = value
-    else:
-        low["tau_beta_1"] = value
-    bounds = np.array([[low[n], high[n]] for n in names]).T
-    start = np.clip([start[n] for n in names], bounds[0] + 1e-6, bounds[1] - 1e-6)
-    found = least_squares(lambda p: rows(p)[0], start, lambda p: rows(p)[1][:, columns], bounds, x_scale="jac")
-    return float(found.cost)
-
-
-@pytest.mark.parametrize("name", ["tau_beta_1", "tau_beta_2"])
-def test_ends_near_a_double_pole_are_where_another_search_finds_them(near_double_pole, name):
-    found, uncertainty = near_double_pole
-    assert {"tau_beta_1", "tau_beta_2"} <= set(uncertainty.profiled)
-    k = BASE_PARAMETERS.index(name)
-    variance = 2.0 * found.solution.cost / (len(found.solution.residual) - 9)
-    wanted = 0.5 * (NORMAL_95 * uncertainty.inflation[k]) ** 2 * variance
-    for end in uncertainty.intervals[k]:
-        rise = least_cost(found.problem, name, end, found.values) - found.solution.cost
-        # Kept where within 5 % of a parabola, so within 10 % in the cost.
-        assert rise == pytest.approx(wanted, rel=0.12)
 
 
 @pytest.mark.parametrize("seed", [0, 3, 5])

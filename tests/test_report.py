@@ -50,10 +50,8 @@ from vpp_fmu.app.report.figures.residual import (
 from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted, planned_commands, stacked, two_records
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.diagnosis import headline
-from vpp_fmu.app.report.summary import LEFT_OUT, reached
+from vpp_fmu.app.report.summary import LEFT_OUT
 from vpp_fmu.kernel.plant import plant
-from vpp_fmu.native import Simulator
-from vpp_fmu.record import Record
 
 BARS = [
     Bar("pitch_backlash (1)", 300.0, PASSED, "another explains more"),
@@ -233,14 +231,6 @@ def test_tags_in_names_are_escaped_in_figures():
     assert not any("<b>" in trace.name for trace in fig.data)
 
 
-def test_key_figures_come_before_everything_else():
-    report = Page("A", "B")
-    report.section("Details", "")
-    report.tiles([("Error", 0.4, "")])
-    html = report.html()
-    assert html.index(">0.4<") < html.index("Details")
-
-
 @pytest.mark.parametrize("name", FIGURES)
 def test_every_axis_names_its_quantity_and_unit(name):
     layout = FIGURES[name].layout
@@ -277,17 +267,6 @@ def test_residual_and_its_size_are_those_of_the_data():
     assert [fig.layout.shapes[0].y0, fig.layout.shapes[0].y1] == [-0.2, 0.2]
 
 
-def test_speed_and_pitch_are_shown_as_measured_beside_their_commands():
-    r = record(500)
-    measured = {trace.yaxis: trace for trace in prediction().data if trace.legendgroup == "measured"}
-    np.testing.assert_array_equal(measured["y3"].y, r["omega"])
-    np.testing.assert_array_equal(measured["y4"].y, r["beta"])
-    bare = {name: column for name, column in r.items() if name not in ("omega", "beta")}
-    drawn = measured_against_predicted(bare, {"model": r["thrust"]}, "T")
-    assert [t.yaxis for t in drawn.data if t.legendgroup == "commands"] == ["y3", "y4"]
-    assert [t.yaxis for t in drawn.data if t.legendgroup == "measured"] == ["y"]
-
-
 def test_band_stands_around_the_prediction_and_in_the_residual():
     r = record(500)
     std = np.linspace(0.1, 0.2, 500)
@@ -299,54 +278,6 @@ def test_band_stands_around_the_prediction_and_in_the_residual():
         np.testing.assert_allclose(edge.y, centre + side * 1.96 * std, atol=1e-5)
     assert [trace.fill for trace in edges] == [None, "tonexty", None, "tonexty"]
     assert sum(bool(trace.showlegend) for trace in edges) == 1
-
-
-def test_difference_is_taken_where_both_records_are():
-    time = np.arange(10.0)
-    fig = two_records(("a", time, time), ("b", time[2:7] + 0.5, 2 * (time[2:7] + 0.5)), "T", "thrust", "N")
-    difference = fig.data[2].y
-    np.testing.assert_allclose(difference[3:7], time[3:7])
-    assert np.isnan(difference[[0, 1, 2, 7, 8, 9]]).all()
-
-
-def test_candidates_are_ranked_and_show_the_gate_at_which_they_failed():
-    fig = FIGURES["evidence"]
-    assert fig.layout.yaxis.categoryarray[-1] == "pitch command deadband"  # plotly draws the last on top
-    assert fig.layout.yaxis.categoryarray[0] == "sensor gain"
-    bars = {trace.name: trace for trace in fig.data}
-    assert set(bars) == {TAKEN, PASSED, FAILED}
-    assert bars[TAKEN].x == (5000.0,)
-    assert bars[FAILED].x == (-4.0,)
-    assert fig.layout.xaxis.type is None  # a logarithm has no place for it
-    assert "-4  evidence too weak" in bars[FAILED].text[0]
-    assert fig.layout.shapes[0].x0 == 10.0
-    low, high = fig.layout.xaxis.range  # with room for the reasons
-    assert low == -4.0
-    assert high >= 2.0 * 5000.0
-
-
-def test_how_often_a_limit_is_reached_is_counted():
-    """Three pulses of 1 s beyond the limit: it is active during the pulses and until the two lags have settled."""
-    name, maximum = "speed_saturation", 5000.0
-    time = np.arange(0.0, 20.0, 0.01)
-    fast = (time % 6.0 >= 3.0) & (time % 6.0 < 4.0)
-    columns = {"time": time, "omega_ref": np.where(fast, 5500.0, 3000.0), "beta_ref": np.full(len(time), 4.0)}
-    model = plant([name])
-    fit = SimpleNamespace(
-        problem=SimpleNamespace(
-            model=model,
-            simulator=Simulator(model),
-            experiments=[SimpleNamespace(record=Record(columns | {"thrust": np.zeros(len(time))}, "made"))],
-        ),
-        values=model.values({f"{name}.maximum": maximum}),
-    )
-    seconds, times = reached(fit, name)["maximum"]
-    assert times == 3
-    assert 3.0 < seconds < 3.0 * (1.0 + np.log(1e3) * (0.172 + 0.053))
-    fit.values[f"{name}.maximum"] = 5600.0
-    assert reached(fit, name)["maximum"] == (0.0, 0)
-    fit.values[f"{name}.maximum"] = 1e6
-    assert reached(fit, name) == {}
 
 
 @pytest.mark.parametrize(("shipped", "errors"), [((), ["0.2 N"]), (("pitch_backlash",), ["0.3 -> 0.2 N"])])

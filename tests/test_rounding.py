@@ -4,12 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
 from studies.synthetic import TRUTH, commands
 
 from identification.demo import example_folder
 from identification.diagnose.diagnose import diagnose
-from identification.diagnose.search import rounding
 from identification.diagnose.search.fits import Searcher
 from identification.diagnose.search.rounding import Rounding, rounded
 from identification.fit.experiment import Experiment
@@ -77,21 +75,6 @@ def test_the_true_step_is_among_the_simulated_ones(name, step):
     found = look(name, step)[0]
     highest = {PITCH: 10.0, SPEED: 6000.0}[name]
     assert min(abs(1.0 / s - 1.0 / step) for s in found.best()) * highest < 0.1
-
-
-def test_the_number_of_independent_comparisons_matches_chance(pitch, monkeypatch):
-    """Without steps the products of residual and responses are normal with covariance R' R. The best of all steps must exceed
-    the threshold at most as often as the counted points allow (Bonferroni), and not much less often."""
-    found, judged = pitch[0], 4.0
-    monkeypatch.setattr(rounding, "JUDGED", judged)
-    closer = 1.0 / np.interp(np.arange(0.0, len(found.steps) - 1, 0.25), np.arange(len(found.steps)), 1.0 / found.steps)
-    moves, powers = found._moves(closer)
-    values, axes = np.linalg.eigh(found._power)
-    drawn = np.random.default_rng(8).standard_normal((len(values), 3000))
-    slopes = axes @ (np.sqrt(np.maximum(values, 0.0))[:, None] * drawn)
-    best = (-(moves @ slopes) - powers[:, None]).max(axis=0)
-    allowed = found.points * chi2.sf(2.0 * judged, 1)
-    assert allowed / 20.0 < np.mean(best > judged) < allowed
 
 
 def test_a_fit_closes_in_on_the_step_and_says_how_well_it_is_known(pitch):

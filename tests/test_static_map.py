@@ -232,17 +232,3 @@ def test_coloured_readings_need_the_textbooks_inflation(rho):
     m = runs[0].m
     exact = (factor - 2.0 * rho * (1.0 - rho**m) / (m * (1.0 - rho) ** 2)) / m
     np.testing.assert_allclose(np.mean([r.std**2 for r in runs], axis=0), exact, rtol=0.1)
-
-
-@pytest.mark.parametrize("rho", [0.5, 0.9])
-def test_means_of_coloured_readings_are_worth_fewer_of_them(rho):
-    """The effective number is n (1 - rho) / (1 + rho) for first-order noise and large n."""
-    rows, points = 2000, 12
-    omega_ref = np.repeat(np.linspace(2000.0, 6000.0, points), rows)
-    thrust = omega_ref / 1000.0 + 0.2 * first_order(rho, len(omega_ref), 7)
-    columns = {"omega_ref": omega_ref, "beta_ref": np.zeros(len(omega_ref)), "thrust": thrust}
-    record = Record({"time": np.arange(len(omega_ref)) * 0.01} | columns, "raw")
-    found = steady_points(record, settle=0.0)
-    np.testing.assert_allclose(found.samples, rows * (1.0 - rho) / (1.0 + rho), rtol=0.35)
-    pulls = (found.thrust - found.omega_ref / 1000.0) / (found.thrust_std / np.sqrt(found.samples))
-    assert np.sqrt(np.mean(pulls**2)) == pytest.approx(1.0, abs=3.0 / np.sqrt(2.0 * points))

@@ -9,7 +9,7 @@ from builders import simulator
 from identification.steps.lag_fit import two_lags
 from identification.steps.response import fit_steps
 from vpp_fmu.kernel.ops import NUMBERS
-from vpp_fmu.kernel.plant import BASE, plant
+from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.record import Record
 
 STEP = 0.004
@@ -17,7 +17,6 @@ AT = 0.5
 NOISE = 0.1
 VALUES = BASE.values()
 MAP = {name: VALUES[name] for name in ("c20", "c11", "c21", "c12", "c30")}
-DELAY = plant(["pitch_delay"])
 
 
 def run(channel, start, end, level, seconds=3.0, noise=0.0, seed=0, model=BASE, shown=True, **values) -> Record:
@@ -118,18 +117,6 @@ def test_without_a_map_the_lags_are_those_of_the_normalised_thrust():
     assert bent.slow + bent.fast > 1.05 * 0.225  # thrust is proportional to the square of the speed: upwards it is later
 
 
-def test_a_delay_is_found_beside_the_lags():
-    late = {"pitch_delay.delay": 0.06}
-    exact = fit_steps([run("beta", -5, 10, 6000, model=DELAY, **FAST, **late)], VALUES, MAP).runs[0].fits["thrust"]
-    assert (exact.delayed.slow, exact.delayed.fast, exact.delayed.delay) == pytest.approx((0.2, 0.08, 0.06), abs=1e-5)
-    made = [run("beta", *s, 6000, noise=NOISE, seed=k, model=DELAY, **FAST, **late) for k, s in enumerate(PITCHES)]
-    summary = fit_steps(made, VALUES, MAP)
-    assert summary.delayed("beta")
-    assert found(summary, "beta").delay == pytest.approx(0.06, abs=0.015)
-    # The start is for a model without a delay: its lags take the delay in.
-    assert summary.start["tau_beta_1"] + summary.start["tau_beta_2"] == pytest.approx(0.34, abs=0.02)
-
-
 # The uncertainty
 
 
@@ -191,13 +178,6 @@ def reason(records, odd) -> str:
 )
 def test_a_run_that_is_noisy_small_or_short_is_left_out(pitch_runs, end, noise, lags, why):
     assert reason(pitch_runs, run("beta", -5.0, end, 6000, noise=noise, seed=99, **lags)).startswith(why)
-
-
-def test_a_run_unlike_the_model_is_left_out(pitch_runs):
-    odd = run("beta", -5, 10, 6000, noise=NOISE, seed=99, **FAST)
-    time = odd.time - AT
-    swing = np.where(time > 0, 2.0 * np.exp(-time / 0.3) * np.sin(25.0 * time), 0.0)
-    assert reason(pitch_runs, odd.with_columns(thrust=odd["thrust"] + swing)).startswith("the residual is ")
 
 
 def test_a_command_not_reached_is_detected_by_the_thrust(pitch_runs):

@@ -213,19 +213,6 @@ def test_the_command_writes_gains_that_export_takes(tmp_path, capsys, short_sear
     assert "tau_beta_1 = 0.15" in page
 
 
-def test_given_gains_bring_limits_and_sampling(tmp_path, short_search):
-    given = ParameterSet(CONTROLLER).replaced({**DUAL, "sample_time": 0.008, "omega_max": 5800.0, "beta_fixed": 9.0})
-    (tmp_path / "given.json").write_text(to_json(given))
-    (tmp_path / "p.csv").write_text(SHORT_CSV)
-    assert vpp(tmp_path, "--gains", str(tmp_path / "given.json"), "--profile", str(tmp_path / "p.csv")) == 0
-    content = json.loads((tmp_path / "out" / "tuning.json").read_text())
-    assert content["objective"]["sample_time"] == 0.008
-    assert set(content["controllers"]["dual"]) >= {"given", "tuned"}
-    for file in ("gains.json", "gains_speed_only.json"):
-        values = read_parameters(tmp_path / "out" / file, lambda _: CONTROLLER).values
-        assert (values["sample_time"], values["omega_max"], values["beta_fixed"]) == (0.008, 5800.0, 9.0)
-
-
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [

@@ -61,27 +61,6 @@ def test_an_fmu_that_fails_during_a_run_leaves_a_rig_at_idle_and_all_files(tmp_p
     assert summary["tares"]
 
 
-def test_a_killed_loop_leaves_all_files(tmp_path):
-    out = tmp_path / "out"
-
-    def running():
-        return any('"polarity"' in events.read_text() for events in (out / "runs").glob("*/log.events.jsonl"))
-
-    process = begun(tmp_path, 4.0)
-    try:
-        wait_for(lambda: running() or process.poll() is not None)
-        assert process.poll() is None, process.communicate()[1]
-        assert json.loads((out / "hil.json").read_text())["status"] == "running"  # written before anything turns
-        time.sleep(4.0)  # the loop begins after about two of them
-        assert process.poll() is None, process.communicate()[1]
-    finally:
-        process.kill()
-        process.communicate()
-    summary = ended(out)
-    assert "the loop is " in summary["ended"]
-    assert summary["made_from"] == "the log"
-
-
 def test_a_log_whose_writer_died_too_is_cut_behind_its_last_whole_row(tmp_path, profile, printed, refused):
     out = tmp_path / "out"
     printed("hil", "run", "--virtual", "--profile", profile, "-o", out)

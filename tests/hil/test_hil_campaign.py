@@ -17,7 +17,7 @@ from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.simulation import Simulation
-from vpp_fmu.record import Record, read_record, write_record
+from vpp_fmu.record import Record, write_record
 
 pytestmark = pytest.mark.usefixtures("short_waits")
 
@@ -145,20 +145,6 @@ def test_the_command_writes_a_campaign_that_reads_back(tmp_path, capsys):
     assert capsys.readouterr().err == ""  # quiet in a pipe
 
 
-def test_parts_can_be_chosen_and_any_commands_followed(tmp_path):
-    out = tmp_path / "one"
-    assert main(["hil", "campaign", "--virtual", *SMALL, "--parts", "validation", "-o", str(out)]) == 0
-    logs = ["log_validation.csv.gz", "log_validation.events.jsonl"]
-    assert sorted(os.listdir(out)) == ["hil.json", *logs, "report.html", "rig.json", "validation.csv"]
-    given = {"time": np.array([0.0, 1.0, 2.0]), "omega_ref": np.array([3e3, 4e3, 4e3]), "beta_ref": np.array([0.0, 5.0, 5.0])}
-    write_record(OutputFolder(tmp_path), "orders.csv", Record(given, ""))
-    out = tmp_path / "own"
-    assert main(["hil", "campaign", "--virtual", "--commands", str(tmp_path / "orders.csv"), "-o", str(out)]) == 0
-    record = read_record(out / "record.csv")
-    assert len(record) == 501
-    assert record["thrust"][-50:].mean() > record["thrust"][:50].mean() + 1.0
-
-
 def declared(path, **entries):
     path.write_text(json.dumps({"format": "vpp-rig/1", **entries}))
     return path
@@ -183,14 +169,6 @@ def test_a_campaign_stays_within_what_the_rig_json_declares_and_says_so(tmp_path
     assert max(np.ptp(r["omega_ref"]) for r in found.steps) == 4000.0 - 2513.4
     assert found.rig.origin["speed"] == "rig.json"  # rig.json is now beside the records
     assert json.loads((out / "hil.json").read_text())["parts"]["steps"]["allowed"]["speed"]["max"] == 4000.0
-
-
-def test_limits_narrow_the_commands_of_a_campaign(tmp_path):
-    limits = {"format": "vpp-limits/1", "limits": {"omega_max": {"value": 3000, "unit": "rpm"}}}
-    (tmp_path / "limits.json").write_text(json.dumps(limits))
-    words = ["--limits", str(tmp_path / "limits.json"), "--parts", "static", "--points", "2", "--samples", "5"]
-    assert main(["hil", "campaign", "--virtual", "--settle", "0.2", *words, "-o", str(tmp_path)]) == 0
-    assert set(read_campaign(tmp_path).static.omega_ref) == {2000.0, 3000.0}
 
 
 def test_commands_beyond_the_limits_are_not_begun(tmp_path, refused):

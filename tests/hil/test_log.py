@@ -12,7 +12,7 @@ import time
 import numpy as np
 import pytest
 
-from hil.log import Column, Logged, MemoryLog, ProcessLog, Reader, largest
+from hil.log import Column, Logged, MemoryLog, ProcessLog, Reader
 
 COLUMNS = (Column("time"), Column("exact", exact=True), Column("short"), Column("state", words=("safe", "run")))
 ROWS = [(0.004 * k, math.pi / (k + 1), math.e * k if k % 3 else math.nan, float(k % 2)) for k in range(5000)]
@@ -131,33 +131,6 @@ def test_a_full_disk_is_named_by_the_log_and_rows_that_found_room_again_are_kept
     resource.prlimit(log.writer, resource.RLIMIT_FSIZE, before)
     assert log.close().lost == 0
     assert len(read(tmp_path / "run.csv")) == k
-
-
-@pytest.mark.parametrize("name", ["run.csv", "run.csv.gz"])
-def test_a_disk_without_room_for_the_rest_is_warned_of(tmp_path, name):
-    """A petabyte of rows to come; a log without expected rows says nothing."""
-    for expected, warned in ((10**13, True), (0, False)):
-        log = ProcessLog(tmp_path / name, COLUMNS, rows=expected)
-        deadline = time.monotonic() + 20.0
-        for row in ROWS:
-            log.put(*row)
-        while not log._status[0] and time.monotonic() < deadline:  # packed rows wait for a second
-            time.sleep(0.05)
-            log.put(*ROWS[-1])
-        assert bool(log.warning) == warned
-        assert bool(log.close().warning) == warned
-
-
-def test_no_log_is_larger_than_its_bound(tmp_path):
-    """Digits as random as they can be, in every kind of column."""
-    rng = np.random.default_rng(0)
-    for name in ("run.csv", "run.csv.gz"):
-        log = MemoryLog(tmp_path / name, COLUMNS)
-        for k in range(20_000):
-            log.put(0.004 * k, *(-rng.standard_normal(2) * 10.0 ** rng.integers(-9, 9)), 1.0)
-        log.close()
-        bound = largest(tmp_path / name, COLUMNS, 20_000)
-        assert 0.5 * bound < (tmp_path / name).stat().st_size <= bound
 
 
 def test_a_writer_that_died_is_reported(tmp_path):

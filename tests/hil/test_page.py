@@ -5,7 +5,6 @@ import http.client
 import json
 import os
 import re
-import signal
 import subprocess
 import sys
 import time
@@ -23,7 +22,6 @@ from hil.log import Column, ProcessLog
 from hil.page.operator_page import OperatorPage
 from hil.page.story import Story
 from hil.safety.faults import FaultKind
-from hil.safety.states import SafetyState
 from hil.safety.stop import StopSignals
 from hil.session import read_log
 from tests.browser import browser
@@ -189,18 +187,6 @@ def test_the_story_includes_the_adaptive_twin(tmp_path):
 
 
 COLUMNS_SHOWN = [column.name for column in COLUMNS if column.name not in ("time", "state", "alarm")] + ["alarm"]
-
-
-def test_a_run_goes_on_without_its_page_and_says_so(page, new_rig):
-    rig, _ = new_rig(page=page)
-    rig.start(3000.0, 2.0)
-    os.kill(page.pid, signal.SIGKILL)
-    for _ in range(2000):
-        rig.step(3000.0, 2.0)
-        time.sleep(0.0 if page._broken else 0.0005)
-    assert rig.states.state is SafetyState.RUN
-    (noted,) = [why for _, _, why in rig.transitions if why.startswith("page: ")]
-    assert f"process {page.pid} has died (exit code -9); the run goes on without it" in noted
 
 
 def test_the_page_ends_with_its_parent_process():

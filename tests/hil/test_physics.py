@@ -183,17 +183,6 @@ def test_electric_energy_is_heat_work_and_stored_energy():
     assert electric == pytest.approx(heat + mechanical + stored[1] - stored[0], rel=2e-3)
 
 
-def test_the_actuator_runs_at_full_speed_and_stops_at_its_ends():
-    _, y, _ = held(0.2, [(0.0, -10.0), (0.1, 10.0)], 2.0)
-    beta = y[:, OUT["beta"]]
-    full = P["k_a"] * 15.0 / (P["d_a"] * P["r_a"] + P["k_a"] * P["k_ia"]) / DEG
-    assert full == pytest.approx(20.0, rel=0.01)
-    assert np.diff(beta).max() / 0.001 == pytest.approx(full, rel=1e-3)
-    _, y, _ = held(0.2, [(0.0, 0.0), (0.1, 40.0)], 3.0)
-    assert y[-1, OUT["beta"]] == pytest.approx(15.0, abs=1e-6)
-    assert y[:, OUT["beta"]].max() <= 15.0
-
-
 @pytest.mark.parametrize("model", [POWERTRAIN, FULL_RIG], ids=lambda m: m.name)
 def test_c_is_python_to_the_bit_and_the_communication_step_does_not_matter(model):
     inputs = commands(model, 300)

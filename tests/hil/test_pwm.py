@@ -1,4 +1,3 @@
-import contextlib
 import math
 import os
 import tempfile
@@ -102,20 +101,6 @@ def test_an_output_that_still_runs_is_taken_over_without_a_gap(tree, writes, bef
     channel(tree).open(after, idle)
     assert shown(tree) == [str(round(after * 1e9)), str(round(idle * 1e9)), "1", "normal"]
     assert all(name in ("period", "duty_cycle") for name, _ in writes)
-
-
-def test_an_inverted_output_is_set_right_while_it_is_disabled(tree):
-    with contextlib.closing(channel(tree)) as esc:
-        esc.open(PERIOD, IDLE)
-    (tree.chip / "pwm0" / "polarity").write_text("inversed\n")
-    esc = channel(tree)
-    with pytest.raises(DeviceFault, match="busy") as raised:  # impossible while it runs
-        esc.open(PERIOD, IDLE)
-    assert raised.value.kind is FaultKind.NOT_READY
-    (tree.chip / "pwm0" / "enable").write_text("0\n")
-    esc.open(PERIOD, IDLE)
-    assert shown(tree)[2:] == ["1", "normal"]
-    esc.close()
 
 
 @pytest.mark.parametrize("pulse", [0.00251, -1e-6, math.nan, math.inf])

@@ -114,14 +114,6 @@ def test_a_second_adc_that_is_not_there_is_found_before_arming(tmp_path, monkeyp
         run(tmp_path)
 
 
-def test_the_calibration_keeps_its_hash_without_and_reads_back_with(tmp_path):
-    path = tmp_path / "c.json"
-    path.write_text(to_json(RIG))
-    assert read_calibration(path) == RIG
-    assert read_calibration(path).sha256 != CALIBRATION.sha256
-    assert "supply" not in json.loads(to_json(CALIBRATION))
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -3,14 +3,13 @@ import os
 import random
 import threading
 import time
-from itertools import pairwise
 
 import pytest
 import serial
 from rigs import within
 
 from hil.clock import MonotonicClock, VirtualClock
-from hil.devices.frames import ANSWER, FROM_HOST, HELLO, Answer, Frame, FrameReader, Hello, encoded
+from hil.devices.frames import ANSWER, HELLO, Answer, Frame, Hello, encoded
 from hil.devices.tachometer import BAUD, Tachometer
 from hil.emulator.serial_line import MemoryLine, PtyLine
 from hil.emulator.uno import Uno
@@ -105,29 +104,6 @@ def test_a_stall_is_reported_after_200_ms_and_the_next_revolution_has_no_period(
     assert again[-1].omega == pytest.approx(3000.0, rel=1e-3)
 
 
-def test_edges_within_5_ms_are_rejected_and_counted(tmp_path):
-    loop = Loop(tmp_path, marks(0.008))  # half of it is 4 ms
-    loop.line.faults["marks_doubled"] = 1
-    answers = [loop.tick() for _ in range(100)]
-    assert answers[-1].omega == pytest.approx(7500.0, rel=2e-3)
-    assert answers[-1].rejected == pytest.approx(answers[-1].pulses, abs=1)
-
-
-def test_at_most_one_request_is_outstanding(loop):
-    """During silence a request is sent only every 12 ms, each with the next number."""
-    loop.tick()
-    loop.line.faults["silent"] = math.inf
-    asked, write = [], loop.line.write
-    loop.line.write = lambda data: asked.append((loop.clock.now(), data)) or write(data)
-    for _ in range(12):
-        loop.tick()
-    times = [t for t, _ in asked]
-    assert [b - a for a, b in pairwise(times)] == pytest.approx([0.012] * 3)
-    requests = FrameReader(FROM_HOST).feed(b"".join(data for _, data in asked))
-    assert [request.sequence for request in requests] == [2, 3, 4, 5]
-    assert loop.tachometer.counters["lost"] == 3
-
-
 def test_silence_is_tolerated_for_50_ms(loop):
     loop.tick()
     begun = loop.clock.now()
@@ -196,14 +172,6 @@ def test_a_plug_that_is_pulled_is_a_fault_at_once(loop):
     assert fault(loop.tachometer.request) is FaultKind.UNPLUGGED
 
 
-def test_a_line_full_of_garbage_costs_a_tick_no_more_than_512_bytes(loop):
-    loop.tick()
-    loop.line._say(bytes(100_000))
-    before = loop.tachometer._reader.received
-    loop.tachometer.poll()
-    assert loop.tachometer._reader.received - before == 512
-
-
 class Script:
     """A port whose far end answers each write by a function; only `greeting` comes without a write."""
 
@@ -228,12 +196,6 @@ class Script:
 
 
 GREETING = encoded(Frame(HELLO, 0, Hello(2, 4, 1250, 50000).packed()))
-
-
-def test_a_board_that_greets_is_not_asked():
-    port = Script(GREETING)
-    assert Tachometer(lambda: port, VirtualClock()).hello() == (2, 4, 1250, 50000)
-    assert port.written == []
 
 
 def test_a_board_that_was_not_reset_is_asked_after_two_seconds():
