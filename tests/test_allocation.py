@@ -82,17 +82,6 @@ def test_torque_alone_is_power_of_the_shaft():
     assert float(shaft.at(3000.0, 2.5)) == pytest.approx(P30 / 8.0 + P32 / 8.0 * 0.25)
 
 
-def test_a_fixed_pitch_has_a_map_of_speed():
-    every = points()
-    rows = np.flatnonzero(every.beta_ref == every.beta_ref[0])
-    fixed = {
-        n: np.tile(getattr(every, n)[rows], 2) for n in ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")
-    }
-    found = fitted(StaticMap(**fixed, source="static.csv", further={"power": 60.0 * (fixed["omega"] / 6000.0) ** 3}))
-    assert found.names == ("power_map.p30",)
-    assert found.values == pytest.approx([60.0])
-
-
 FRICTION, LOSS, IDLE = 0.004, 90.0, 3.0
 """The paper's eqs. 3 and 4 at rest: Q_m omega + R i^2 with k i = Q_m, and the ESC."""
 
@@ -297,13 +286,3 @@ def test_the_figure_of_merit_is_ideal_over_real_power_of_a_declared_rotor(tmp_pa
         shown = Simulator(found.model).simulate(found.values, commands, np.array([0.01]))[0]
         assert shown[names.index("figure_of_merit")] == pytest.approx(0.6, rel=0.03)  # the map of torque is a polynomial
         assert main(["allocate", "--parameters", str(tmp_path / "out"), "--points", "5", "-o", str(tmp_path / "pairs")]) == 0
-
-
-def test_torque_of_a_rotor_better_than_an_ideal_one_is_not_used(tmp_path, printed, refused):
-    folder = OutputFolder(tmp_path / "campaign")
-    write_static(folder, points(torque=hovering(1.4)))
-    folder.write("rig.json", json.dumps({"format": "vpp-rig/1", "rotor": {"diameter": 0.28}}))
-    assert "figure of merit" in printed("identify", tmp_path / "campaign", "-o", tmp_path / "out")
-    assert "torque" not in {y.name for y in read_parameters(tmp_path / "out" / "parameters.json", plant).model.outputs}
-    folder.write("rig.json", json.dumps({"format": "vpp-rig/1", "rotor": {"air_density": 1.2}}))
-    assert "rotor, diameter" in refused("identify", tmp_path / "campaign", "-o", tmp_path / "other")

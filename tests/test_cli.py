@@ -72,16 +72,6 @@ def test_a_misspelt_word_is_refused_with_the_nearest_one(words, meant, refused):
     assert meant in refused(*words)
 
 
-def test_a_misspelt_column_is_refused_with_the_nearest_one(tmp_path, refused):
-    (tmp_path / "log.csv").write_text("time_s,Thrust (N)\n0,1\n1,2\n")
-    log = "import", "csv", tmp_path / "log.csv", "-o", tmp_path
-    assert "no such column, expected Thrust (N)" in refused(*log, "--map", "thrust=Trust")
-    assert "Did you mean thrust or thrust_std?" in refused(*log, "--map", "trust=Thrust (N)")
-    (tmp_path / "step.csv").write_text("time,thrst_set\n0,1\n1,2\n")
-    said = refused("hil", "run", "--virtual", "--profile", tmp_path / "step.csv", "-o", tmp_path)
-    assert "separated by commas. Did you mean thrst_set?" in said
-
-
 @pytest.mark.parametrize("verb", ["tune", "export", "plan", "simulate", "diagnose", "twin", "hil run", "hil campaign"])
 def test_a_folder_of_parameters_stands_for_its_parameters_json(verb, tmp_path):
     (tmp_path / "parameters.json").touch()

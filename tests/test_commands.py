@@ -4,7 +4,6 @@ import json
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from math import inf, isfinite
 
 import numpy as np
@@ -24,7 +23,7 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.record import Record
-from vpp_fmu.rig import DECLARED, Rig, declared_rig, infer_rig, read_rig, rounded, rounded_up
+from vpp_fmu.rig import DECLARED, Rig, declared_rig, infer_rig, read_rig
 
 ROUNDING = 1e-9
 """Relative rounding error that is allowed for a sum of floating-point numbers."""
@@ -281,18 +280,6 @@ def test_impossible_values_in_a_rig_json_are_refused_with_their_field(tmp_path, 
         read_rig(declared(tmp_path / "rig.json", **entries))
 
 
-LEADING = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
-
-
-@pytest.mark.parametrize("power", [1e-3, 1.0, 1e4])
-def test_round_numbers_are_the_next_up_and_the_nearest_by_ratio(power):
-    for low, high in pairwise(float(f"{digit * power:.6g}") for digit in LEADING):
-        assert rounded_up(low) == low
-        assert rounded_up(low * 1.001) == rounded_up(high * 0.999) == high
-        middle = (low * high) ** 0.5
-        assert (rounded(0.999 * middle), rounded(1.001 * middle)) == (low, high)
-
-
 def grid(speed, pitch, thrust):
     """Steady points at the ends of these ranges, repeated so that none is an outlier."""
     columns = {"omega_ref": speed, "beta_ref": pitch, "thrust": thrust}
@@ -320,16 +307,6 @@ def test_a_rig_keeps_the_papers_scales_up_to_twice_its_size_and_down_to_half(k, 
     assert (near.scales, near.origin["scales"]) == (Scales(), "the paper's, whose size it has")
     assert far.scales != Scales()
     assert far.origin["scales"] == "round numbers for what was measured"
-
-
-def test_the_scales_of_another_size_are_round_and_0_a_quarter_up_the_pitch():
-    rig = infer_rig([], grid((5000.0, 21000.0), (-12.0, 16.0), (-0.3, 1.1)), {})
-    assert (rig.speed, rig.pitch, rig.thrust) == ((5000.0, 21000.0), (-12.0, 16.0), (-0.3, 1.1))
-    assert rig.scales == Scales(25000.0, 25.0, 5.0, 1.2)  # 0.75 x 28 = 21 deg; -12 + 28 / 4 = -5 deg
-    narrow = infer_rig([], grid((5000.0, 21000.0), (3.0, 6.0), (0.0, 1.0)), {})
-    assert (narrow.scales.beta_scale, narrow.scales.beta_offset) == (2.5, -3.75)
-    fixed = infer_rig([], grid((5000.0, 21000.0), (30.0, 30.0), (0.0, 1.0)), {})
-    assert (fixed.scales.beta_scale, fixed.scales.beta_offset) == (15.0, -22.5)
 
 
 def test_declared_ranges_override_measured_ones():

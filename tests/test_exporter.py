@@ -407,28 +407,3 @@ def test_a_black_box_is_packed_in_the_python_flavour_only(tmp_path, monkeypatch)
     assert shown == [3.0, 4.5, 9.0, 15.0]
     assert "python, which alone can pack it" in refusal(native_fmu, model("running_mean"))
     assert "which imports vpp_fmu" in refusal(check_model, "here", model("with_ours"))
-
-
-@pytest.mark.parametrize("make", MAKERS)
-def test_outputs_of_a_set_state_need_no_step(make, tmp_path):
-    """A counter that an importer sets to 5 shows 5, then 6."""
-    states, shown = (vpp.State("n", "1", "n", 0.0),), (vpp.Signal("n", "1", "n"),)
-    effect = vpp.Effect("counter", "counts", lambda ops, s, x, p, dt: {"n": x.n + 1.0}, states=states, largest_step=1.0)
-    path = tmp_path / "Counter.fmu"
-    path.write_bytes(make(vpp.Model("Counter", "counts", (), shown, (effect,))))
-    slave = Slave(Fmu(path), initialised=False)
-    slave.fmi.setReal([slave.references["state.n"]], [5.0])
-    slave.fmi.enterInitializationMode()
-    assert slave.get("n") == [5.0]
-    slave.fmi.exitInitializationMode()
-    assert [slave.get("n"), slave.step({}, 1.0, "n")] == [[5.0], [6.0]]
-
-
-@pytest.mark.parametrize("make", MAKERS)
-def test_a_step_holds_a_limited_number_of_samples(make, tmp_path):
-    path = tmp_path / "Delayed.fmu"
-    path.write_bytes(make(CASES["delay"].model()))
-    slave = Slave(Fmu(path))
-    with pytest.raises(Exception, match="fmi2DoStep"):
-        slave.step({}, 1e30)
-    assert slave.messages[-1].strip().endswith("found 1e+30 s, expected up to 5000.0 s")

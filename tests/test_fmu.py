@@ -18,10 +18,9 @@ from fmpy.util import read_csv
 from fmpy.validation import validate_fmu
 
 import vpp_fmu
-from vpp_fmu.errors import BadInput
 from vpp_fmu.export import python_fmu
 from vpp_fmu.files import OutputFolder
-from vpp_fmu.fmu import Fmu, FmuInstance
+from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.controller import CONTROLLER, SPEED_ONLY
 from vpp_fmu.kernel.plant import BASE, plant
 from vpp_fmu.kernel.simulation import Simulation
@@ -287,19 +286,6 @@ def test_a_state_begins_where_it_is_set(fmus, name):
     assert slave.get(*outputs) == list(simulation.start(inputs).values())
 
 
-def test_gains_are_tuned_while_the_controller_runs(fmus):
-    """From the next sample on, as in the kernel with the new gains."""
-    slave, kernel = Slave(fmus["controller"]), Simulation(CONTROLLER)
-    inputs, names = {"thrust_set": 8.0, "thrust": 7.9}, ["omega_ref", "beta_ref"]
-    kernel.start(inputs)
-    for changes in ({}, {"kp_omega": 2.0, "ki_beta": 10.0}, {"speed_only": 1.0, "beta_fixed": 3.0}, {"omega_max": 2500.0}):
-        slave.set(**changes)
-        kernel.parameters.update(changes)
-        for _ in range(7):
-            assert slave.step(inputs, 0.004, *names) == list(kernel.advance(inputs, 0.004).values())
-    assert slave.get("speed_only", "kp_omega") == [1.0, 2.0]
-
-
 WAYS = {"Exact": BASE, "Sampled": CONTROLLER, "Scheduled": plant(["pitch_delay"])}
 each_way = pytest.mark.parametrize("way", WAYS)
 
@@ -323,10 +309,3 @@ def keeps_the_last_numbers(make, model, folder):
     assert slave.get(*kept) == last
     assert any(last)
     assert np.isfinite(last).all()
-
-
-def test_an_input_or_output_that_an_fmu_does_not_have_is_refused(fmus):
-    with pytest.raises(BadInput, match="thrust_set"):
-        FmuInstance(fmus["plain"], ["thrust_set"], ["thrust"])
-    with pytest.raises(BadInput, match="omega_ref"):
-        FmuInstance(fmus["plain"], ["omega_ref"], ["omega_ref"])

@@ -1,7 +1,6 @@
 """From the files of a campaign to parameters: the records that are fitted, those that are only predicted, and the output."""
 
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,8 +9,7 @@ from studies.synthetic import NOISE, TRUTH, commands, measured
 from identification.assessment.reading_noise import REPEATS
 from identification.diagnose.initial_model import from_identification
 from identification.gate.gate import passed
-from identification.identify import identify, off_bounds, slowest
-from identification.steps.response import StepSummary
+from identification.identify import identify
 from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.files import OutputFolder
@@ -114,23 +112,3 @@ def test_a_further_record_that_cannot_be_read_is_refused_in_one_line(folder, tmp
     assert str(path) in said
     assert says in said
     assert not (tmp_path / "parameters.json").exists()
-
-
-def test_a_lag_on_its_bound_is_not_used_as_a_time_scale():
-    """A lag of 30 s that a saturated rotor causes is no time scale for plans, noise blocks or bounds."""
-    start = BASE.values()
-    longest = next(p.maximum for p in BASE.parameters if p.name == "tau_omega_1")
-    bent = {**start, "tau_omega_1": longest, "tau_beta_1": 1.1 * start["tau_beta_1"]}
-    kept = off_bounds(BASE, bent, start)
-    assert kept == {**bent, "tau_omega_1": start["tau_omega_1"]}
-    assert slowest(kept, start) == pytest.approx(kept["tau_beta_1"] + kept["tau_beta_2"])
-
-
-@pytest.mark.parametrize(("told", "other"), [((), 7.1), (("beta",), 0.2)])
-def test_the_other_lag_of_the_channel_is_replaced_if_steps_have_identified_it(told, other):
-    """An actuator that latches half way looks like a lag of 7 s beside a negligible one."""
-    start = {**BASE.values(), "tau_beta_1": 0.2, "tau_beta_2": 0.1}
-    shortest = next(p.minimum for p in BASE.parameters if p.name == "tau_beta_2")
-    steps = StepSummary((), (), {u: SimpleNamespace(slow=0.2, fast=0.1) for u in told}, {})
-    kept = off_bounds(BASE, {**start, "tau_beta_1": 7.1, "tau_beta_2": shortest}, start, steps)
-    assert kept == {**start, "tau_beta_1": other}

@@ -10,7 +10,7 @@ from builders import TWO_DELAYS, paper_map, random_steps, reference, simulator, 
 from scipy.signal import lsim
 
 from vpp_fmu.kernel.ops import NUMBERS
-from vpp_fmu.kernel.plant import AVERAGED, BASE, FINE_TUNED, plant
+from vpp_fmu.kernel.plant import AVERAGED, BASE, FINE_TUNED
 from vpp_fmu.kernel.schedule import run_sampled
 from vpp_fmu.kernel.simulation import Simulation
 
@@ -102,19 +102,6 @@ def test_splitting_a_step_gives_the_same_state(taus, seed):
             simulation.advance(held, float(dt))
     for name, value in whole.states.items():
         assert split.states[name] == pytest.approx(value, rel=1e-12), name
-
-
-@pytest.mark.parametrize("dt", [1e-6, 0.001, 0.004, 0.1, 100.0])
-def test_settled_plant_stays_still_to_the_bit(dt):
-    simulation = Simulation(plant(["pitch_command_deadband", "pitch_delay", "pitch_speed_coupling", "stand_resonance"]))
-    for omega, beta in np.random.default_rng(1).uniform([0.0, -10.0], [7000.0, 12.0], (5, 2)):
-        held = {"omega_ref": omega, "beta_ref": beta}
-        begun = simulation.start(held)
-        assert begun["omega"] == omega
-        assert begun["beta"] == beta
-        assert begun["thrust"] == pytest.approx(paper_map(omega, beta), rel=1e-13, abs=1e-13)
-        for _ in range(3):
-            assert simulation.advance(held, dt) == begun
 
 
 def test_sets_are_the_papers_numbers():

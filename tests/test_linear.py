@@ -5,13 +5,11 @@ import sys
 import numpy as np
 import pytest
 from scipy.io import loadmat
-from scipy.signal import lsim
 
 from vpp_fmu.app.api.linear import Linearisable, linearised
 from vpp_fmu.app.api.results import DiagnoseResult, IdentifyResult
 from vpp_fmu.errors import BadInput, ExtraMissing
 from vpp_fmu.kernel.plant import plant
-from vpp_fmu.native import Simulator
 from vpp_fmu.parameters import ParameterSet
 
 SPEEDS, PITCHES = (2500.0, 4000.0, 5800.0), (-4.0, 1.0, 9.0)
@@ -49,25 +47,6 @@ def test_the_frequency_response_is_two_lags_times_the_slope_of_the_map(omega, be
         response = [(system.C @ np.linalg.solve(1j * each * np.eye(4) - system.A, system.B[:, k]))[0] for each in at]
         np.testing.assert_allclose(response, slope * lags, rtol=1e-6)
     assert linearised(v, omega, beta).thrust == pytest.approx(thrust(v, omega, beta), rel=1e-12)
-
-
-@pytest.mark.parametrize(("omega", "beta"), POINTS)
-def test_a_small_step_is_the_compiled_simulators(omega, beta):
-    """The error of the linear plant decreases with the square of the step, the response with the step."""
-    found, dt, rows = Found(), 0.004, 500
-    model, values = found.parameters.model, found.parameters.values
-    system, time, errors = found.to_scipy(omega, beta), np.arange(rows) * dt, []
-    for size in (1e-3, 1e-4):
-        moves = size * np.array([values["omega_scale"], values["beta_scale"]])
-        inputs = {"omega_ref": np.full(rows, omega), "beta_ref": np.full(rows, beta)}
-        inputs["omega_ref"][1:] += moves[0]
-        inputs["beta_ref"][1:] += moves[1]
-        shown = Simulator(model).simulate(values, inputs, np.full(rows - 1, dt))[:, 0]
-        _, linear, _ = lsim(system, np.tile(moves, (rows, 1)), time)
-        difference = shown[1:] - shown[0] - linear[:-1]
-        errors.append(np.abs(difference).max())
-        assert errors[-1] < 0.02 * np.abs(linear).max()
-    assert errors[1] < 0.02 * errors[0]
 
 
 def test_python_control_has_the_same_system_with_names():

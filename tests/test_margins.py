@@ -135,22 +135,3 @@ def test_a_loop_with_more_than_its_margin_counts_as_unstable(at_rest):
     grown = {name: 1.05 * found.gain * value if name[:2] in ("kp", "ki", "kd") else value for name, value in gains.items()}
     objective = an_objective(grown)
     assert not margins_at(objective, objective.gains, (point,))[0].stable
-
-
-PAIRS = {f"pair_{u}_{k}": value for u, value in (("omega", 4000.0), ("beta", 4.0)) for k in range(9)}
-ALLOCATED = CONTROLLER.values({**PAIRS, "mode": 2.0, "k_mid": 0.8, "ki_beta": 17.0})
-
-
-@pytest.mark.parametrize(("channel", "scale", "rest"), [("omega", 6000.0, 4000.0), ("beta", 15.0, 4.0)])
-def test_on_the_best_pairs_the_response_is_that_of_the_simulated_law_to_a_growing_error(channel, scale, rest):
-    """An error z^k outgrows the law's own modes, whose poles are at 1 and below, so that C(z) z^k remains."""
-    growth, rows = 1.05, 400
-    error = 1e-3 * growth ** np.arange(-rows, 0.0)
-    inputs = {"thrust_set": np.full(rows, 8.0), "thrust": 8.0 - 15.0 * error}
-    controller, shown = Simulation(CONTROLLER, ALLOCATED), []
-    controller.start({name: values[0] for name, values in inputs.items()})
-    for k in range(rows):
-        shown.append(controller.advance({name: values[k] for name, values in inputs.items()}, DT)[f"{channel}_ref"])
-    expected = controller_response(ALLOCATED, channel, np.array([-1j * np.log(growth) / DT]))[0]
-    assert abs(expected.imag) < 1e-9 * abs(expected)
-    assert (shown[-1] - rest) / scale / error[-1] == pytest.approx(expected.real, rel=1e-4)

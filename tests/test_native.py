@@ -201,19 +201,3 @@ def test_wrong_lengths_fail_by_name(rows, steps):
     inputs = {"omega_ref": np.full(rows[0], 4000.0), "beta_ref": np.full(rows[1], 5.0)}
     with pytest.raises(SimulationFailed, match="VppPlant"):
         simulator(BASE).simulate({}, inputs, np.full(steps, 0.004))
-
-
-def test_a_delay_that_holds_thousands_of_changes_does_the_same_with_and_without_a_compiler(request, recwarn):
-    """0.3 s at 50 us: 6000 pending changes."""
-    model, values = plant(["pitch_delay"]), {PITCH: 0.3}
-    inputs, steps = random_steps(8000, 1), np.full(7999, 5e-5)
-
-    def outcome():
-        try:
-            return Simulator(model).simulate(values, inputs, steps).tolist()
-        except SimulationFailed as failed:
-            return str(failed)
-
-    compiled = outcome()
-    request.getfixturevalue("no_compiler")
-    assert outcome() == compiled

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import test_native_fmu
 from builders import ALL_ON, PROBES, Slave, random_steps, simulator
-from fmpy.fmi1 import FMICallException
 from fuzz import fuzz, fuzzer
 from misuse import Host
 
@@ -49,13 +48,6 @@ CALLS = {
     "fmi2SetDebugLogging": lambda h: h.log(1),
     "fmi2CancelStep": lambda h: h.call("CancelStep"),
 }
-STATES = {
-    "instantiated": [],
-    "initialising": ["fmi2SetupExperiment", "fmi2EnterInitializationMode"],
-    "stepping": ["fmi2EnterInitializationMode", "fmi2ExitInitializationMode"],
-    "terminated": ["fmi2EnterInitializationMode", "fmi2ExitInitializationMode", "fmi2Terminate"],
-    "failed": ["fmi2EnterInitializationMode", "fmi2DoStep"],
-}
 
 
 def test_no_instance_without_the_arguments_that_the_standard_requires(fmus):
@@ -83,24 +75,6 @@ def test_missing_callbacks_and_null_pointers_are_refused(fmus):
     for call in CALLS.values():
         assert call(raw) == 3
     raw.call("FreeInstance")
-
-
-def test_logging_is_switched_by_category(fmus):
-    raw = started(fmus["plain"])
-    for on in (0, 1):
-        raw.said.clear()
-        assert raw.log(on, "logStatusError") == 0
-        raw.step()
-        assert len(raw.said) == on
-        raw.call("Reset")
-    assert raw.log(1, "logAll") == 0
-    for way in (*STATES["stepping"], "fmi2DoStep", "fmi2Terminate"):
-        assert CALLS[way](raw) == 0
-    events = [(0, "logEvents", f"VppPlant: {what} s") for what in ("initialised at 0.0", "terminated at 0.004")]
-    assert raw.said[-2:] == events
-    assert raw.log(1, "logNothing") == 0
-    assert raw.said[-1] == (1, "logStatusWarning", "VppPlant: log category logNothing is unknown")
-    assert CALLS["fmi2GetReal"](raw) == 0
 
 
 def derivative(slave, unknowns, knowns, moves):
@@ -152,20 +126,6 @@ def test_derivatives_at_communication_points_are_the_simulators(fmus, name):
             slave.fmi.setFMUstate(slave.fmi.deSerializeFMUstate(slave.fmi.serializeFMUstate(slave.fmi.getFMUstate())))
         if row < 399:
             slave.step({n: float(column[row]) for n, column in inputs.items()}, 0.0037)
-
-
-def test_unavailable_derivatives_are_refused_with_the_reason(fmus):
-    cases = {
-        ("thrust", "tau_omega_1"): "found the known tau_omega_1 after initialisation",
-        ("thrust", "omega"): "found the known omega",
-        ("omega_ref", "omega_ref"): "found the unknown omega_ref",
-        ("c20", "omega_ref"): "found the unknown c20",
-    }
-    for (unknown, known), words in cases.items():
-        slave = Slave(fmus["plain"])
-        with pytest.raises(FMICallException):
-            derivative(slave, [unknown], [known], [1.0])
-        assert words in slave.messages[-1]
 
 
 def one(reference):

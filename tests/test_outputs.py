@@ -99,16 +99,6 @@ def test_one_folder_holds_one_model(tmp_path, first, second):
     assert names(tmp_path) == ["empirical.json", "identification.json", "notes.txt", "parameters.json"]
 
 
-def test_a_file_that_the_user_has_changed_is_kept(tmp_path):
-    ran(tmp_path, "diagnose", ONE, parameters_json="1", diagnosis_json="1")
-    (tmp_path / "diagnosis.json").write_text("1, and a remark")
-    run = ran(tmp_path, "diagnose", OTHER, parameters_json="2")
-    assert (run.kept, run.removed) == (("diagnosis.json",), ())
-    assert (tmp_path / "diagnosis.json").exists()
-    again = ran(tmp_path, "diagnose", ONE, parameters_json="3")
-    assert (again.kept, again.removed) == ((), ())
-
-
 @pytest.mark.parametrize(
     "noted",
     ["", "[]", "{}", '{"format": "vpp-written/2", "files": {}}', '{"format": "vpp-written/1", "files": {"a": 1}}', "outside"],

@@ -14,7 +14,7 @@ from vpp_fmu.kernel.plant import FINE_TUNED, LIBRARY, plant
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.kernel.types import BOOLEAN, REAL
 from vpp_fmu.parameters import Estimate, ParameterSet, read_parameters, to_json, to_ssv
-from vpp_fmu.units import base_unit, display_units
+from vpp_fmu.units import base_unit
 
 SSV = "{http://ssp-standard.org/SSP1/SystemStructureParameterValues}"
 SSC = "{http://ssp-standard.org/SSP1/SystemStructureCommon}"
@@ -134,18 +134,6 @@ def test_json_reads_back_to_the_bit(tmp_path, build):
     assert to_json(back) == text
 
 
-def test_json_has_the_contract_s_form():
-    text = to_json(ParameterSet(plant(["pitch_delay"])).replaced({"tau_omega_1": 0.1}, {"tau_omega_1": 1 / 3}))
-    found = json.loads(text)
-    assert text.startswith('{\n  "format": "vpp-parameters/1",\n  "parameters": {\n    "')
-    assert text.endswith("}\n")
-    assert list(found) == ["format", "parameters", "effects", "source"]
-    assert list(found["parameters"]) == [p.name for p in plant(["pitch_delay"]).parameters]
-    assert found["parameters"]["tau_omega_1"] == {"value": 0.1, "std": 1 / 3, "unit": "s"}
-    assert found["parameters"]["c20"] == {"value": FINE_TUNED["c20"], "std": None, "unit": "1"}
-    assert found["effects"] == ["pitch_delay"]
-
-
 MODELS = {"plant": plant(e.name for e in LIBRARY if e.off is not None), "controller": CONTROLLER}
 each_model = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
 
@@ -203,23 +191,6 @@ def test_base_units(unit, expected):
     found = base_unit(unit)
     assert float(found.pop("factor", 1.0)) == pytest.approx(expected.pop("factor", 1.0), rel=1e-15)
     assert found == expected
-
-
-@pytest.mark.parametrize(
-    ("unit", "shown", "factor"),
-    [
-        ("s", "ms", 1e3),
-        ("rpm", "rad/s", np.pi / 30.0),
-        ("rad/s", "rpm", 30.0 / np.pi),
-        ("deg", "rad", np.pi / 180.0),
-        ("rad", "deg", 180.0 / np.pi),
-        ("N", "gf", 1e3 / 9.80665),
-        ("N", "kgf", 1.0 / 9.80665),
-    ],
-)
-def test_display_units_have_their_factors(unit, shown, factor):
-    """FMI 2.0, section 2.2.2: display value = factor * value in the unit."""
-    assert float(display_units(unit)[shown]["factor"]) == pytest.approx(factor, rel=1e-14)
 
 
 @pytest.mark.parametrize("value", [0.37, -1, 2])

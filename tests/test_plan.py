@@ -9,7 +9,6 @@ from builders import refusal, simulator
 from identification.assessment.information import Information
 from identification.fit.problem import Prior, Problem
 from identification.fit.refine import BASE_PARAMETERS, independent_readings
-from identification.plan.excitation import candidate, paper_plan
 from identification.plan.plan import plan
 from vpp_fmu.app import cli
 from vpp_fmu.kernel.plant import BASE, FINE_TUNED
@@ -47,29 +46,6 @@ def test_limits_and_slew_hold_at_every_row(narrow):
     speed, pitch = (np.abs(np.diff(commands[name])).max() / 0.005 for name in ("omega_ref", "beta_ref"))
     assert speed == pytest.approx(6000.0, rel=1e-9)  # used to the full, and not beyond
     assert pitch == pytest.approx(45.0, rel=1e-9)
-
-
-@pytest.mark.parametrize("fixed", [{"pitch": (4.0, 4.0)}, {"speed": (3000.0, 3000.0)}])
-def test_a_fixed_channel_is_not_moved_and_the_other_always_is(fixed):
-    rng, rig = np.random.default_rng(0), Rig(**fixed)
-    channel = 1 if "pitch" in fixed else 0
-    drawn = np.array([candidate(rng, 500, 0.02, rig) for _ in range(100)])
-    assert (drawn[:, :, channel] == next(iter(fixed.values()))[0]).all()
-    assert (np.ptp(drawn[:, :, 1 - channel], axis=1) > 0.0).all()
-    found = plan(BASE, SORTED, rig, 10.0, 0.3, evaluations=1)
-    assert set(found.commands[("omega_ref", "beta_ref")[channel]]) == {next(iter(fixed.values()))[0]}
-    assert {f"tau_{('omega', 'beta')[channel]}_{k}" for k in (1, 2)} <= set(found.not_identifiable)
-
-
-def test_the_paper_s_plan_is_the_paper_s():
-    commands = paper_plan(np.random.default_rng(0), 3000, 0.02, Rig())
-    moves = np.diff(commands, axis=0) != 0.0
-    assert not moves[:999, 1].any()
-    assert not moves[1000:1999, 0].any()
-    for part in (moves[:999, 0], moves[1000:1999, 1], moves[2000:, 0], moves[2000:, 1]):
-        holds = np.diff(np.flatnonzero(part)) * 0.02
-        assert holds.min() >= 1.0
-        assert holds.max() <= 2.5
 
 
 def test_it_beats_the_paper_s_plan(planned, narrow):

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from vpp_fmu.app.report.canvas import MOST
 from vpp_fmu.app.report.figures.loop import (
     Cloud,
     bode,
@@ -243,18 +242,6 @@ def test_every_axis_names_its_quantity_and_unit(name):
         if axis.get("type") == "category":  # its labels are names
             continue
         assert re.search(r"\w.*\[.+\]$", axis["title"]["text"].replace("<br>", " "))
-
-
-def test_extremes_of_a_long_record_survive():
-    r = record(22_500)
-    fig = prediction(samples=22_500)
-    measured, before = fig.data[0], fig.data[1]
-    assert all(len(trace.x) <= MOST for trace in fig.data)
-    assert (measured.y.min(), measured.y.max()) == (-3.5, 14.5)
-    assert (before.y.min(), before.y.max()) == (-3.1, 14.9)
-    assert (measured.x[0], measured.x[-1]) == (0.0, r["time"][-1])
-    at = np.searchsorted(r["time"], measured.x)
-    np.testing.assert_array_equal(measured.y, r["thrust"][at])
 
 
 def test_residual_and_its_size_are_those_of_the_data():

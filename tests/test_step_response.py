@@ -1,7 +1,5 @@
 """Start values from step responses: known constants are recovered, and unusable runs are left out."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from builders import simulator
@@ -184,20 +182,6 @@ def test_a_command_not_reached_is_detected_by_the_thrust(pitch_runs):
     half = run("beta", -5, 2, 6000, noise=NOISE, seed=99, **FAST)
     odd = half.with_columns(beta_ref=np.where(half.time < AT - 1e-9, -5.0, 10.0))
     assert "thrust changes by 5" in reason(pitch_runs, odd)
-
-
-def test_runs_without_one_single_step_are_named():
-    record = run("omega", 2000, 6000, 7)
-    both = record.with_columns(beta_ref=np.where(record.time > 1.0, 5.0, 7.0))
-    none = record.with_columns(omega_ref=np.full(len(record), 2000.0))
-    blind = record.with_columns(thrust=np.where(record.time > 2.0, np.nan, record["thrust"]))
-    parts = {"both": both, "none": none, "blind": blind}
-    summary = fit_steps([replace(part, source=name) for name, part in parts.items()], VALUES, MAP)
-    assert not summary.runs
-    assert not summary.start
-    assert summary.unreadable["both"].startswith("2 changes")
-    assert summary.unreadable["none"].startswith("0 changes")
-    assert summary.unreadable["blind"].startswith("thrust readings")
 
 
 def test_overshoot_is_measured_and_flagged(pitch_runs):

@@ -137,20 +137,6 @@ def test_python_that_cannot_be_traced_is_a_type_error(what):
         trace(toy(lambda ops, a, b, u, y: UNSEEN[what](a * u)))
 
 
-@pytest.mark.parametrize(
-    "number", [0.1, -0.1, 1e-300, 5e-324, -0.0, 1.0 / 3.0, 2.0**53, 1e22, 1.7976931348623157e308, math.inf]
-)
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_constants_survive_exactly(number, sign, no_compiler, recwarn):
-    model = toy(lambda ops, a, b, u, y: ops.where(u > 0.0, sign * number, u))
-    inputs = {"u": [-2.0, 1.0, 0.0]}
-    shown = [Simulator(model).simulate({}, inputs, [1.0, 1.0])]
-    shown.append(reference(model, {}, inputs, [1.0, 1.0]))
-    for rows in shown:
-        assert rows[1:, 0].tolist() == [-2.0, sign * number]
-        assert math.copysign(1.0, rows[2, 0]) == math.copysign(1.0, sign * number)
-
-
 def test_only_states_that_depend_on_a_parameter_have_a_tangent_in_it():
     """The outer lag of the speed affects speed and thrust, the inner one also its own state, a coefficient only the thrust."""
     program = trace(BASE, ("tau_omega_1", "tau_omega_2", "c20"))

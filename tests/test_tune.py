@@ -9,7 +9,7 @@ from builders import FAST_PITCH
 
 from identification.fit.problem import Prior
 from identification.thrust_steps import step_profile
-from identification.tune.draws import draws, standard_deviations
+from identification.tune.draws import draws
 from identification.tune.objective import Point
 from identification.tune.rounds import rounds
 from identification.tune.search import search
@@ -136,17 +136,6 @@ KNOWN = ParameterSet(plant(EFFECTS)).replaced(
     {"c20": 0.35, "pitch_command_deadband.half_width": 1.5, "pitch_backlash.half_gap": 0.02, "tau_beta_2": 0.05},
     {"c20": 0.01, "pitch_command_deadband.half_width": 0.2, "tau_beta_2": 0.03},
 )
-
-
-def test_standard_deviations_come_from_the_file_or_are_a_share_of_the_value():
-    std = standard_deviations(KNOWN, ("tau_beta_2",), 0.1)
-    assert std["c20"] == 0.01
-    assert std["pitch_command_deadband.half_width"] == 0.2
-    assert std["tau_beta_2"] == pytest.approx(0.005)
-    assert std["tau_omega_1"] == pytest.approx(0.1 * FINE_TUNED["tau_omega_1"])
-    assert std["pitch_backlash.half_gap"] == pytest.approx(0.002)
-    assert "pitch_backlash.form" not in std
-    assert "thrust_scale" not in std
 
 
 def test_draws_have_the_standard_deviations_and_the_correlation():

@@ -149,17 +149,3 @@ def test_a_step_is_worse_by_more_than_a_sample_or_beyond_the_limit(other, worse)
     assert found.better == (not worse)
     assert worse in found.words()
     assert found.words().startswith("no better: kept the gains it started from" if worse else "better: ")
-
-
-@pytest.mark.parametrize(
-    ("margins", "worse"),
-    [
-        (replace(SOUND, stable=False), "a loop that was stable"),
-        (replace(SOUND, sensitivity=2.5), "sensitivity 1.5 → 2.5, limit 2"),
-        (replace(SOUND, sensitivity=2.0), ""),
-    ],
-)
-def test_margins_that_were_kept_may_not_be_lost(margins, worse):
-    found = verdict(Loop(), "other", ((SOUND,), (SOUND, margins)), (1.0, 0.5))
-    assert found.better == (not worse)
-    assert worse in found.words()

@@ -62,31 +62,6 @@ def test_two_states_move_as_the_matrix_exponential_says(kind):
         np.testing.assert_allclose(integrals(pair, tuple(x), after, dt), exact[3:], rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("throttle", "beta", "volts"), [(0.5, 10.0, 24.0), (0.3, -5.0, 24.0), (0.45, 2.5, 20.0), (0.9, -10.0, 12.0)]
-)
-def test_torques_and_voltages_balance_when_settled(throttle, beta, volts):
-    _, y, _ = held([(0.0, 0.1), (0.1, throttle)], [(0.0, 0.0), (0.1, beta)], 12.0, volts=volts)
-    current, omega, torque = (y[-1, OUT[n]] for n in ("current", "omega", "torque"))
-    speed = omega * RPM
-    assert throttle * volts == pytest.approx((0.045 + 0.025) * current + K * speed, rel=1e-9)
-    assert K * current == pytest.approx(1.8e-5 * speed + 0.0104 + torque, rel=1e-9)
-    assert y[-1, OUT["beta"]] == pytest.approx(beta, abs=1e-9)
-    assert np.abs(np.diff(y[-100:, :3], axis=0)).max() < 1e-8
-
-
-def test_without_a_load_it_turns_kv_times_the_voltage():
-    free = {"density": 0.0, "dry_friction": 0.0, "drag": 0.0}
-    _, y, _ = held([(0.0, 0.0), (0.1, 0.4)], 0.0, 4.0, **free)
-    assert y[-1, OUT["omega"]] == pytest.approx(550.0 * 0.4 * 24.0, rel=1e-9)
-    assert y[-1, OUT["current"]] == pytest.approx(0.0, abs=1e-6)
-    _, y, _ = held([(0.0, 0.0), (0.1, 10.0 / 24.0)], 0.0, 4.0, density=0.0)
-    assert y[-1, OUT["current"]] == pytest.approx(1.2, abs=0.01)
-    _, y, _ = held([(0.0, 0.0), (0.1, 0.001)], 0.0, 1.0)
-    assert not y[:, OUT["omega"]].any()  # 0.34 A can't overcome the dry friction
-    assert y[-1, OUT["current"]] == pytest.approx(0.001 * 24.0 / 0.07)
-
-
 def test_the_static_map_is_the_papers_within_a_quarter_of_a_newton():
     w, b, thrust = static_map()
     error = thrust - paper_thrust(w, b)

@@ -9,12 +9,9 @@ from rig_readings import DT, NEWTON_PER_COUNT, Tachometer, run, steps
 from hil.physics.rig_model import library
 from hil.safety.faults import FaultKind, Reaction
 from hil.safety.limits import Limits, limits_of
-from hil.safety.pitch_effect import PitchEffect
 from hil.safety.plausibility import Plausibility, Reading, Thresholds, thresholds_of
 from hil.safety.rotor_bounds import RotorBounds, RotorPhysics
-from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.scales import Scales
-from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.rig import Rig
 
 AT = 1.0
@@ -108,20 +105,6 @@ def test_a_stuck_actuator_is_detected_from_the_thrust(seed):
     assert run(steps(seed), 30.0, stuck_at=AT, seed=seed)[0].kind is FaultKind.STUCK_ACTUATOR
 
 
-def test_the_effect_of_pitch_is_one_share_of_its_thrust():
-    """Commands through the kernel's plant give 1; blades that move by a share of the command give that share."""
-    for share in (1.0, 0.5, 0.0):
-        effect, simulation = PitchEffect(DT), Simulation(plant())
-        simulation.start({"omega_ref": 4000.0, "beta_ref": 5.0 - 4.0 * share})
-        for k in range(5000):
-            move = 4.0 * (1.0 if k // 500 % 2 else -1.0)
-            shown = simulation.advance({"omega_ref": 4000.0, "beta_ref": 5.0 + share * move}, DT)
-            effect.update(shown["thrust"], shown["omega"], 5.0 + move)
-        # The map is slightly curved, so a share of the move is not that share of the thrust.
-        assert effect.effect == pytest.approx(share, abs=0.03 if share == 0.5 else 0.005)
-        assert effect.moved > 1.0
-
-
 def quiet(k):
     """A good reading at rest, tick k."""
     counts = 10 + (k % 3)
@@ -162,18 +145,6 @@ def test_a_motor_has_2_s_to_start_but_none_under_a_wide_throttle(throttle, waits
 def test_each_reading_has_its_fault_and_its_number_of_ticks(change, device, kind, ticks):
     fault, after = first_fault(change)
     assert (fault.device, fault.kind, after) == (device, kind, ticks)
-
-
-@pytest.mark.parametrize("omega", [1500.0, 5000.0])
-def test_a_rotor_that_turns_at_the_first_reading_is_believed(omega):
-    """A rotor that turns at the first reading has no history, so the bounds start at that speed."""
-    checks = Plausibility(Limits(), DT)
-    for k in range(100):
-        turned = omega / 60.0 * k * DT
-        mark = {"pulses": 1 + math.floor(turned), "mark_age": math.fmod(turned, 1.0) * 60.0 / omega}
-        reading = quiet(k)._replace(omega=omega, throttle=omega / 13200.0, **mark)
-        assert checks.check(reading) is None
-        assert checks.speed_trusted
 
 
 def opened(checks, free, slope, throttle_max=1.0):

@@ -167,15 +167,3 @@ def test_permission_that_udev_gives_later_is_waited_for(hand_over):
                     assert raised.value.kind is FaultKind.NOT_READY
         finally:
             os.seteuid(0)
-
-
-def test_an_output_shows_no_pulse_that_the_kernel_would_not_make(tree):
-    esc = channel(tree)
-    esc.open(PERIOD, IDLE)
-    assert tree.duty(0) == pytest.approx(IDLE)
-    for text in ("9999999\n", "", "12x"):  # too long; empty during a rewrite; incomplete
-        esc.duty_file.write_text(text)
-        assert tree.duty(0) == pytest.approx(IDLE)
-    (esc.folder / "enable").write_text("0\n")
-    assert tree.duty(0) is None
-    esc.close()

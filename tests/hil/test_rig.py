@@ -101,17 +101,6 @@ def test_the_operator_ends_a_run_in_order(new_rig):
     assert duties(rig) == IDLE
 
 
-@pytest.mark.parametrize(("lost", "tolerated"), [(6, True), (1000, False)])
-def test_a_late_answer_after_a_break_gets_the_patience_of_a_run(new_rig, lost, tolerated):
-    rig, _ = new_rig()
-    clock, faults = rig.bench.clock, serial_faults(rig)
-    clock.wait_until(clock.now() + 1.0)  # the last answer is as old as the break is long
-    faults["silent"] = lost
-    faults.close()
-    rig.idle(5)
-    assert [fault.kind for fault in rig.states.faults][:1] == ([] if tolerated else [FaultKind.SILENT])
-
-
 def test_in_real_time_the_same_rig_runs_in_a_separate_process():
     bench = real_time_bench(Emulated(seed=1), CALIBRATION)
     log, folder = Rows(COLUMNS), bench.esc.duty_file.parents[3]
