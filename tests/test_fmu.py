@@ -286,6 +286,19 @@ def test_a_state_begins_where_it_is_set(fmus, name):
     assert slave.get(*outputs) == list(simulation.start(inputs).values())
 
 
+def test_gains_are_tuned_while_the_controller_runs(fmus):
+    """From the next sample on, as in the kernel with the new gains."""
+    slave, kernel = Slave(fmus["controller"]), Simulation(CONTROLLER)
+    inputs, names = {"thrust_set": 8.0, "thrust": 7.9}, ["omega_ref", "beta_ref"]
+    kernel.start(inputs)
+    for changes in ({}, {"kp_omega": 2.0, "ki_beta": 10.0}, {"speed_only": 1.0, "beta_fixed": 3.0}, {"omega_max": 2500.0}):
+        slave.set(**changes)
+        kernel.parameters.update(changes)
+        for _ in range(7):
+            assert slave.step(inputs, 0.004, *names) == list(kernel.advance(inputs, 0.004).values())
+    assert slave.get("speed_only", "kp_omega") == [1.0, 2.0]
+
+
 WAYS = {"Exact": BASE, "Sampled": CONTROLLER, "Scheduled": plant(["pitch_delay"])}
 each_way = pytest.mark.parametrize("way", WAYS)
 
