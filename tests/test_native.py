@@ -201,3 +201,13 @@ def test_wrong_lengths_fail_by_name(rows, steps):
     inputs = {"omega_ref": np.full(rows[0], 4000.0), "beta_ref": np.full(rows[1], 5.0)}
     with pytest.raises(SimulationFailed, match="VppPlant"):
         simulator(BASE).simulate({}, inputs, np.full(steps, 0.004))
+
+
+def test_more_step_lengths_than_are_kept_are_the_functions_to_the_bit():
+    steps = np.tile(np.random.default_rng(61).uniform(0.017, 0.033, 1500), 2)
+    inputs, points = random_steps(3001, 62, model=BASE), [{"tau_beta_1": 0.1 + 0.01 * k} for k in range(2 * LANES)]
+    found = Simulator(BASE).simulate_all(points, inputs, steps)
+    for k in (0, LANES):
+        exact = reference(BASE, BASE.values(points[k]), inputs, steps)
+        np.testing.assert_array_equal(Simulator(BASE).simulate(points[k], inputs, steps), exact)
+        np.testing.assert_array_equal(found[:, :, k], exact)

@@ -137,3 +137,13 @@ def test_the_next_process_removes_the_scratch_folder_of_a_killed_one(tmp_path):
     (tmp_path / left.name.replace("scratch", "other")).mkdir()
     Scratch(tmp_path).close()
     assert [Path(name) for name in os.listdir(tmp_path)] == [Path(left.name.replace("scratch", "other"))]
+
+
+def test_a_file_that_the_user_has_changed_is_kept(tmp_path):
+    ran(tmp_path, "diagnose", ONE, parameters_json="1", diagnosis_json="1")
+    (tmp_path / "diagnosis.json").write_text("1, and a remark")
+    run = ran(tmp_path, "diagnose", OTHER, parameters_json="2")
+    assert (run.kept, run.removed) == (("diagnosis.json",), ())
+    assert (tmp_path / "diagnosis.json").exists()
+    again = ran(tmp_path, "diagnose", ONE, parameters_json="3")
+    assert (again.kept, again.removed) == ((), ())

@@ -12,7 +12,7 @@ import time
 import numpy as np
 import pytest
 
-from hil.log import Column, Logged, MemoryLog, ProcessLog, Reader
+from hil.log import Column, Logged, MemoryLog, ProcessLog, Reader, largest
 
 COLUMNS = (Column("time"), Column("exact", exact=True), Column("short"), Column("state", words=("safe", "run")))
 ROWS = [(0.004 * k, math.pi / (k + 1), math.e * k if k % 3 else math.nan, float(k % 2)) for k in range(5000)]
@@ -143,3 +143,15 @@ def test_a_writer_that_died_is_reported(tmp_path):
     assert done.rows == 0
     assert done.lost == len(ROWS)
     assert "died" in done.failure
+
+
+def test_no_log_is_larger_than_its_bound(tmp_path):
+    """Digits as random as they can be, in every kind of column."""
+    rng = np.random.default_rng(0)
+    for name in ("run.csv", "run.csv.gz"):
+        log = MemoryLog(tmp_path / name, COLUMNS)
+        for k in range(20_000):
+            log.put(0.004 * k, *(-rng.standard_normal(2) * 10.0 ** rng.integers(-9, 9)), 1.0)
+        log.close()
+        bound = largest(tmp_path / name, COLUMNS, 20_000)
+        assert 0.5 * bound < (tmp_path / name).stat().st_size <= bound

@@ -1,3 +1,4 @@
+import contextlib
 import math
 import os
 import tempfile
@@ -167,3 +168,17 @@ def test_permission_that_udev_gives_later_is_waited_for(hand_over):
                     assert raised.value.kind is FaultKind.NOT_READY
         finally:
             os.seteuid(0)
+
+
+def test_an_inverted_output_is_set_right_while_it_is_disabled(tree):
+    with contextlib.closing(channel(tree)) as esc:
+        esc.open(PERIOD, IDLE)
+    (tree.chip / "pwm0" / "polarity").write_text("inversed\n")
+    esc = channel(tree)
+    with pytest.raises(DeviceFault, match="busy") as raised:  # impossible while it runs
+        esc.open(PERIOD, IDLE)
+    assert raised.value.kind is FaultKind.NOT_READY
+    (tree.chip / "pwm0" / "enable").write_text("0\n")
+    esc.open(PERIOD, IDLE)
+    assert shown(tree)[2:] == ["1", "normal"]
+    esc.close()

@@ -274,3 +274,11 @@ def test_opening_the_pty_again_resets_the_board(terminal):
         assert 3 < pulses <= (time.monotonic() - opened) / 0.015 + 1  # none from before it was opened
         tachometer.close()
         within(5.0, lambda: not line._open)
+
+
+def test_a_line_full_of_garbage_costs_a_tick_no_more_than_512_bytes(loop):
+    loop.tick()
+    loop.line._say(bytes(100_000))
+    before = loop.tachometer._reader.received
+    loop.tachometer.poll()
+    assert loop.tachometer._reader.received - before == 512
