@@ -31,7 +31,7 @@ SHARED = (
 
 LONGEST_FIRST = (
     *("real time", "long run", "test_diagnose", "test_answers", "test_readme", "test_paper", "test_api", "test_blind_study"),
-    *("test_notebooks", "test_day", "test_own_rig", "test_check", "test_learned", "test_rounding", "test_hil_campaign"),
+    *("test_day", "test_own_rig", "test_check", "test_learned", "test_rounding", "test_hil_campaign"),
     "test_learned_terms",
 )
 """Groups that take longest. They start first, so that none of them is still running when all others are done."""
