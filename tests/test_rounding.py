@@ -88,10 +88,10 @@ def test_a_fit_closes_in_on_the_step_and_says_how_well_it_is_known(pitch):
     assert low <= fit.values[name] <= high
 
 
-@pytest.mark.parametrize(("name", "least", "most"), [(PITCH, 0.25, 1.0)])
-def test_the_step_of_a_command_is_named(name, least, most):
-    rng = np.random.default_rng(11)
-    step = float(np.exp(rng.uniform(*np.log([least, most]))))
+def test_the_step_of_a_command_is_named():
+    """Of speed; the tests above search that of pitch."""
+    name, rng = SPEED, np.random.default_rng(11)
+    step = float(np.exp(rng.uniform(*np.log([10.0, 100.0]))))
     told, other = commands(rng, 20.0), commands(rng, 8.0)
     records = [
         replace(measured(r, rng, **{name: step}), source=f"{n}.csv")
