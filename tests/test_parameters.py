@@ -200,3 +200,20 @@ def test_a_switch_must_be_0_or_1(tmp_path, value):
     path.write_text(json.dumps(content))
     with pytest.raises(BadInput, match=f"speed_only, value: found {value}, expected 0 or 1"):
         read_parameters(path, controller)
+
+
+@pytest.mark.parametrize(
+    ("unit", "shown", "factor"),
+    [
+        ("s", "ms", 1e3),
+        ("rpm", "rad/s", np.pi / 30.0),
+        ("rad/s", "rpm", 30.0 / np.pi),
+        ("deg", "rad", np.pi / 180.0),
+        ("rad", "deg", 180.0 / np.pi),
+        ("N", "gf", 1e3 / 9.80665),
+        ("N", "kgf", 1.0 / 9.80665),
+    ],
+)
+def test_display_units_have_their_factors(unit, shown, factor):
+    """FMI 2.0, section 2.2.2: display value = factor * value in the unit."""
+    assert float(display_units(unit)[shown]["factor"]) == pytest.approx(factor, rel=1e-14)
