@@ -14,7 +14,7 @@ from vpp_fmu.kernel.plant import FINE_TUNED, LIBRARY, plant
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.kernel.types import BOOLEAN, REAL
 from vpp_fmu.parameters import Estimate, ParameterSet, read_parameters, to_json, to_ssv
-from vpp_fmu.units import base_unit
+from vpp_fmu.units import base_unit, display_units
 
 SSV = "{http://ssp-standard.org/SSP1/SystemStructureParameterValues}"
 SSC = "{http://ssp-standard.org/SSP1/SystemStructureCommon}"
