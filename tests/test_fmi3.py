@@ -163,9 +163,3 @@ def test_the_command_exports_fmi_3_in_the_native_flavour_alone(tmp_path, refused
     ):
         assert words in refused("export", *options, "-o", tmp_path / "none")
         assert not Path(tmp_path / "none").exists()
-
-
-def test_a_model_of_ones_own_is_tried_as_fmi_3_too(tmp_path):
-    command = ["export", "--model", "fmu_src.two_masses:MODEL", "--flavour", "native", "--fmi", "3.0", "-o", str(tmp_path)]
-    assert main(command) == 0
-    assert (tmp_path / "TwoMasses.fmi3.fmu").exists()

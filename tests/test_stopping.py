@@ -6,9 +6,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
-import time
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -142,15 +139,6 @@ def test_the_command_reports_a_signal_in_one_line_and_the_exit_code(monkeypatch,
     assert capsys.readouterr().err.splitlines() == [told("vpp identify", signal.SIGTERM)]
 
 
-def test_an_ignored_signal_stays_ignored():
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
-    try:
-        with stoppable("vpp test"):
-            signal.raise_signal(signal.SIGHUP)
-    finally:
-        signal.signal(signal.SIGHUP, before)
-
-
 def test_a_signal_waits_for_an_unbroken_section():
     done = []
 
@@ -185,41 +173,6 @@ def test_a_signal_within_an_fmus_own_python_is_no_error_of_its_model(fmu_files):
     fmu.close()
 
 
-def test_another_thread_leaves_the_signal_handlers_alone():
-    found = []
-
-    def elsewhere():
-        with stoppable("vpp test"), unbroken():
-            found.append(signal.getsignal(signal.SIGTERM))
-
-    thread = threading.Thread(target=elsewhere)
-    thread.start()
-    thread.join()
-    assert found == [signal.getsignal(signal.SIGTERM)]
-
-
-@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="Windows has no signal masks")
-def test_a_signal_waits_until_a_worker_is_started(monkeypatch):
-    own, done = ProcessPoolExecutor.submit, []
-
-    def interrupted(*arguments):
-        os.kill(os.getpid(), signal.SIGTERM)  # this thread is deaf to it, the one that watches is not
-        time.sleep(0.1)
-        done.append("whole")
-        return own(*arguments)
-
-    monkeypatch.setattr(ProcessPoolExecutor, "submit", interrupted)
-    with pytest.raises(Stopped), stoppable("vpp test"):
-        spread(float, ["1.0", "2.0"], workers=2)
-    assert done == ["whole", "whole"]
-
-
 def test_a_dead_worker_is_reported():
     with pytest.raises(WorkerLost, match="test: one of 2 processes has died"):
         spread(os._exit, [1, 1], workers=2, what="test")
-
-
-def test_an_exception_of_a_worker_is_raised_here():
-    with pytest.raises(ValueError, match="no number"):
-        spread(float, ["1.0", "no number"], workers=2)
-    assert spread(float, ["1.0", "2.0"], workers=2) == [1.0, 2.0]

@@ -6,11 +6,7 @@ A study prints its results beside its aims. NAME is one of the modules of this f
 import argparse
 from importlib import import_module
 
-STUDIES = (
-    *("adaptive", "api", "commands", "days", "degenerate", "diagnosis", "energy", "exits", "fleet", "fmus", "fuzz", "gate"),
-    *("identification", "imports", "learned", "loggers", "long", "measured", "mutations", "paper", "policy", "power"),
-    *("power_residual", "readings", "refusals", "rigs", "rules", "size", "tuning", "twin"),
-)
+STUDIES = (*("adaptive", "days", "diagnosis", "fuzz", "identification", "learned", "loggers", "paper", "size", "twin"),)
 
 
 def main():
