@@ -1,4 +1,5 @@
-# make demo: the whole job on the example campaign. make test: lint, layers, types, tests. make docs: the site. All set themselves up.
+# make demo: the whole job on the example campaign. make test: lint, layers, types, tests; make study: the slow tests, too.
+# make docs: the site. All set themselves up.
 PYTHON ?= python3
 LOWEST_PYTHON ?= python3.10
 BIN := .venv/bin
@@ -28,6 +29,7 @@ bench: .venv/ready
 
 study: .venv/ready
 	$(BIN)/python -m tests.studies identification --workers 2
+	$(BIN)/pytest -n 2 --dist loadgroup -m slow
 
 interop: .venv/ready
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[interop]'

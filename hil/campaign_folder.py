@@ -22,10 +22,10 @@ from hil.runs import ENDED, ENDED_EARLY, RUNNING
 from hil.safety.limits import Limits
 from hil.session import Session, Setup, found_log, read_log, session
 from vpp_fmu.date import now
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, RecordWarning
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.parquet import as_parquet
-from vpp_fmu.record import Record, RecordWarning, read_record, write_record
+from vpp_fmu.record import Record, read_record, write_record
 from vpp_fmu.structured import as_json, read_object
 
 PARTIAL = ".partial.csv"

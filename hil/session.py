@@ -40,9 +40,10 @@ from hil.timing import Timing, timing
 from hil.twin.adaptive import Adaptive
 from hil.twin.twin import Twin
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import read_table, write_whole
+from vpp_fmu.files import write_whole
 from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig as Ranges
+from vpp_fmu.table import read_table
 
 REPORT = "supervisor.log"
 _PACKAGES = ("vpp-fmu", "numpy", "fmpy", "pyserial", "smbus2")

@@ -6,7 +6,6 @@ from math import isclose
 
 import numpy as np
 
-from identification.assessment.bootstrap import Bootstrap, bootstrap
 from identification.assessment.model_error import ModelError, model_error
 from identification.assessment.pairs import forms, slow_first
 from identification.assessment.prediction import Prediction, band, predict, summaries
@@ -45,7 +44,7 @@ class Identification:
     fitted records; the other predictions are of hold-out records. `logger`: the logger for which the records are corrected.
     `bands`: standard deviation (rows,) N of a predicted reading, from parameters and noise, by record. `tests`: of the thrust
     residual of the first fitted record. `noise`: of one thrust reading, None if it cannot be estimated. `quality`: findings of
-    the gate in the files and in the fit. `bootstrap`: None if not requested. `power`: None without torque and power.
+    the gate in the files and in the fit. `power`: None without torque and power.
     """
 
     campaign: Campaign
@@ -63,7 +62,6 @@ class Identification:
     noise: ReadingNoise | None
     quality: tuple[Finding, ...]
     logger: Logger
-    bootstrap: Bootstrap | None = None
     power: PowerFit | None = None
 
     @property
@@ -106,7 +104,6 @@ class Identification:
             "not_identifiable": dict(self.not_identifiable),
             **self._search(),
             "time_constants": forms(uncertainty),
-            "bootstrap": self.bootstrap and self.bootstrap.summary(),
             "residual_tests": self.tests and {"share_of_lags_outside_95_percent_band": self.tests.outside},
             "prediction_band_coverage": self.coverage,
             **(self.noise.summary() if self.noise else {"noise_floor_thrust": None}),
@@ -142,9 +139,6 @@ def identify(
     method: str = "levenberg-marquardt",
     starts: int = 8,
     seed: int = 0,
-    resamples: int = 0,
-    workers: int = 1,
-    scheduler: str | None = None,
     records: Mapping[str, Record] | None = None,
     accept: Iterable[str] = (),
     stage: Callable[[str], None] = lambda text: None,
@@ -154,10 +148,9 @@ def identify(
 
     The open-loop record, its repeat and further `records`, by name, are fitted together; without any, the validation record.
     Files may be missing: without any record, the result is that of map and steps alone. Without means of steady points, these
-    are computed from the raw samples. `accept`: codes of findings of the quality gate that do not count as errors. `resamples`:
-    of the block bootstrap, on `workers` processes or a Dask `scheduler`. `stage` is called with the name of each stage. `gate`:
-    the result of the quality gate, if it has run already. Other options as in `refine`. BadInput if no parameter is
-    identifiable, and for findings of the gate.
+    are computed from the raw samples. `accept`: codes of findings of the quality gate that do not count as errors. `stage` is
+    called with the name of each stage. `gate`: the result of the quality gate, if it has run already. Other options as in
+    `refine`. BadInput if no parameter is identifiable, and for findings of the gate.
     """
     if gate is None:
         stage("quality")
@@ -194,7 +187,6 @@ def identify(
     first = predictions[next(iter(fitted))]
     noise = reading_noise([predictions[name] for name in fitted], points, found.values)
     source = {**_source(campaign), "record_seconds": float(first.record.time[-1]), "logger": gate.logger.summary()}
-    drawn = bootstrap(found, resamples, seed, workers, scheduler) if resamples else None
     quality = (*gate.findings, *of_fit(found, predictions, tuple(fitted), noise, campaign.rig))
     found = replace(found, solution=found.solution.slim())  # without arrays as long as the records
     uncertainty = with_steps(found.uncertainty, found.values, steps)
@@ -218,7 +210,6 @@ def identify(
         noise=noise,
         quality=quality,
         logger=gate.logger,
-        bootstrap=drawn,
     )
     return with_power(result)
 

@@ -31,7 +31,7 @@ SHARED = (
 
 LONGEST_FIRST = (
     *("real time", "long run", "test_diagnose", "test_answers", "test_readme", "test_paper", "test_api", "test_blind_study"),
-    *("test_notebooks", "test_day", "test_own_rig", "test_check", "test_learned", "test_rounding", "test_hil_campaign"),
+    *("test_day", "test_own_rig", "test_check", "test_learned", "test_rounding", "test_hil_campaign"),
     "test_learned_terms",
 )
 """Groups that take longest. They start first, so that none of them is still running when all others are done."""
@@ -208,7 +208,10 @@ def no_compiler(monkeypatch):
 def pytest_terminal_summary(terminalreporter):
     """Print in one line which tests were not run, and why."""
     reasons = {report.longrepr[2].removeprefix("Skipped: ") for report in terminalreporter.stats.get("skipped", ())}
-    drawn = ["two thirds of the effects and of the rigs in tests of each (a file that runs alone tries all)"]
+    drawn = [
+        "two thirds of the effects and of the rigs in tests of each (a file that runs alone tries all)",
+        "slow tests (make study)",
+    ]
     side_by_side = bool(terminalreporter.config.getoption("numprocesses", None))
     terminalreporter.write_line(f"not run: {'; '.join([*sorted(reasons), *drawn * side_by_side]) or 'nothing'}")
 

@@ -2,25 +2,21 @@
 
 import numpy as np
 import pytest
-from builders import ALL_ON, OPTIONAL, PROBES, TWO_DELAYS, named, random_steps, simulator
+from builders import OPTIONAL, named, random_steps, simulator
 
 from identification.demo import example_folder
 from identification.fit.adjoint import AdjointProblem
 from identification.fit.problem import Prior, Problem
-from identification.fit.refine import BASE_PARAMETERS, METHODS, independent_readings, refine
+from identification.fit.refine import BASE_PARAMETERS, independent_readings
 from identification.static.static_map import fit_static_map
 from vpp_fmu.campaign import read_campaign
-from vpp_fmu.errors import CompilerMissing, SimulationFailed
+from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import AVERAGED, BASE, plant
 from vpp_fmu.kernel.types import Effect, Model, Parameter, Signal, State
 from vpp_fmu.native import Adjoint
-from vpp_fmu.record import Record
-from vpp_fmu.tracer import c_source, trace
-from vpp_fmu.tracer.adjoints import c_adjoints
 from vpp_fmu.tracer.graph import CALLS
 
-PITCH, SPEED = "pitch_delay.delay", "test_speed_delay.delay"
 ROWS = 3000
 UNEVEN = np.random.default_rng(4).choice([1e-4, 0.0013, 0.004, 0.0047, 0.031], ROWS - 1)
 
@@ -50,24 +46,6 @@ EACH = {"plain": (BASE, {})} | {e.name: (plant([e.name]), named(e, e.probe)) for
 def test_gradient_is_the_tangents_for_each_effect(model, step):
     model, values = EACH[model]
     is_the_tangents(model, values, random_steps(ROWS, 150, model=model), np.full(ROWS - 1, step))
-
-
-@pytest.mark.parametrize("delay", [0.0, 0.004, 0.04, 0.0413, 0.3])
-@pytest.mark.parametrize("hold", [1, 150])
-def test_gradient_in_a_delay_on_and_off_the_grid(delay, hold):
-    inputs, steps = random_steps(ROWS, hold), np.full(ROWS - 1, 0.004)
-    is_the_tangents(plant(["pitch_delay"]), {PITCH: delay}, inputs, steps)
-    is_the_tangents(TWO_DELAYS, {PITCH: delay, SPEED: 0.0413}, inputs, steps)
-
-
-@pytest.mark.parametrize(
-    ("model", "values", "every"),
-    [(ALL_ON, PROBES, 5), (TWO_DELAYS, {PITCH: 0.0413, SPEED: 0.0087}, 1)],
-    ids=["all on", "two delays"],
-)
-def test_gradient_at_uneven_steps(model, values, every):
-    """With all effects, only each fifth parameter: all tangents at once take most of a minute to compile."""
-    is_the_tangents(model, values, random_steps(ROWS, 60, model=model), UNEVEN, every)
 
 
 @pytest.mark.parametrize("step", [0.0013, 0.004, 0.0091])
@@ -108,45 +86,9 @@ def test_gradient_of_every_operation_is_the_central_difference():
         assert shown == pytest.approx(np.sum(weights * numeric), rel=1e-8)
 
 
-def test_a_tape_can_be_pulled_back_repeatedly_and_grows_linearly_with_rows():
-    adjoint, steps = Adjoint(ALL_ON), np.full(2 * ROWS, 0.004)
-    inputs = random_steps(2 * ROWS + 1, 150, model=ALL_ON)
-    tape = adjoint.record(PROBES, inputs, steps)
-    ones, twos = (tape.pull_back(np.full((2 * ROWS + 1, 3), weight)) for weight in (1.0, 2.0))
-    np.testing.assert_array_equal(tape.pull_back(1.0), ones)
-    np.testing.assert_allclose(twos, 2.0 * ones, rtol=1e-14)
-    half = Adjoint(ALL_ON).record(PROBES, {name: column[: ROWS + 1] for name, column in inputs.items()}, steps[:ROWS])
-    assert tape._entries.size == pytest.approx(2 * half._entries.size, rel=0.05)
-
-
-def operations(text, name):
-    """Number of statements of a C function."""
-    return text.split(f" {name}(")[1].split("\n}\n")[0].count(";")
-
-
-@pytest.mark.parametrize("model", [BASE, ALL_ON])
-def test_the_cost_of_the_gradient_does_not_depend_on_the_number_of_parameters(model):
-    """Forward and back costs a few times the step itself (theory: at most five). Tangents cost that for a few parameters."""
-    names = [p.name for p in model.parameters]
-    plain, back = c_source(trace(model)), c_adjoints(trace(model))
-    once = operations(plain, "step")
-    both = once + operations(back, "step_back")
-    assert both < 5 * once
-    assert operations(plain, "prepare") + operations(back, "prepare_back") < 5 * operations(plain, "prepare")
-    # A plain plant has few parameters, and each moves few of its states.
-    assert model is BASE or both < operations(c_source(trace(model, names)), "step") / 2
-
-
 def test_without_a_compiler_the_adjoint_is_refused(no_compiler):
     with pytest.raises(CompilerMissing, match="adjoint"):
         Adjoint(BASE)
-
-
-def test_wrong_names_and_lengths_are_refused():
-    with pytest.raises(KeyError, match="c99"):
-        Adjoint(BASE, ["c99"])
-    with pytest.raises(SimulationFailed, match="steps: found 8, expected 9"):
-        Adjoint(BASE).record({}, random_steps(10, 2), np.full(8, 0.004))
 
 
 @pytest.fixture(scope="module")
@@ -187,19 +129,3 @@ def test_the_adjoint_fit_has_the_minimum_of_levenberg_marquardt(campaign):
     spread = np.sqrt(np.diag(np.linalg.inv(wanted.jacobian.T @ wanted.jacobian) * wanted.cost / len(record)))
     assert (np.abs(found.value - wanted.value) < 0.02 * spread).all()
     np.testing.assert_allclose(found.jacobian, wanted.jacobian, atol=1e-3 * np.abs(wanted.jacobian).max())
-
-
-def test_refine_accepts_the_adjoint_method():
-    """A plant with a pitch delay, which the adjoint must move too."""
-    model, truth = plant(["pitch_delay"]), {PITCH: 0.0331, "tau_beta_1": 0.3, "tau_beta_2": 0.15, "c11": 0.1}
-    inputs, steps = random_steps(5001, 250, model=model), np.full(5000, 0.004)
-    thrust = simulator(model).simulate(truth, inputs, steps)[:, 0] + np.random.default_rng(6).normal(0.0, 0.1, 5001)
-    record = Record({"time": np.arange(5001) * 0.004, **inputs, "thrust": thrust}, "made up")
-    names, start = (*BASE_PARAMETERS, PITCH), {PITCH: 0.0213, "tau_beta_1": 0.25, "tau_beta_2": 0.17}
-    found, wanted = (refine(model, [record], start, names, method=method) for method in ("adjoint", METHODS[0]))
-    assert found.method == "adjoint"
-    assert found.names == names
-    for name, value in zip(names, (model.values(truth)[name] for name in names), strict=True):
-        assert found.values[name] == pytest.approx(wanted.values[name], abs=0.05 * wanted.std[name])
-        assert found.values[name] == pytest.approx(value, abs=4.5 * wanted.std[name])
-    assert found.std == pytest.approx(wanted.std, rel=0.02)

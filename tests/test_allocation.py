@@ -8,7 +8,6 @@ import subprocess
 import fmpy
 import numpy as np
 import pytest
-from studies.power import draw
 
 from identification.assessment.prediction import predict
 from identification.power.allocation import allocate
@@ -66,33 +65,6 @@ def test_the_best_pitch_is_that_of_the_closed_form_within_the_limits_of_speed():
     assert np.all(found.power <= np.where(np.isfinite(found.fixed), found.fixed, np.inf) * (1.0 + 1e-6))
 
 
-def test_the_power_terms_are_selected_and_their_errors_match_the_scatter():
-    fits = [model(points(noise=3.0, seed=k)) for k in range(60)]
-    own = [f for f in fits if f.names == ("power_map.p30", "power_map.p32")]
-    assert len(own) > 0.7 * len(fits)  # a spurious term passes the BIC with probability 0.04 each, by chance
-    at = 5000.0, 3.0
-    w, b = 5000.0 / 6000.0, 8.0 / 15.0
-    errors = [(float(f.at(*at)) - P30 * w**3 - P32 * w**3 * b**2) / float(f.std(*at)) for f in own]
-    assert np.std(errors) == pytest.approx(1.0, abs=3.0 / np.sqrt(2.0 * len(own)))
-
-
-def test_the_uncertainty_of_the_least_power_is_the_scatter_of_repeated_measurements():
-    """The uncertainty is that of the envelope theorem; here maps with independent noise have their own best pairs."""
-    least = [allocate(pitch_only(), model(points(3.0, k)), count=5) for k in range(25)]
-    spread = np.std([f.power for f in least], axis=0, ddof=1)
-    told = np.mean([f.power_std for f in least], axis=0)
-    assert np.all(np.abs(np.log(spread / told)) < np.log(2.0))  # 25 draws: 15 % of one standard error
-
-
-def test_a_weight_trades_power_for_thrust_reserve():
-    """Where power hardly grows with pitch, the least power is at the greatest pitch, where pitch has no reserve of thrust."""
-    power = model(points(power=lambda w, b: P30 * w**3 * (1.0 + b**2)))
-    frugal, agile = (allocate(pitch_only(), power, weight) for weight in (0.0, 0.7))
-    assert np.all(agile.power >= frugal.power * (1.0 - 1e-9))
-    assert np.all(agile.reserve >= frugal.reserve - 1e-9)
-    assert np.max(agile.reserve - frugal.reserve) > 1.0
-
-
 FULL = 6000.0 * 2.0 * np.pi / 60.0
 """rad/s at w = 1."""
 
@@ -110,35 +82,6 @@ def test_torque_alone_is_power_of_the_shaft():
     assert float(shaft.at(3000.0, 2.5)) == pytest.approx(P30 / 8.0 + P32 / 8.0 * 0.25)
 
 
-def test_a_fixed_pitch_has_a_map_of_speed():
-    every = points()
-    rows = np.flatnonzero(every.beta_ref == every.beta_ref[0])
-    fixed = {
-        n: np.tile(getattr(every, n)[rows], 2) for n in ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")
-    }
-    found = fitted(StaticMap(**fixed, source="static.csv", further={"power": 60.0 * (fixed["omega"] / 6000.0) ** 3}))
-    assert found.names == ("power_map.p30",)
-    assert found.values == pytest.approx([60.0])
-
-
-@pytest.mark.parametrize("broken", [[], {"parameters": {"power_map.p30": {}}, "covariance": [[1.0, 2.0]]}, {"parameters": 3}])
-def test_an_invalid_covariance_is_refused(tmp_path, broken):
-    found = fitted(points(noise=3.0))
-    plant_of = found.added_to(pitch_only())
-    path = tmp_path / "identification.json"
-    path.write_text(json.dumps({"power": found.summary()}))
-    np.testing.assert_allclose(PowerModel.of(plant_of, path).covariance, found.covariance)
-    path.write_text(json.dumps({"power": broken}))
-    with pytest.raises(BadInput, match="covariance"):
-        PowerModel.of(plant_of, path)
-
-
-def test_volts_times_amperes_are_electrical_power():
-    found = fitted(points(voltage=lambda w, b: 600.0 + 0.0 * w, current=lambda w, b: w**3))
-    assert (found.effects, found.names) == (("power_map",), ("power_map.p30",))
-    assert found.values == pytest.approx([600.0])
-
-
 FRICTION, LOSS, IDLE = 0.004, 90.0, 3.0
 """The paper's eqs. 3 and 4 at rest: Q_m omega + R i^2 with k i = Q_m, and the ESC."""
 
@@ -153,10 +96,28 @@ def test_the_motor_is_found_with_the_error_of_the_cramer_rao_bound():
     exact = fitted(points(torque=torque, power=electrical))
     assert exact.effects == ("torque_map", "motor")
     assert exact.values[-3:] == pytest.approx([FRICTION, LOSS, IDLE], rel=1e-5)
-    own = [d for d in map(draw, range(100)) if d.chosen]
-    ratio = np.sqrt(np.mean([(d.errors / d.bound) ** 2 for d in own], axis=0))
-    assert ratio == pytest.approx(1.0, abs=4.0 / np.sqrt(2.0 * len(own)))
-    assert np.mean([d.covered for d in own]) == pytest.approx(0.95, abs=4.0 * np.sqrt(0.95 * 0.05 / (6 * len(own))))
+    grid = points()
+    w, b = grid.omega / 6000.0, (grid.beta_ref + 5.0) / 15.0
+    truth = np.array([P30 / FULL, P32 / FULL, FRICTION, LOSS, IDLE])
+    noise = [0.01 * float(of(w, b).mean()) for of in (torque, electrical)]
+    terms, driven = np.column_stack([w**2, w**2 * b**2]), (torque(w, b) + FRICTION)[:, None]
+    slope = FULL * w[:, None] + 2.0 * LOSS * driven
+    rows = np.hstack([terms, np.zeros((len(w), 3))]), np.hstack([slope * terms, slope, driven**2, np.ones((len(w), 1))])
+    information = sum(r.T @ r / s**2 for r, s in zip(rows, noise, strict=True))
+    bound, ratios, covered = np.sqrt(np.diag(np.linalg.inv(information))), [], []
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        read = [
+            lambda w, b, of=of, s=s, rng=rng: of(w, b) + s * rng.standard_normal(len(w))
+            for of, s in zip((torque, electrical), noise, strict=True)
+        ]
+        found = fitted(points(torque=read[0], power=read[1]))
+        if found.names == exact.names:
+            ratios.append((found.values - truth) / bound)
+            covered.append(np.abs(found.values - truth) < 1.96 * np.sqrt(np.diag(found.covariance)))
+    assert len(ratios) > 70  # a spurious term passes the BIC by chance
+    assert np.sqrt(np.mean(np.square(ratios), axis=0)) == pytest.approx(1.0, abs=4.0 / np.sqrt(2.0 * len(ratios)))
+    assert np.mean(covered) == pytest.approx(0.95, abs=4.0 * np.sqrt(0.95 * 0.05 / (5 * len(covered))))
 
 
 def test_the_plant_with_torque_and_power_has_the_thrust_of_the_plant_without_to_the_bit():
@@ -325,13 +286,3 @@ def test_the_figure_of_merit_is_ideal_over_real_power_of_a_declared_rotor(tmp_pa
         shown = Simulator(found.model).simulate(found.values, commands, np.array([0.01]))[0]
         assert shown[names.index("figure_of_merit")] == pytest.approx(0.6, rel=0.03)  # the map of torque is a polynomial
         assert main(["allocate", "--parameters", str(tmp_path / "out"), "--points", "5", "-o", str(tmp_path / "pairs")]) == 0
-
-
-def test_torque_of_a_rotor_better_than_an_ideal_one_is_not_used(tmp_path, printed, refused):
-    folder = OutputFolder(tmp_path / "campaign")
-    write_static(folder, points(torque=hovering(1.4)))
-    folder.write("rig.json", json.dumps({"format": "vpp-rig/1", "rotor": {"diameter": 0.28}}))
-    assert "figure of merit" in printed("identify", tmp_path / "campaign", "-o", tmp_path / "out")
-    assert "torque" not in {y.name for y in read_parameters(tmp_path / "out" / "parameters.json", plant).model.outputs}
-    folder.write("rig.json", json.dumps({"format": "vpp-rig/1", "rotor": {"air_density": 1.2}}))
-    assert "rotor, diameter" in refused("identify", tmp_path / "campaign", "-o", tmp_path / "other")

@@ -1,15 +1,11 @@
 """The command line: loops, comparisons, misspelt words, progress, and the sentences about steps."""
 
-import io
 import json
-import re
-import sys
 
 import numpy as np
 import pytest
 
 from vpp_fmu.app.cli import VERBS, cosim, main, parser_of
-from vpp_fmu.app.cli.output import stages
 from vpp_fmu.record import Record, read_record
 from vpp_fmu.response import steps
 
@@ -32,14 +28,6 @@ def test_help_of_every_verb_has_an_example(verb, capsys):
         main([verb, "--help"])
     assert left.value.code == 0
     assert f"vpp {verb}" in capsys.readouterr().out.split("example:")[1]
-
-
-def test_swapped_plant_and_controller_are_refused_in_one_line(exported, tmp_path, refused):
-    (tmp_path / "profile.csv").write_text("time,thrust_set\n0,1.5\n0.1,1.5\n")
-    swapped = exported / "VppController.fmu", exported / "VppPlant.fmu"
-    said = refused("cosim", *swapped, "--profile", tmp_path / "profile.csv", "-o", tmp_path)
-    for word in ("VppController.fmu", "omega_ref", "found", "expected"):
-        assert word in said
 
 
 def test_cosim_writes_the_paper_s_step(exported, tmp_path, printed):
@@ -84,22 +72,6 @@ def test_a_misspelt_word_is_refused_with_the_nearest_one(words, meant, refused):
     assert meant in refused(*words)
 
 
-def test_a_misspelt_column_is_refused_with_the_nearest_one(tmp_path, refused):
-    (tmp_path / "log.csv").write_text("time_s,Thrust (N)\n0,1\n1,2\n")
-    log = "import", "csv", tmp_path / "log.csv", "-o", tmp_path
-    assert "no such column, expected Thrust (N)" in refused(*log, "--map", "thrust=Trust")
-    assert "Did you mean thrust or thrust_std?" in refused(*log, "--map", "trust=Thrust (N)")
-    (tmp_path / "step.csv").write_text("time,thrst_set\n0,1\n1,2\n")
-    said = refused("hil", "run", "--virtual", "--profile", tmp_path / "step.csv", "-o", tmp_path)
-    assert "separated by commas. Did you mean thrst_set?" in said
-
-
-def test_abbreviated_options_are_refused(refused):
-    """--para would be --parameters today, and another option once there is one that begins alike."""
-    for words in (["plan", "--para", "out"], ["identify", "mine", "--boot", "5"], ["hil", "run", "--prof", "x"]):
-        assert "unrecognized arguments" in refused(*words)
-
-
 @pytest.mark.parametrize("verb", ["tune", "export", "plan", "simulate", "diagnose", "twin", "hil run", "hil campaign"])
 def test_a_folder_of_parameters_stands_for_its_parameters_json(verb, tmp_path):
     (tmp_path / "parameters.json").touch()
@@ -107,27 +79,6 @@ def test_a_folder_of_parameters_stands_for_its_parameters_json(verb, tmp_path):
     verb, *what = verb.split()
     options = parser_of(verb)[0].parse_args([*what, *more, "--parameters", str(tmp_path)])
     assert options.parameters == str(tmp_path / "parameters.json")
-
-
-def test_each_stage_is_a_line_if_standard_error_is_a_pipe(capsys):
-    with stages("vpp diagnose") as stage:
-        stage("identify")
-        stage("noise")
-    assert [line.rpartition(" (")[0] for line in capsys.readouterr().err.splitlines()] == [
-        "vpp diagnose: identify",
-        "vpp diagnose: noise",
-    ]
-
-
-def test_a_terminal_shows_the_progress_and_the_best_candidate_of_a_search(monkeypatch):
-    screen = io.StringIO()
-    screen.isatty = lambda: True
-    monkeypatch.setattr(sys, "stderr", screen)
-    with stages("vpp diagnose") as stage:
-        stage("try 51 candidates")
-        for k in range(1, 18):
-            stage.progress(k, 51, "pitch_backlash (1)")
-    assert re.search(r"try 51 candidates: 17/51, \S+ left, best so far: pitch_backlash \(1\)", screen.getvalue())
 
 
 LIMITS = {"omega_ref": (0.0, 5573.0), "beta_ref": (0.5, 13.6)}
@@ -159,10 +110,3 @@ def test_a_set_point_out_of_reach_is_reported_with_the_thrust_reached(omega, thr
     """Out of reach: both commands on a limit, and the thrust at rest beside the set-point."""
     (step,) = steps(stepped(lambda time: omega, lambda time: 13.6, thrust), limits=LIMITS)
     assert cosim.sentence(step).startswith(f"The step from 2 to 12 N at 2 s{said}")
-
-
-def test_a_step_not_settled_before_the_next_one_is_reported():
-    run = stepped(lambda time: 5000.0, lambda time: 13.6, rises_to(11.2, 0.3))
-    wanted = np.where(run.time < 8.0, run["thrust_set"], 3.0)
-    first, _ = steps(run.with_columns(thrust_set=wanted), limits=LIMITS)
-    assert "has not settled before the next" in cosim.sentence(first)

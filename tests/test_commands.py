@@ -1,37 +1,172 @@
 """Commands stay within the range and the slews of any rig; and the declarations of a rig.json."""
 
 import json
-from dataclasses import replace
-from itertools import pairwise
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from math import inf, isfinite
 
 import numpy as np
 import pytest
-from studies.commands import Count, study
 
+from hil.campaign import steep
+from hil.commands import grid as campaign_grid
+from hil.commands import open_loop, steps, validation
+from hil.cycle import PERIOD
+from hil.safety.limits import Limiter, limits_of
 from identification.diagnose.experiment import discriminating_experiment
+from identification.plan.excitation import candidate, paper_plan, variant
+from identification.plan.plan import plan
 from identification.thrust_steps import step_profile
 from vpp_fmu.commands import commanded, idle
 from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.record import Record
-from vpp_fmu.rig import DECLARED, Rig, declared_rig, infer_rig, read_rig, rig_of, rounded, rounded_up
+from vpp_fmu.rig import DECLARED, Rig, declared_rig, infer_rig, read_rig
+
+ROUNDING = 1e-9
+"""Relative rounding error that is allowed for a sum of floating-point numbers."""
+
+
+@dataclass
+class Count:
+    """Numbers of commands checked, outside their range, and steeper than their slew, each by the commands' source. A command is
+    one row of one channel; ranges and slews are checked independently of the code that makes the commands."""
+
+    checked: Counter = field(default_factory=Counter)
+    outside: Counter = field(default_factory=Counter)
+    steeper: Counter = field(default_factory=Counter)
+
+    def add(self, name: str, rig: Rig, commands: np.ndarray, step: float = inf) -> None:
+        """Check commands (rows, 2) of speed [rpm] and pitch [deg], every `step` s; infinite: they are not consecutive."""
+        channels = zip(commands.T, (rig.speed, rig.pitch), (rig.speed_slew, rig.pitch_slew), strict=True)
+        for column, (low, high), slew in channels:
+            self.within(name, column, low, high)
+            if isfinite(slew) and isfinite(step):
+                allowed = slew * step * (1.0 + ROUNDING) + ROUNDING * max(abs(low), abs(high))
+                self.steeper[name] += int(np.sum(np.abs(np.diff(column)) > allowed))
+
+    def within(self, name: str, column: np.ndarray, low: float, high: float) -> None:
+        """Check one channel's range, exactly and as a file has it."""
+        written = np.array([float(f"{x:.9g}") for x in np.unique(column)])
+        self.checked[name] += len(column)
+        self.outside[name] += int(np.sum(~((column >= low) & (column <= high)))) + int(
+            np.sum((written < low) | (written > high))
+        )
+
+
+def random_rig(rng: np.random.Generator) -> Rig:
+    """A rig of 100 to 60 000 rpm, 0.02 to 5 s, any pitch, with slews or without; a channel is fixed in one of eight."""
+    top = np.exp(rng.uniform(np.log(100.0), np.log(60000.0)))
+    speed = _span(rng, top * rng.uniform(0.0, 0.9), top)
+    kinds = (
+        (-5.0, 10.0),
+        (12.0, 25.0),
+        tuple(np.sort(rng.uniform(-30.0, -1.0, 2))),
+        tuple(np.sort(rng.uniform(-40.0, 40.0, 2))),
+    )
+    pitch = _span(rng, *kinds[rng.integers(len(kinds))])
+    force = np.exp(rng.uniform(np.log(0.1), np.log(1000.0)))
+    measured = {
+        "omega_ref": np.array(speed),
+        "beta_ref": np.array(pitch),
+        "thrust": force * np.array([rng.uniform(-0.5, 0.2), 1.0]),
+    }
+    unit = float(np.exp(rng.uniform(np.log(0.02), np.log(5.0))))
+    rig = infer_rig([], measured, {}).timed(unit)
+    spans = (speed[1] - speed[0]) or speed[1], (pitch[1] - pitch[0]) or 1.0
+    slews = [
+        inf if rng.random() < 0.5 else float(f"{size / unit * np.exp(rng.uniform(np.log(0.1), np.log(30.0))):.6g}")
+        for size in spans
+    ]
+    return replace(rig, speed_slew=slews[0], pitch_slew=slews[1])
+
+
+def _span(rng: np.random.Generator, low: float, high: float) -> tuple[float, float]:
+    """Two ends as a file has them, with two to eight digits; equal in one of eight."""
+    low, high = (float(f"{x:.{rng.integers(2, 9)}g}") for x in (low, high))
+    return (high, high) if rng.random() < 0.125 or not low < high else (low, high)
+
+
+def check(rig: Rig, rng: np.random.Generator, count: Count) -> None:
+    """All checks but the search for a plan."""
+    for name, commands, step in _experiments(rig, rng):
+        count.add(name, rig, commands, step)
+    for name, asked in _campaign(rig, rng):
+        count.add(name, rig, asked, PERIOD if name.startswith("hil, record") else inf)
+        count.add(f"{name}, behind the limits", rig, _acting(rig, asked), PERIOD)
+    count.add("idle", rig, np.array([idle(rig)]))
+    count.within("step profile, N", step_profile(rig)["thrust_set"], *rig.thrust)
+
+
+def check_plan(rig: Rig, count: Count) -> None:
+    """Check a whole plan from a short search."""
+    unit = rig.scales.time_scale
+    lags = {
+        f"tau_{u}_{k}": share * unit
+        for u, k, share in (("omega", 1, 0.3), ("omega", 2, 0.1), ("beta", 1, 0.7), ("beta", 2, 0.3))
+    }
+    found = plan(BASE.sized(rig.scales), lags, rig, 20.0 * unit, evaluations=6)
+    count.add("plan", rig, _columns(found.commands), found.step)
+
+
+def _experiments(rig: Rig, rng: np.random.Generator) -> Iterator[tuple[str, np.ndarray, float]]:
+    """(name, commands, step) of segments as the search for a plan has them, and of a diagnosis' next experiment."""
+    step, seed = 0.04 * rig.scales.time_scale, int(rng.integers(2**31))
+    for _ in range(3):
+        segment = candidate(rng, 250, step, rig)
+        for targets in (segment, variant(rng, segment, step, rig)):
+            yield "plan, segment", commanded(rig, targets, step), step
+        yield "plan, segment as sampled", commanded(rig, segment.repeat(4, axis=0), 0.25 * step), 0.25 * step
+    yield "plan, the paper's", commanded(rig, paper_plan(rng, 500, step, rig), step), step
+    period = (None, 0.02 * rig.scales.time_scale, 0.1)[rng.integers(3)]
+    record = discriminating_experiment(rig, seed, period)
+    yield "next experiment", _columns(record), float(record.time[1])
+
+
+def _campaign(rig: Rig, rng: np.random.Generator) -> Iterator[tuple[str, np.ndarray]]:
+    """(name, commands) that `vpp hil campaign` sends."""
+    seed = int(rng.integers(2**31))
+    yield "hil, grid", np.array(campaign_grid(4, rig))
+    found = steps(2, rig)
+    if found:
+        yield "hil, steps", np.array([end for one in found for end in (one.before, one.after) for _ in range(3)])
+    yield "hil, record of the open loop", _columns(open_loop(seed, 1.0, PERIOD, rig))
+    yield "hil, record of the validation", _columns(validation(seed, 1.0, PERIOD, rig))
+
+
+def _acting(rig: Rig, asked: np.ndarray) -> np.ndarray:
+    """The commands after the rig's limits in a campaign, (rows, 2)."""
+    limiter = Limiter(steep(limits_of(rig), rig), *asked[0].tolist())
+    return np.array([limiter.apply(*row, PERIOD)[:2] for row in asked.tolist()])
+
+
+def _columns(record: Record) -> np.ndarray:
+    return np.column_stack([record["omega_ref"], record["beta_ref"]])
 
 
 def test_no_command_leaves_its_range_or_slew_on_random_rigs():
-    count = study(range(60), seed=1, planned=30)
+    """Of any size; two rigs also get the search for a whole plan, which takes a hundred times as long."""
+    count = Count()
+    for k in range(30):
+        rng = np.random.default_rng([1, k])
+        rig = random_rig(rng)
+        check(rig, rng, count)
+        if k % 15 == 0:
+            check_plan(rig, count)
     assert sum(count.outside.values()) == 0, count.outside
     assert sum(count.steeper.values()) == 0, count.steeper
     names = ("plan", "plan, segment", "next experiment", "hil, grid", "hil, steps", "step profile, N")
     assert all(count.checked[name] > 25 for name in names)
 
 
-def test_the_study_counts_commands_outside_the_range_and_the_slew():
+def test_commands_outside_the_range_and_the_slew_are_counted():
     count, rig = Count(), Rig(speed_slew=1000.0)
     count.add("good", rig, np.array([[2000.0, 10.0], [2010.0, -5.0]]), 0.01)
     count.add("bad", rig, np.array([[2000.0, 10.0], [2010.1, -5.0], [6000.1, 10.0001]]), 0.01)
-    assert (count.checked["good"], count.outside["good"], count.steeper["good"]) == (4, 0, 0)
-    assert (count.checked["bad"], count.steeper["bad"]) == (6, 2)
-    assert count.outside["bad"] == 4  # two cells, as they are and as a file shows them
+    assert (count.outside["good"], count.steeper["good"]) == (0, 0)
+    assert (count.outside["bad"], count.steeper["bad"]) == (4, 2)  # two cells outside, as they are and as a file shows them
 
 
 def test_a_step_becomes_a_ramp_of_the_slews_slope_in_whole_tenths():
@@ -76,11 +211,6 @@ def test_the_step_profile_is_the_papers_and_leaves_room_on_other_rigs():
     assert step_profile(large).time[-1] == 36.0
 
 
-def moves(column):
-    """Rows at which a command changes."""
-    return np.flatnonzero(np.diff(column))
-
-
 def test_the_discriminating_experiment_of_the_papers_rig():
     found = discriminating_experiment(Rig())
     assert found.time[-1] == pytest.approx(96.0, abs=0.1)
@@ -94,42 +224,6 @@ def test_the_discriminating_experiment_of_the_papers_rig():
     for rest in (first, last):
         assert set(rest["omega_ref"]) == {2000.0}
         assert set(rest["beta_ref"]) == {2.5}
-
-
-@pytest.mark.parametrize(("unit", "seconds"), [(5.0, 960.0), (0.05, 19.2)])
-def test_a_slow_rig_gets_a_long_experiment_and_a_fast_one_more_moves(unit, seconds):
-    paper, found = discriminating_experiment(Rig()), discriminating_experiment(Rig().timed(unit))
-    assert found.time[-1] == pytest.approx(seconds, rel=0.01)
-    random = [
-        record.part((record.time > 0.04 * record.time[-1]) & (record.time < 0.2 * record.time[-1])) for record in (paper, found)
-    ]
-    holds = [np.median(np.diff(record.time[moves(record["omega_ref"])])) for record in random]
-    assert holds[1] / holds[0] == pytest.approx(unit / 0.5, rel=0.5)
-
-
-def test_a_fixed_channel_is_not_moved_and_the_other_gets_all_moves():
-    fixed = discriminating_experiment(Rig(pitch=(4.0, 4.0)))
-    assert set(fixed["beta_ref"]) == {4.0}
-    sizes = np.unique(np.round(np.abs(np.diff(fixed["omega_ref"])), 1))
-    assert {80.0, 200.0, 400.0, 800.0, 4000.0} <= set(sizes)
-    still = discriminating_experiment(Rig(speed=(3000.0, 3000.0)))
-    assert set(still["omega_ref"]) == {3000.0}
-    assert len(moves(still["beta_ref"])) > 1000
-    both = discriminating_experiment(Rig(speed=(3000.0, 3000.0), pitch=(4.0, 4.0)))
-    assert len(moves(both["omega_ref"])) == len(moves(both["beta_ref"])) == 0
-
-
-def test_a_slew_is_given_the_time_that_a_full_step_takes():
-    slow = discriminating_experiment(Rig(speed_slew=800.0))  # 5 s from end to end
-    assert np.abs(np.diff(slow["omega_ref"])).max() <= 800.0 * 0.004 * (1.0 + 1e-9)
-    at_top = slow["beta_ref"] == 10.0
-    assert (slow["omega_ref"][at_top].min(), slow["omega_ref"][at_top].max()) == (2000.0, 6000.0)
-
-
-def test_the_campaigns_sampling_is_the_experiments():
-    assert discriminating_experiment(Rig(), period=0.01).period == 0.01
-    assert discriminating_experiment(Rig(), period=0.125).period == 0.02  # 8 Hz would not draw the moves
-    assert Record({"time": np.array([0.0, 0.1, 0.2, 0.5])}, "").period == 0.1
 
 
 def declared(path, **entries):
@@ -186,23 +280,6 @@ def test_impossible_values_in_a_rig_json_are_refused_with_their_field(tmp_path, 
         read_rig(declared(tmp_path / "rig.json", **entries))
 
 
-def test_a_range_of_one_value_and_a_negative_offset_are_valid(tmp_path):
-    found = read_rig(declared(tmp_path / "rig.json", pitch={"min": 4, "max": 4}, scales={"beta_offset": -1000}))
-    assert found == {"pitch": (4.0, 4.0), "scales": {"beta_offset": -1000.0}}
-
-
-LEADING = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
-
-
-@pytest.mark.parametrize("power", [1e-3, 1.0, 1e4])
-def test_round_numbers_are_the_next_up_and_the_nearest_by_ratio(power):
-    for low, high in pairwise(float(f"{digit * power:.6g}") for digit in LEADING):
-        assert rounded_up(low) == low
-        assert rounded_up(low * 1.001) == rounded_up(high * 0.999) == high
-        middle = (low * high) ** 0.5
-        assert (rounded(0.999 * middle), rounded(1.001 * middle)) == (low, high)
-
-
 def grid(speed, pitch, thrust):
     """Steady points at the ends of these ranges, repeated so that none is an outlier."""
     columns = {"omega_ref": speed, "beta_ref": pitch, "thrust": thrust}
@@ -232,16 +309,6 @@ def test_a_rig_keeps_the_papers_scales_up_to_twice_its_size_and_down_to_half(k, 
     assert far.origin["scales"] == "round numbers for what was measured"
 
 
-def test_the_scales_of_another_size_are_round_and_0_a_quarter_up_the_pitch():
-    rig = infer_rig([], grid((5000.0, 21000.0), (-12.0, 16.0), (-0.3, 1.1)), {})
-    assert (rig.speed, rig.pitch, rig.thrust) == ((5000.0, 21000.0), (-12.0, 16.0), (-0.3, 1.1))
-    assert rig.scales == Scales(25000.0, 25.0, 5.0, 1.2)  # 0.75 x 28 = 21 deg; -12 + 28 / 4 = -5 deg
-    narrow = infer_rig([], grid((5000.0, 21000.0), (3.0, 6.0), (0.0, 1.0)), {})
-    assert (narrow.scales.beta_scale, narrow.scales.beta_offset) == (2.5, -3.75)
-    fixed = infer_rig([], grid((5000.0, 21000.0), (30.0, 30.0), (0.0, 1.0)), {})
-    assert (fixed.scales.beta_scale, fixed.scales.beta_offset) == (15.0, -22.5)
-
-
 def test_declared_ranges_override_measured_ones():
     record = Record({"time": np.arange(3.0), "omega_ref": np.array([0.0, 7000.0, 0.0]), "beta_ref": np.zeros(3)}, "a record")
     points = grid(*PAPERS_RANGES)
@@ -258,9 +325,3 @@ def test_declared_ranges_override_measured_ones():
     whole = {"omega_scale": 6000.0, "beta_scale": 15.0, "beta_offset": 5.0, "thrust_scale": 15.0}
     assert infer_rig([], points, {"scales": whole}).origin["scales"] == f"{', '.join(whole)}: rig.json"
     assert infer_rig([], points, {}).origin["scales"] == papers
-
-
-def test_ranges_of_a_parameter_file_without_a_rig_come_from_its_scales():
-    rig = rig_of(Scales(9000.0, 20.0, -4.0, 3.0), {})
-    assert (rig.speed, rig.pitch, rig.thrust) == ((3000.0, 9000.0), (4.0, 24.0), (0.0, 3.0))
-    assert rig.unknown == ("speed", "pitch")

@@ -102,22 +102,6 @@ def test_a_library_of_another_user_is_not_loaded(folder, tmp_path):
     assert library.stat().st_mtime_ns == before
 
 
-def test_a_folder_that_others_may_write_is_made_private(folder):
-    folder.mkdir()
-    folder.chmod(0o777)
-    assert twice().stdout == "42.0\n"
-    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
-
-
-def test_a_relative_folder_is_not_taken(folder, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert twice(XDG_CACHE_HOME="here", HOME=str(tmp_path / "home")).stdout == "42.0\n"
-    assert not (tmp_path / "here").exists()
-    assert only(tmp_path / "home" / ".cache" / "vpp-fmu")
-    assert twice(XDG_CACHE_HOME="here", HOME="there").stdout == "42.0\n"
-    assert not (tmp_path / "there").exists()
-
-
 def test_the_least_recently_used_libraries_are_removed(folder, monkeypatch):
     sources = [SOURCE + f"/* {k} */\n" for k in range(4)]
     for k, source in enumerate(sources[:3]):
@@ -168,21 +152,3 @@ def test_a_failing_compiler_is_reported_once_and_treated_as_missing(failing, fol
     assert (tmp_path / "out" / "prediction.csv").exists()
     for word in {"no headers": ("math.h",), "no output": ("no output",)}.get(failing, ("fails",)):
         assert word in done.stderr
-
-
-def test_the_message_of_a_failing_compiler_is_the_same_for_every_model(folder, tmp_path, monkeypatch):
-    """The warning is given once in a process for each text."""
-    cc = tmp_path / "cc"
-    cc.write_text('#!/bin/sh\nwc -l model.c | sed "s/ .*//; s/.*/model.c:&:1: error: broken/" >&2; exit 1\n')
-    cc.chmod(0o755)
-    monkeypatch.setenv("CC", str(cc))
-    compiler.compiler.cache_clear()
-    try:
-        said = set()
-        for source in (SOURCE, SOURCE * 2):
-            with pytest.raises(CompilerMissing) as failed:
-                compiled(source)
-            said.add(str(failed.value))
-    finally:
-        compiler.compiler.cache_clear()
-    assert said == {f"the C compiler {cc} fails (broken)"}

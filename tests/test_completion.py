@@ -41,17 +41,6 @@ def test_fish_completes_every_verb(script):
     assert set(VERBS) <= {line.partition("\t")[0] for line in offered}
 
 
-def test_zsh_loads_it_as_the_completion_of_the_command(script):
-    path = script("zsh")
-    path.rename(path.with_name("_vpp"))
-    told = (
-        f"fpath=({path.parent} $fpath); autoload -U compinit; compinit -u -D; echo $_comps[vpp]; autoload +X _vpp; which _vpp"
-    )
-    found = ran("zsh", "-f", "-c", told)
-    assert found.startswith("_vpp\n")
-    assert all(f"{verb}:" in found for verb in VERBS)
-
-
 def test_an_unknown_shell_is_refused_in_one_line(refused):
     refused("completion", "ksh")
 

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from identification.fit.converter import LEAST, Converter, grid
+from identification.fit.converter import LEAST, Converter
 from identification.fit.tachometer import Tachometer
 from vpp_fmu.kernel.plant import BASE, plant
-from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 
@@ -25,12 +24,6 @@ def test_the_mean_reading_is_that_of_many_rounded_ones(blur):
         assert converter.reads(np.array([true]))[0] == pytest.approx(mean, abs=4.0 * known)
 
 
-def test_its_slope_is_its_derivative():
-    converter, at = Converter(0.3, 0.04, 0.3), np.linspace(0.0, 2.0, 50)
-    rise = (converter.reads(at + 1e-6) - converter.reads(at - 1e-6)) / 2e-6
-    np.testing.assert_allclose(converter.slope(at), rise, atol=1e-6)
-
-
 def test_the_resolution_is_found_from_readings():
     """Noise of a third of a count is added before rounding; the estimate subtracts the rounding noise from the total."""
     rng, count = np.random.default_rng(1), 0.2
@@ -41,13 +34,6 @@ def test_the_resolution_is_found_from_readings():
     in_grams = Converter.of(readings * 101.97162129779, 0.01)
     assert in_grams.count == pytest.approx(count * 101.97162129779)
     assert in_grams.blur == LEAST
-
-
-def test_a_fine_converter_changes_nothing():
-    thrust = np.random.default_rng(2).normal(5.0, 1.0, 1000)
-    assert grid(thrust) == (0.0, 0.0)
-    fine = Converter.of(np.round(thrust, 3), 0.1)
-    np.testing.assert_array_equal(fine.reads(thrust), thrust)
 
 
 @pytest.mark.parametrize(("effect", "column"), [("reading_delay", 0), ("speed_reading_delay", 1)])
@@ -116,12 +102,3 @@ def test_a_row_holds_a_reading_from_earlier_rows(age, whole):
         expected = np.interp(read, np.arange(len(plain)), plain[:, column])
         np.testing.assert_allclose(logged[1 + whole :, column], expected[: rows - 1 - whole], rtol=0, atol=near)
     np.testing.assert_allclose(logged[:, 2], plain[at, 2], rtol=1e-9)
-
-
-def test_without_a_row_duration_nothing_is_logged_late():
-    """A co-simulation has no logger: its communication step is not a row."""
-    model, commands = plant(["row_clock"]), [(3000.0, 5.0)] * 3 + [(5000.0, 5.0)] * 50
-    told, plain = Simulation(model, {"row_clock.age": 1.5}), Simulation(BASE)
-    for omega_ref, beta_ref in commands:
-        shown = [one.advance({"omega_ref": omega_ref, "beta_ref": beta_ref}, 0.004) for one in (told, plain)]
-        assert shown[0]["thrust"] == pytest.approx(shown[1]["thrust"], rel=1e-12)

@@ -44,12 +44,3 @@ def test_a_lag_is_identified_from_a_start_without_it(first):
     assert "tau_beta_2" in found.names
     for name, value in truth.items():
         assert abs(found.values[name] - value) < 4.0 * found.std[name] < 0.02
-
-
-def test_a_fit_keeps_all_values_within_their_bounds():
-    """Also parameters that the record does not identify, which keep their start values."""
-    inputs, time = {"omega_ref": np.repeat([3000.0, 5000.0], 300), "beta_ref": np.full(600, 5.0)}, 0.004 * np.arange(600)
-    read = Simulator(BASE).simulate({}, inputs, np.diff(time))[:, 0]
-    found = refine(BASE, [Record({"time": time, **inputs, "thrust": read}, "made")], {"tau_beta_1": 0.35, "tau_beta_2": 0.0002})
-    assert "tau_beta_2" in found.held
-    assert found.values["tau_beta_2"] >= next(p.minimum for p in BASE.parameters if p.name == "tau_beta_2")

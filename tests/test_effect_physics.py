@@ -198,24 +198,6 @@ def test_the_actuator_stops_short_of_its_goal_by_the_half_width(name, size, form
     np.testing.assert_allclose(ends, [8 - size, -3 + size, -3.2 + size, -3.2 + size], atol=1e-6)
 
 
-def test_the_motor_stops_on_the_edge_between_samples():
-    """e = 8 exp(-t / tau) reaches the edge at tau ln(8 / d); after that only the outer lag moves."""
-    d, tau, fast = 0.45, 0.374, {"tau_beta_1": 0.001}
-    beta = run("pitch_stop_band", {"half_width": d}, held((0, 0.04), (8, 3)), base=fast)[2]
-    t = np.arange(len(beta)) * STEP - 0.04
-    stops = tau * np.log(8.0 / d)
-    exact = np.where(t > stops, 8.0 - d, 8.0 * (1.0 - np.exp(-np.maximum(t, 0.0) / tau)))
-    np.testing.assert_allclose(beta[t > stops + 0.02], exact[t > stops + 0.02], rtol=0, atol=1e-7)
-    np.testing.assert_allclose(beta, np.where(t > 0, exact, 0.0), rtol=0, atol=0.03)  # the outer lag's millisecond
-
-
-def test_restart_ignores_less_than_its_band_and_follows_more():
-    law = {"stop": 0.2, "restart": 1.0}
-    beta = run("pitch_stop_restart", law, held((0, 0.1), (0.9, 5), (1.1, 10), (1.7, 5), (2.2, 10)))[2]
-    ends = beta[[round(t / STEP) - 1 for t in (5.1, 15.1, 20.1, 30.1)]]
-    np.testing.assert_allclose(ends, [0.0, 0.9, 0.9, 2.0], atol=1e-9)
-
-
 @pytest.mark.parametrize("skew", [0.3, -0.8])
 @pytest.mark.parametrize("name", ["pitch_asymmetry", "speed_asymmetry"])
 @pytest.mark.parametrize("form", [1.0, 2.0])
@@ -269,15 +251,6 @@ def test_logistic_rotor_under_scipy():
     np.testing.assert_allclose(omega[5:], exact, rtol=0, atol=0.05)
 
 
-def test_stall_latch_stays_short_until_the_opposite_command():
-    v, time, tau = 3.0, 0.1, 0.374
-    parts = (0, 0.1), (6, 8), (9, 8), (1, 8)
-    beta = run("pitch_stall_latch", {"speed": v, "time": time, "accuracy": 0.05}, held(*parts))[2]
-    short = v * tau * np.exp(-time / tau)
-    ends = beta[[round(t / STEP) - 1 for t in (8.1, 16.1, 24.1)]]
-    np.testing.assert_allclose(ends, [6 - short, 6 - short, 1 + short], rtol=0, atol=1e-6)
-
-
 def test_speed_limits_arrive_and_stop_at_their_accuracy():
     """20 deg/s until 3 deg before the goal, the lag until 4 deg/s, constant speed from there to the accuracy."""
     law = {"slowest": 4.0, "full": 20.0, "threshold": 3.0, "accuracy": 0.25}
@@ -312,16 +285,6 @@ def test_backlash_behind_the_lags_is_the_play_operator():
     inputs = triangle()
     _, _, beta = fine_base(inputs)[1:]
     np.testing.assert_allclose(run("pitch_backlash", {"half_gap": 0.6}, inputs)[2], play(beta, 0.6)[::16], rtol=0, atol=1e-4)
-
-
-def test_backlash_between_the_lags_drives_the_outer_one():
-    inputs, h = triangle(), STEP / 16
-    command = np.repeat(inputs["beta_ref"], 16)
-    inner = command.copy()
-    for k in range(1, len(inner)):
-        inner[k] = command[k - 1] + (inner[k - 1] - command[k - 1]) * np.exp(-h / 0.374)
-    beta = filtered([1.0], [0.207, 1.0], play(inner, 0.6), np.arange(len(inner)) * h)
-    np.testing.assert_allclose(run("pitch_backlash", {"half_gap": 0.6, "form": 2.0}, inputs)[2], beta[::16], rtol=0, atol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -505,13 +468,6 @@ def test_feedthrough_is_the_derivative_of_the_step_response():
     np.testing.assert_allclose(more, 0.05 * 0.8**2 * rate, rtol=0, atol=1e-10)
 
 
-def test_recirculation_takes_a_slow_share_of_the_thrust():
-    inputs = random_steps(1200, 300, seed=3)
-    time, thrust, *_ = fine_base(inputs)
-    shown = run("recirculation", {"share": 0.2, "time_constant": 1.3}, inputs)[0]
-    np.testing.assert_allclose(shown, (thrust - 0.2 * filtered([1.0], [1.3, 1.0], thrust, time))[::16], rtol=0, atol=1e-5)
-
-
 def test_gain_drift_in_time_and_in_load_is_the_closed_form():
     inputs = {"omega_ref": np.full(1000, 5400.0), "beta_ref": np.full(1000, 6.0)}
     thrust, t = paper_map(5400.0, 6.0), np.arange(1000) * 0.1
@@ -560,11 +516,3 @@ def test_vibration_turns_with_the_rotor():
     assert np.abs(lines[90]) == pytest.approx(0.2 * 0.9**2, rel=1e-6)
     assert np.angle(lines[90] * 1j) == pytest.approx(np.radians(30.0), abs=1e-5)
     assert np.abs(np.delete(lines, 90)).max() < 1e-6
-
-
-def test_vibration_follows_a_run_up():
-    inputs = {"omega_ref": np.r_[2000.0, np.full(1499, 6000.0)], "beta_ref": np.full(1500, 4.0)}
-    time, thrust, omega, _ = fine_base(inputs)
-    turns = np.r_[0.0, np.cumsum(0.5 * (omega[1:] + omega[:-1]) * np.diff(time) / 60.0)]
-    expected = thrust + 0.2 * (omega / 6000.0) ** 2 * np.sin(2.0 * np.pi * turns)
-    np.testing.assert_allclose(run("rotor_vibration", {"amplitude": 0.2}, inputs)[0], expected[::16], rtol=0, atol=5e-4)

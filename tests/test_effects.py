@@ -7,7 +7,6 @@ import pytest
 from builders import ALL_ON, OPTIONAL, PROBES, named, random_steps, reference, simulator, slope_errors, stepped
 from scipy.signal import lsim
 
-from identification.diagnose.search.candidates import Candidate
 from vpp_fmu.export import python_fmu
 from vpp_fmu.fmu import Fmu
 from vpp_fmu.invariants import INVARIANTS, Trial
@@ -19,11 +18,6 @@ from vpp_fmu.units import base_unit
 STEP = 0.004
 each_effect = pytest.mark.parametrize("effect", OPTIONAL, ids=lambda e: e.name)
 sampled = pytest.mark.sampled("effect")
-
-
-def test_the_library_has_effects():
-    assert len({e.name for e in LIBRARY}) == len(LIBRARY)
-    assert OPTIONAL
 
 
 @sampled
@@ -124,21 +118,6 @@ def test_stand_resonance_is_the_oscillator_of_scipy(frequency, damping):
     np.testing.assert_allclose(shown, thrust[0] + swung[::16], rtol=0, atol=1e-3)
 
 
-@pytest.mark.parametrize(("frequency", "damping"), [(3.0, 0.05), (60.0, 0.3), (1.0, 0.005)])
-def test_stand_resonance_decays_with_its_frequency_and_damping(frequency, damping):
-    """A free oscillation obeys y[k+1] = 2 r cos(wd h) y[k] - r^2 y[k-1] with r = exp(-damping w0 h)."""
-    fast = dict.fromkeys(("tau_omega_1", "tau_omega_2", "tau_beta_1", "tau_beta_2"), 0.001)
-    values = fast | {"stand_resonance.frequency": frequency, "stand_resonance.damping": damping}
-    inputs = {"omega_ref": np.r_[4000.0, np.full(199, 5000.0)], "beta_ref": np.full(200, 5.0)}
-    reading = simulator(plant(["stand_resonance"])).simulate(values, inputs, np.r_[0.05, 0.05, np.full(197, 0.002)])[:, 0]
-    settled = simulator(BASE).simulate({}, inputs, np.full(199, 9.0))[-1, 0]
-    y = reading[2:] - settled
-    (a, b), *_ = np.linalg.lstsq(np.column_stack([y[1:-1], y[:-2]]), y[2:])
-    decay, turn = -np.log(-b) / 2.0 / 0.002, np.arccos(a / 2.0 / np.sqrt(-b)) / 0.002
-    assert np.hypot(decay, turn) / 2.0 / np.pi == pytest.approx(frequency, rel=1e-6)
-    assert decay / np.hypot(decay, turn) == pytest.approx(damping, rel=1e-5)
-
-
 @pytest.mark.parametrize(("offset", "rate", "time_constant"), [(0.1, 0.003, 1000.0), (-1.0, -0.03, 10.0), (0.5, 0.0, 30.0)])
 def test_drift_is_the_closed_form(offset, rate, time_constant):
     steps = np.random.default_rng(5).uniform(0.001, 1.0, 200)
@@ -186,10 +165,3 @@ def test_a_new_effect_runs_everywhere_without_an_edit(tmp_path):
     assert float(fmu.variables["crosswind"].start) == 2.0
     np.testing.assert_array_equal(stepped(fmu, inputs, STEP), shown)
     fmu.close()
-
-
-def test_the_time_constant_of_the_inflow_is_screened_over_a_decade():
-    """If it is near the pitch's slow lag, a refit from a shorter one ends in a double pole."""
-    effect = next(e for e in LIBRARY if e.name == "inflow_lag")
-    seen = [shape[effect.full("time_constant")] for shape in Candidate(effect, {}, (effect.full("time_constant"),)).shapes()]
-    assert max(seen) >= 9.0 * min(seen)

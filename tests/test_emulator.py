@@ -1,21 +1,16 @@
 """The studies' emulator of rigs against closed forms, and the studies' handling of cases."""
 
-import json
-from argparse import ArgumentParser
 from dataclasses import replace
-from importlib import import_module
 
 import numpy as np
 import pytest
 from builders import two_lags
-from scipy.stats import chi2
-from studies import command_sequences, diagnosis, rigs, scores
-from studies.cases import KINDS, WHOLE, Case, draw
+from studies import command_sequences, scores
+from studies.cases import WHOLE
 from studies.detectable import STEP, behind, evidence
 from studies.hidden_effects import HIDDEN, LISTED, Draw
 from studies.noise import HUM, SPIKE, SPIKES, Noise
 from studies.noise import KINDS as NOISES
-from studies.own_process import Failed, apart
 from studies.physics import PAPER, Frame, in_time, run
 from studies.rig import SIZES, Files, Rig, campaign, random_base, save
 
@@ -116,35 +111,6 @@ def test_noise_has_its_declared_power_spectrum(kind):
     assert slowest.mean() == pytest.approx(1.0, abs=0.25)
 
 
-def test_factors_of_a_case_are_drawn_independently():
-    free, fixed = draw(5, "single"), draw(5, "single", size="big", noise="spikes")
-    assert {n for n, v in vars(free.factors).items() if v != vars(fixed.factors)[n]} <= {"size", "noise"}
-    assert fixed.factors.size == "big"
-    assert (fixed.rig.kind, fixed.rig.size.name) == ("spikes", "big")
-    assert draw(5, "single").rig.settings == free.rig.settings
-    every = [draw(seed, kind).factors for seed in range(150) for kind in KINDS]
-    for name, values in {"size": set(SIZES), "noise": set(NOISES), "rate": {100, 250, 500, 1000}}.items():
-        shares = [np.mean([getattr(f, name) == v for f in every]) for v in values]
-        assert np.sum(shares) == pytest.approx(1.0)
-        assert min(shares) > 0.8 / len(values)
-    for name, share in {"repeat": 0.5, "validation": 0.5, "static": 0.75, "steps": 0.75}.items():
-        assert np.mean([getattr(f, name) for f in every]) == pytest.approx(share, abs=0.07)
-    assert 15.0 <= min(f.seconds for f in every) < 20.0
-    assert 110.0 < max(f.seconds for f in every) <= 120.0
-
-
-def test_following_seeds_go_through_all_effects():
-    known = [h.name for h in LISTED]
-    assert {draw(seed, "single", known).hidden for seed in range(len(known))} == {(n,) for n in known}
-    assert all(draw(seed, "deleted", known).deleted == draw(seed, "deleted", known).hidden[0] for seed in range(5))
-
-
-def test_strength_goes_from_least_to_full_size():
-    least, full = (draw(2, "single", hidden=("pitch_backlash",), size="paper", strength=s) for s in (0.0, 1.0))
-    assert (least.sizes["backlash"], full.sizes["backlash"]) == pytest.approx((0.008, 0.06))
-    assert full.truth() == {"pitch_backlash.half_gap": pytest.approx(0.06 * full.rig.size.span)}
-
-
 def test_a_campaign_has_its_factors_in_memory_and_as_a_folder(tmp_path):
     for flags in ((True, False, True, False), (False, True, False, True)):
         files = Files(15.0, *flags)
@@ -190,23 +156,6 @@ def test_a_model_is_behind_the_truth_by_half_the_square_of_what_it_misses():
     assert behind(rig, record, true + missed, omega, 2) == pytest.approx(2 * 0.5 * (n / 2) * 0.01**2 / power, rel=0.1)
 
 
-def test_a_pair_is_as_detectable_as_its_fainter_effect():
-    case = draw(0, "pair", hidden=("pitch_delay", "supply_sag"), size="paper", rate=100, noise="AR", seconds=30.0, repeat=True)
-    record = case.rig.record(case.random(3), commands(case.rig.clock, 30.0), "")
-    told = record["omega_ref"], record["beta_ref"]
-    alone = [evidence(replace(case.rig, settings=case.base | own), case.base, *told) for own in case.each.values()]
-    assert alone[1] > 100.0 * alone[0]
-    assert case.evidence(record) == pytest.approx(alone[0], rel=0.3)
-
-
-def test_a_rig_is_identified_as_well_as_its_bound_allows():
-    """The first of the three sizes of the study."""
-    distance = rigs.trials(*next(iter(rigs.RATES.items())), [7]).distance[0, 0]
-    # Squared errors in the metric of the bound are chi-square: nine parameters.
-    assert chi2.sf(distance, 9) > 1e-3
-    assert chi2.cdf(distance, 9) > 1e-3
-
-
 ROW = {"kind": "single", "hidden": ["pitch_backlash"], "verdict": "attributed", "effects": ["pitch_backlash"], "family": {}}
 ROW |= {"equal": {}, "evidence": 100.0, "behind": 7.0, "true_error": [0.2, 0.02], "failed": None}
 
@@ -241,74 +190,6 @@ def test_scores_of_outcomes(change, said):
     assert {f.__name__ for f in (scores.hit, scores.wrong, scores.honest, scores.passed_over, scores.worse) if f(row)} == said
 
 
-def done(case, **change):
-    """A row as `outcome` makes it."""
-    more = {
-        "failed": None,
-        "verdict": "none",
-        "effects": [],
-        "family": {},
-        "equal": {},
-        "evidence": 50.0,
-        "behind": 7.0,
-        "seconds": 9.0,
-        "cpu": 8.0,
-    }
-    more |= {"mb": 200.0, "readings": 20000, "parameters": {}, "true_error": [0.2, 0.2], "lack_of_fit": None}
-    return case.summary() | more | change
-
-
-def test_an_interrupted_study_continues(tmp_path, monkeypatch, capsys):
-    asked = []
-
-    def rows(cases, *options):
-        asked.append([c.name for c in cases])
-        yield from map(done, cases)
-
-    monkeypatch.setattr(diagnosis, "rows", rows)
-    path = tmp_path / "some" / "rows.jsonl"
-    for seeds in (2, 3):
-        diagnosis.main(ArgumentParser(), ["--kinds", "none,single", "--seeds", str(seeds), "--noise", "white", "-o", str(path)])
-    assert [len(names) for names in asked] == [4, 2]
-    assert len(path.read_text().splitlines()) == 6
-    printed = capsys.readouterr().out
-    assert "of 3" in printed
-    diagnosis.main(ArgumentParser(), ["--kinds", "none", "--seeds", "1", "--noise", "AR", "-o", str(path)])  # another case
-    assert asked[-1] == ["none - #0"]
-    diagnosis.main(ArgumentParser(), ["--only-table", "-o", str(path)])
-    assert "7" in capsys.readouterr().out.split("all ", 1)[1][:20] or len(path.read_text().splitlines()) == 7
-
-
-def test_tables_count_outcomes_by_factor():
-    rows = [
-        done(draw(seed, "none", repeat=bool(seed % 2), size="big"), verdict="unexplained" if seed < 3 else "none")
-        for seed in range(20)
-    ]
-    p = {"before": {"p": 0.5}}
-    rows += [done(draw(s, "single", hidden=("pitch_backlash",), size="micro"), **ROW, lack_of_fit=p) for s in range(10)]
-    text = scores.tables(rows)
-    lines = {line.split("  ")[0]: line.split()[-6:] for line in text.splitlines()}
-    assert lines["size: big"][-2:] == ["0/20", "3/20"]
-    assert "detectable single effects named (aim >= 95 %): 10 of 10" in text
-    assert sum(line.startswith("missing") for line in text.splitlines()) == 3
-    rows.append(draw(1, "none").summary() | {"failed": "not done in 900 s", "seconds": 900.0})
-    assert "not done: 1 of 31" in scores.tables(rows)
-
-
-def test_p_values_of_lack_of_fit_are_compared_with_uniform_ones():
-    told = [done(draw(s, "none"), lack_of_fit={"before": {"p": (s + 0.5) / 50, "size": 0.1}}) for s in range(50)]
-    text = scores.tables(told)
-    assert "50 p-values, uniform with p = 1.000" in text
-    assert "0.3 to 0.4 ##### 5" in text
-
-
-def test_work_in_another_process_returns_its_result_or_its_error():
-    assert apart(json.loads, "[1, 2]") == [1, 2]
-    with pytest.raises(Failed, match="ValueError"):
-        apart(int, "x")
-    assert 10.0 < apart(import_module("tests.studies.own_process").peak) < 2000.0
-
-
 def test_every_effect_that_is_hidden_changes_what_is_measured():
     clock = command_sequences.Clock(0.004, 1.0)
     w, b = command_sequences.open_loop(np.random.default_rng(0), clock, 30.0)
@@ -320,9 +201,3 @@ def test_every_effect_that_is_hidden_changes_what_is_measured():
         more = extra(clock, w, b) if extra else 0.0
         moved = np.abs(found.load + more - plain.load).max() + np.abs(found.shown - plain.shown).max() / 6000.0
         assert moved > 1e-3, hidden.name
-
-
-def test_a_case_is_defined_by_its_name_and_seed():
-    case = draw(12, "single", hidden=("pitch_backlash",))
-    assert case.name == "single pitch_backlash #12"
-    assert case == Case("single", ("pitch_backlash",), 12)

@@ -19,12 +19,10 @@ from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.export import native_fmu, python_fmu
 from vpp_fmu.export.checks import check_model
 from vpp_fmu.export.description import Experiment
-from vpp_fmu.export.own_model import find_model
 from vpp_fmu.export.trial import try_fmu
 from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.kernel.simulation import Simulation
-from vpp_fmu.native import Simulator
 from vpp_fmu.native.compiler import compiler
 from vpp_fmu.tracer import c_source, trace
 
@@ -70,12 +68,6 @@ def test_the_flavours_are_the_functions_to_the_bit(name, tmp_path):
         inputs = case.inputs(0.1 * k)
         exact = list(kernel.advance(inputs, dt).values())
         assert [slave.step(inputs, dt, *names) for slave in slaves] == [exact] * len(slaves)
-
-
-def test_the_files_of_the_tutorial_are_short_and_have_twins():
-    for case in CASES.values():
-        assert len((FOLDER / f"{case.file}.py").read_text().splitlines()) <= 25
-        assert case.file == "vehicle" or case.twin.is_file()
 
 
 def test_a_run_of_each_method_has_its_order():
@@ -128,12 +120,6 @@ def test_tables_are_scipys():
         assert NUMBERS.table_2(x, 3.0, xs, columns, grid, "cubic") == pytest.approx(grid[list(xs).index(x), 3], abs=1e-12)
     assert NUMBERS.table(xs[0] - 1.0, xs, ys) == ys[0]
     assert NUMBERS.table(xs[-1] + 1.0, xs, ys, "cubic") == ys[-1]
-
-
-def test_a_cubic_table_does_not_overshoot():
-    xs, ys = (0.0, 1.0, 2.0, 3.0, 10.0), (0.0, 0.0, 1.0, 1.0, 5.0)
-    shown = [NUMBERS.table(x, xs, ys, "cubic") for x in np.linspace(0.0, 10.0, 1000).tolist()]
-    assert (np.diff(shown) >= -1e-15).all()
 
 
 def modes() -> vpp.Model:
@@ -267,16 +253,6 @@ def test_the_class_form_and_the_api(tmp_path, monkeypatch):
     assert "one of author, version" in refusal(lambda: vpp.export_fmu(Heater, "fmus", colour="red"))
 
 
-@pytest.mark.skipif(len(MAKERS) < 2, reason="no compiler")
-def test_versions_of_fmi_share_a_folder(printed, tmp_path):
-    model = f"{FOLDER / 'battery.py'}:MODEL"
-    printed("export", "--model", model, "--flavour", "native", "-o", str(tmp_path))
-    printed("export", "--model", model, "--flavour", "native", "--fmi", "3.0", "-o", str(tmp_path))
-    printed("export", "--model", f"{FOLDER / 'ball.py'}:MODEL", "-o", str(tmp_path))
-    fmus = {file.name for file in tmp_path.glob("*.fmu")}
-    assert fmus == {"Battery.native.fmu", "Battery.fmi3.fmu", "Ball.fmu"}
-
-
 def gain_model(step=None, unit="V", **more) -> vpp.Model:
     step = step or (lambda ops, s, x, p, dt: ({"y": 2.0 * s.u}, {}))
     effect = vpp.Effect("gain", "doubles", step, **more)
@@ -331,20 +307,6 @@ def test_a_model_without_seconds_is_fmi_3(tmp_path):
     model = gain_model()
     check_model("gain", model)  # the unused start of y need not lie in its range
     try_fmu("gain", model, {}, Experiment(), native_fmu(model, version="3.0"), "3.0")
-
-
-def test_a_chain_of_choices_has_no_deep_brackets(tmp_path):
-    """Each choice needs the next one."""
-
-    def step(ops, s, x, p, dt):
-        y = 0.0
-        for k in range(400):
-            y = ops.where(s.u > float(k), ops.exp(0.001 * k) + 0.1 * s.u, y)
-        return {"y": y}, {}
-
-    model = gain_model(step)
-    for make in MAKERS:
-        try_fmu("chain", model, {}, Experiment(), make(model), "2.0")
 
 
 @pytest.mark.skipif(len(MAKERS) < 2, reason="no compiler")
@@ -403,11 +365,6 @@ def test_derivatives_in_inputs_over_a_step_are_central_differences(name, tmp_pat
     assert list(plain.fmi.getDirectionalDerivative([r[names[0]]], known, [1.0] * len(known))) == [0.0]
 
 
-def test_a_model_is_found_by_its_file(tmp_path):
-    assert find_model(f"{FOLDER / 'ball.py'}:MODEL").name == "Ball"
-    assert "path/file.py:NAME" in refusal(find_model, f"{tmp_path / 'none.py'}:MODEL")
-
-
 def test_the_readme_lists_every_operation():
     page = (FOLDER.parents[2] / "fmu_src" / "README.md").read_text()
     table = page.split("| operation | what it is |")[1].split("\n\n")[0]
@@ -450,57 +407,3 @@ def test_a_black_box_is_packed_in_the_python_flavour_only(tmp_path, monkeypatch)
     assert shown == [3.0, 4.5, 9.0, 15.0]
     assert "python, which alone can pack it" in refusal(native_fmu, model("running_mean"))
     assert "which imports vpp_fmu" in refusal(check_model, "here", model("with_ours"))
-
-
-@pytest.mark.parametrize("make", MAKERS)
-def test_outputs_of_a_set_state_need_no_step(make, tmp_path):
-    """A counter that an importer sets to 5 shows 5, then 6."""
-    states, shown = (vpp.State("n", "1", "n", 0.0),), (vpp.Signal("n", "1", "n"),)
-    effect = vpp.Effect("counter", "counts", lambda ops, s, x, p, dt: {"n": x.n + 1.0}, states=states, largest_step=1.0)
-    path = tmp_path / "Counter.fmu"
-    path.write_bytes(make(vpp.Model("Counter", "counts", (), shown, (effect,))))
-    slave = Slave(Fmu(path), initialised=False)
-    slave.fmi.setReal([slave.references["state.n"]], [5.0])
-    slave.fmi.enterInitializationMode()
-    assert slave.get("n") == [5.0]
-    slave.fmi.exitInitializationMode()
-    assert [slave.get("n"), slave.step({}, 1.0, "n")] == [[5.0], [6.0]]
-
-
-def test_parts_within_parts():
-    """Two vehicles of four motors each: the motors are wired through both levels."""
-    single = CASES["instances"].model()
-    commands = {u.name: "command" for u in single.inputs}
-    effects = [e for name in ("first", "second") for e in vpp.instance(name, single.effects, **commands)]
-    outputs = tuple(vpp.Signal(f"{name}.v", "m/s", "speed") for name in ("first", "second"))
-    model = vpp.Model("Fleet", "two", (vpp.Signal("command", "N", "wanted force"),), outputs, tuple(effects))
-    check_model("fleet", model)
-    assert "second.rear_left.tau" in {p.name for p in model.parameters}
-    alone, both = Simulation(single), Simulation(model, {"second.m": 8.0, "second.drag": 1.6})
-    for _ in range(5):
-        v = alone.advance(dict.fromkeys(commands, 4.0), 0.3)["v"]
-        assert both.advance({"command": 4.0}, 0.3) == {"first.v": v, "second.v": pytest.approx(0.5 * v)}
-    wrong = replace(model, effects=vpp.instance("first", single.effects, **(commands | {"front_left_command": "none"})))
-    assert "effect first.front_left.motor, wired: found no signal none" in refusal(check_model, "here", wrong)
-
-
-def test_parallel_runs_of_tables_and_derivatives_are_single_ones():
-    for name in ("table", "ODE", "network"):
-        model = CASES[name].model()
-        inputs = {u.name: np.linspace(0.0, u.nominal, 40) for u in model.inputs}
-        first = model.parameters[0]
-        points = [{first.name: first.default * (1.0 + 0.1 * k)} for k in range(8)]
-        simulator = Simulator(model)
-        together = simulator.simulate_all(points, inputs, np.full(39, 0.05))
-        for k, point in enumerate(points):
-            np.testing.assert_array_equal(together[:, :, k], simulator.simulate(point, inputs, np.full(39, 0.05)))
-
-
-@pytest.mark.parametrize("make", MAKERS)
-def test_a_step_holds_a_limited_number_of_samples(make, tmp_path):
-    path = tmp_path / "Delayed.fmu"
-    path.write_bytes(make(CASES["delay"].model()))
-    slave = Slave(Fmu(path))
-    with pytest.raises(Exception, match="fmi2DoStep"):
-        slave.step({}, 1e30)
-    assert slave.messages[-1].strip().endswith("found 1e+30 s, expected up to 5000.0 s")

@@ -1,9 +1,5 @@
-import contextlib
 import gzip
 import os
-import pickle
-import stat
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -11,33 +7,8 @@ import pytest
 from builders import refusal
 
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import InFolder, OutputFolder, read_table, read_text
-
-NOBODY = 65534
-
-
-@contextlib.contextmanager
-def without_privileges():
-    """Root may write anywhere: become another user meanwhile."""
-    if not hasattr(os, "geteuid"):
-        pytest.skip("no users to change to on this system")
-    before = os.geteuid()
-    if before == 0:
-        os.seteuid(NOBODY)
-    try:
-        yield
-    finally:
-        os.seteuid(before)
-
-
-@pytest.fixture
-def locked():
-    """A folder that no ordinary user can write to, outside pytest's own folder, which other users can't enter."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        folder.chmod(0o555)
-        yield folder
-        folder.chmod(0o755)
+from vpp_fmu.files import InFolder, OutputFolder, read_text
+from vpp_fmu.table import read_table
 
 
 def names(folder):
@@ -48,37 +19,6 @@ def test_output_folder_is_created_with_its_parents(tmp_path):
     folder = OutputFolder(tmp_path / "a" / "b")
     assert folder.path.is_dir()
     assert names(folder.path) == []
-
-
-def test_write_text_and_bytes(tmp_path):
-    folder = OutputFolder(tmp_path)
-    assert folder.write("text.json", "µ\n") == tmp_path / "text.json"
-    folder.write("data.bin", b"\x00\xff\r\n")
-    assert (tmp_path / "text.json").read_bytes() == b"\xc2\xb5\n"
-    assert (tmp_path / "data.bin").read_bytes() == b"\x00\xff\r\n"
-    assert names(tmp_path) == ["data.bin", "text.json"]
-
-
-def test_written_files_follow_the_umask(tmp_path):
-    before = os.umask(0o022)
-    try:
-        path = OutputFolder(tmp_path).write("a.json", "{}")
-    finally:
-        os.umask(before)
-    assert stat.S_IMODE(path.stat().st_mode) == 0o644
-
-
-def test_replaced_names_only_what_had_other_content(tmp_path):
-    for name in ("same", "other", "untouched"):
-        (tmp_path / name).write_text("old")
-    folder = OutputFolder(tmp_path)
-    assert folder.replaced == ()
-    folder.write("same", "old")
-    folder.write("new", "1")
-    folder.write("new", "2")
-    folder.write("other", "new")
-    assert folder.replaced == ("other",)
-    assert (tmp_path / "new").read_text() == "2"
 
 
 @pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt(), RuntimeError()])
@@ -115,15 +55,6 @@ def test_an_output_folder_on_or_below_a_file_is_refused(tmp_path, below, found):
     said = refusal(OutputFolder, path)
     assert said.startswith(f"{path}: output folder: found {found}")
     assert said.endswith("expected a folder that can be written")
-
-
-def test_a_folder_that_is_locked_later_is_refused(locked):
-    locked.chmod(0o777)
-    folder = OutputFolder(locked)
-    locked.chmod(0o555)
-    with without_privileges(), pytest.raises(BadInput, match=r"run\.csv: output file: found not writable \(permission denied"):
-        folder.write("run.csv", "x")
-    assert names(locked) == []
 
 
 @pytest.mark.parametrize(("name", "data"), [("a.csv", b"%s"), ("a.csv.gz", None)])
@@ -165,28 +96,6 @@ def test_table_of_numbers(tmp_path):
     assert table.source == str(tmp_path / "a.csv")
 
 
-def test_a_table_with_text_keeps_the_text(tmp_path):
-    (tmp_path / "a.csv").write_text('x,"the, note",gap\n1,"a, b",\n\n2,"say ""so""",7\n')
-    table = read_table(tmp_path / "a.csv")
-    np.testing.assert_array_equal(table.columns["x"], [1.0, 2.0])
-    assert list(table.columns["the, note"]) == ["a, b", 'say "so"']
-    assert list(table.columns["gap"]) == ["", "7"]
-    np.testing.assert_array_equal(table.lines, [2, 4])
-    np.testing.assert_array_equal(table.numbers("gap", gaps=("", "nan")), [np.nan, 7.0])
-
-
-def test_both_ways_of_reading_agree(tmp_path):
-    rows = np.random.default_rng(1).normal(size=(50, 3)) * 10.0 ** np.arange(-4, 5, 4)
-    lines = [",".join(map(repr, row)) for row in rows.tolist()]
-    (tmp_path / "fast.csv").write_text("a,b,c\n" + "\n".join(lines))
-    (tmp_path / "slow.csv").write_text("a,b,c,d\n" + "\n".join(f"{line},x" for line in lines))
-    fast, slow = read_table(tmp_path / "fast.csv"), read_table(tmp_path / "slow.csv")
-    for i, name in enumerate("abc"):
-        np.testing.assert_array_equal(fast.columns[name], rows[:, i])
-        np.testing.assert_array_equal(slow.columns[name], rows[:, i])
-    np.testing.assert_array_equal(fast.lines, slow.lines)
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -208,12 +117,6 @@ def test_read_table_says_what_is_wrong(tmp_path, text, message):
     path = tmp_path / "a.csv"
     path.write_text(text, encoding="utf-8")
     assert refusal(read_table, path).startswith(f"{path}: {message}")
-
-
-def test_bad_input_in_a_worker_process_arrives_as_what_it_is():
-    sent = BadInput("steps.csv", "omega", 7, "less")
-    found = pickle.loads(pickle.dumps(sent))
-    assert (type(found), str(found), found.allowed) == (BadInput, str(sent), "less")
 
 
 def test_a_folder_stands_for_the_first_of_its_files_that_exists(tmp_path):

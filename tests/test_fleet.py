@@ -2,7 +2,6 @@
 
 import csv
 import json
-import math
 
 import numpy as np
 import pytest
@@ -13,8 +12,7 @@ from tests.studies.cases import WHOLE, draw
 from tests.studies.rig import save
 from vpp_fmu.app.cli import diagnose as command
 from vpp_fmu.app.cli import main
-from vpp_fmu.app.report.pages.fleet import Entry, ThrustMap, as_csv, compared, fleet_page
-from vpp_fmu.campaign import measured_on
+from vpp_fmu.app.report.pages.fleet import Entry, ThrustMap, compared, fleet_page
 
 FEW = ["--effects", "pitch_command_deadband,sensor_drift"]
 SHORT = {"size": "paper", "rate": 100, "noise": "white", "level": 1.0, "strength": 1.0, "seconds": 20.0} | WHOLE
@@ -104,57 +102,6 @@ def test_every_worker_has_one_thread_of_blas():
         assert spread(threads, [None]) == [1]
 
 
-def test_the_table_is_also_parquet(fleet):
-    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed (the extra 'import')")
-    packed = parquet.read_table(fleet / "fleet.parquet").to_pydict()
-    assert packed["verdict"] == [row["verdict"] for row in table(fleet)]
-    assert packed["error_before_N"][:2] == [float(row["error_before_N"]) for row in table(fleet)[:2]]
-    assert packed["error_before_N"][2] is None
-
-
-def test_folders_of_the_same_name_get_different_names(tmp_path, capsys):
-    for parent in ("a", "b"):
-        (tmp_path / parent / "monday").mkdir(parents=True)
-    words = [str(tmp_path / parent / "monday") for parent in ("a", "b")]
-    assert main(["diagnose", *words, "--workers", "1", "-o", str(tmp_path / "out")]) == 2
-    assert "2 refused: monday, monday-2" in capsys.readouterr().err
-    assert [row["name"] for row in table(tmp_path / "out")] == ["monday", "monday-2"]
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["a", "--scheduler", "tcp://127.0.0.1:1"], "--scheduler: found one campaign"),
-        (["a", "b", "--record", "c.csv"], "--record: found 2 campaigns"),
-        (["a", "b", "--effects", "magic"], "--effects: found magic"),
-    ],
-)
-def test_options_that_do_not_suit_the_number_of_campaigns_are_refused(words, said, tmp_path, refused):
-    assert said in refused("diagnose", *words, "-o", tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
-    ("name", "date"),
-    [
-        ("2026-03-01_rig", "2026-03-01"),
-        ("rig_20260301", "2026-03-01"),
-        ("rig_2026-13-45", ""),
-        ("rig_120260301", ""),
-        ("monday", ""),
-    ],
-)
-def test_the_date_is_read_from_the_name_of_the_folder(name, date, tmp_path):
-    assert measured_on(tmp_path / name) == date
-
-
-def test_the_date_in_hil_json_overrides_the_name_of_the_folder(tmp_path):
-    folder = tmp_path / "2026-03-01"
-    folder.mkdir()
-    (folder / "hil.json").write_text(json.dumps({"begun": "2026-04-02T08:00:00+00:00"}))
-    assert measured_on(folder) == "2026-04-02T08:00:00+00:00"
-
-
 def test_the_rig_with_less_thrust_is_named_and_leads_to_its_report():
     def measured(name, share, speed=6000.0):
         values = [share * c for c in (0.35, 0.06, 0.75, -0.19, -0.08)]
@@ -169,19 +116,3 @@ def test_the_rig_with_less_thrust_is_named_and_leads_to_its_report():
     assert "rig 3 is 5.0 % below one" in pair.summary
     alike = fleet_page(compared([measured("one", 1.0), measured("two", 1.0001)]))
     assert alike.summary.startswith("No parameter differs between the campaigns by more than its uncertainty.")
-
-
-def test_sizes_are_drawn_over_their_dates_with_intervals():
-    def measured(day, value):
-        sizes = {"sensor_drift.rate": (value, 0.1, "N/s")}
-        return Entry(f"day {day}", f"day {day}", f"2026-03-{day:02d}", "attributed", ("sensor_drift",), 0.3, 0.2, 0.1, sizes)
-
-    entries = [measured(8, 2.0), measured(1, 1.0), Entry("<b>", "b", "", refused="nothing there")]
-    page = fleet_page(entries)
-    trend = page.figures[1].data[0]
-    assert list(trend.x) == ["2026-03-01", "2026-03-08"]
-    assert list(trend.y) == [1.0, 2.0]
-    assert [math.isclose(half, 0.196, rel_tol=1e-4) for half in trend.error_y.array] == [True, True]
-    assert "The thrust error decreases in 2 of 2 campaigns" in page.figures[0].layout.title.text
-    assert "nothing there" in page.html()
-    assert as_csv(entries).count("\n") == 4

@@ -158,13 +158,8 @@ def test_the_command_exports_fmi_3_in_the_native_flavour_alone(tmp_path, refused
     for options, words in (
         (["--fmi", "3.0"], "--fmi: found 3.0 with --flavour python, expected --flavour native"),
         (["--fmi", "3.0", "--flavour", "both"], "--fmi: found 3.0 with --flavour both"),
+        (["--fmi", "3.0", "--flavour", "native", "--flat"], "--flat: found --flat and --fmi 3.0"),
         (["--platforms", "all"], "--platforms: found all with --flavour python, expected --flavour native or both"),
     ):
         assert words in refused("export", *options, "-o", tmp_path / "none")
         assert not Path(tmp_path / "none").exists()
-
-
-def test_a_model_of_ones_own_is_tried_as_fmi_3_too(tmp_path):
-    command = ["export", "--model", "fmu_src.two_masses:MODEL", "--flavour", "native", "--fmi", "3.0", "-o", str(tmp_path)]
-    assert main(command) == 0
-    assert (tmp_path / "TwoMasses.fmi3.fmu").exists()

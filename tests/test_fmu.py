@@ -10,7 +10,6 @@ from hashlib import sha256
 from pathlib import Path
 from xml.etree import ElementTree
 
-import fmpy
 import numpy as np
 import pytest
 from builders import ALL_ON, PROBES, Slave, random_steps, reference, stepped
@@ -19,10 +18,9 @@ from fmpy.util import read_csv
 from fmpy.validation import validate_fmu
 
 import vpp_fmu
-from vpp_fmu.errors import BadInput, SimulationFailed
 from vpp_fmu.export import python_fmu
 from vpp_fmu.files import OutputFolder
-from vpp_fmu.fmu import Fmu, FmuInstance
+from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.controller import CONTROLLER, SPEED_ONLY
 from vpp_fmu.kernel.plant import BASE, plant
 from vpp_fmu.kernel.simulation import Simulation
@@ -116,31 +114,6 @@ def test_initial_unknowns_name_all_that_the_outputs_start_from(fmus, name):
         assert rest == [0.0, 0.0]
 
 
-def test_outputs_can_be_read_during_the_initialisation(fmus):
-    slave = Slave(fmus["all_on"], initialised=False).enter()
-    for omega, c21 in ((0.0, 0.8), (5000.0, 0.8), (5000.0, 0.7)):
-        slave.set(omega_ref=omega, beta_ref=3.0, c21=c21)
-        exact = Simulation(ALL_ON, {**PROBES, "c21": c21}).start({"omega_ref": omega, "beta_ref": 3.0})
-        assert slave.get(*exact) == list(exact.values())
-
-
-def test_an_input_does_nothing_before_the_next_step(fmus):
-    plant = Slave(fmus["plain"])
-    plant.step({"omega_ref": 5000.0, "beta_ref": 3.0}, 0.1)
-    before = plant.get(*OUTPUTS)
-    plant.set(omega_ref=100.0, beta_ref=-4.0)
-    assert plant.get(*OUTPUTS) == before
-
-
-def test_an_input_holds_until_it_is_set_again(fmus):
-    slave, kernel, held = Slave(fmus["all_on"]), Simulation(ALL_ON, PROBES), {"omega_ref": 5000.0, "beta_ref": 6.0}
-    slave.set(**held)
-    for k in range(30):
-        slave.fmi.doStep(k * 0.004, 0.004)
-        assert slave.get(*OUTPUTS) == list(kernel.advance(held, 0.004).values())
-        assert slave.get(*held) == list(held.values())
-
-
 def in_a_new_process(code, folder, **variables):
     """Run Python code in another process, with the tests and this project on the path; its output."""
     path = os.pathsep.join(map(str, (Path(__file__).parent, Path(vpp_fmu.__file__).parents[1])))
@@ -152,17 +125,6 @@ def in_a_new_process(code, folder, **variables):
         capture_output=True,
         text=True,
     ).stdout.strip()
-
-
-def test_an_fmu_built_after_another_one_ran_is_whole(fmu_files, tmp_path):
-    code = (
-        "import io, sys, zipfile; from vpp_fmu.fmu import Fmu, FmuInstance;"
-        f"FmuInstance(Fmu({str(fmu_files['plain'])!r}), ['omega_ref'], ['thrust']).start([0.0]);"
-        "from vpp_fmu.export import python_fmu; from vpp_fmu.kernel.plant import BASE;"
-        "print(*zipfile.ZipFile(io.BytesIO(python_fmu(BASE))).namelist())"
-    )
-    with zipfile.ZipFile(fmu_files["plain"]) as packed:
-        assert in_a_new_process(code, tmp_path, TMPDIR=str(tmp_path)).split() == packed.namelist()
 
 
 @pytest.mark.parametrize("name", ["all_on"])
@@ -217,15 +179,6 @@ def test_the_fmpy_command_runs_a_written_record_as_the_kernel_to_the_bit(fmu_fil
     result = read_csv(tmp_path / "out.csv")
     np.testing.assert_allclose(result["time"], record.time, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(np.column_stack([result[name] for name in OUTPUTS]), exact)
-
-
-def test_without_inputs_the_plant_stays_at_rest(tmp_path):
-    for i, model in enumerate((BASE, ALL_ON)):
-        path = tmp_path / f"{i}.fmu"
-        path.write_bytes(python_fmu(model))
-        result = fmpy.simulate_fmu(str(path), stop_time=2.0, output_interval=0.01)
-        for name in OUTPUTS:
-            assert not result[name].any(), name
 
 
 def test_instances_of_several_fmus_do_not_mix(fmus, tmp_path):
@@ -290,19 +243,6 @@ def test_a_kept_state_goes_on_to_the_bit(fmus, name):
         assert go_on(fresh, ahead) == exact
         slave.fmi.freeFMUstate(kept[0])
         fresh.free()
-
-
-@each_fmu
-def test_a_state_kept_during_the_initialisation_starts_again_from_there(fmus, name):
-    inputs = {v.name: 0.4 * float(v.nominal) for v in fmus[name].variables.values() if v.causality == "input"}
-    slave, fresh = Slave(fmus[name], initialised=False).enter(**inputs), Slave(fmus[name], False).initialise(**inputs)
-    kept = slave.fmi.getFMUstate()
-    slave.set(**{u: 2.0 * value for u, value in inputs.items()})
-    slave.fmi.setFMUstate(kept)
-    slave.fmi.exitInitializationMode()
-    for _ in range(5):
-        assert slave.step(inputs, 0.013) == fresh.step(inputs, 0.013)
-        assert all_values(slave) == all_values(fresh)
 
 
 @each_fmu
@@ -382,16 +322,3 @@ def keeps_the_last_numbers(make, model, folder):
     assert slave.get(*kept) == last
     assert any(last)
     assert np.isfinite(last).all()
-
-
-@pytest.mark.parametrize("value", [35.0, 0.0, -1.0])
-def test_a_parameter_out_of_range_is_refused_by_name(fmus, value):
-    with pytest.raises(SimulationFailed, match=f"tau_omega_1: found {value} s, expected 0.001 to 30.0 s"):
-        FmuInstance(fmus["plain"], ["omega_ref"], ["thrust"], {"tau_omega_1": value}).start([0.0])
-
-
-def test_an_input_or_output_that_an_fmu_does_not_have_is_refused(fmus):
-    with pytest.raises(BadInput, match="thrust_set"):
-        FmuInstance(fmus["plain"], ["thrust_set"], ["thrust"])
-    with pytest.raises(BadInput, match="omega_ref"):
-        FmuInstance(fmus["plain"], ["omega_ref"], ["omega_ref"])

@@ -1,4 +1,4 @@
-"""Gymnasium environments: vector equals single to the bit, FMU equals model, parameters are drawn from the posterior."""
+"""Gymnasium environments: vector equals single to the bit, parameters are drawn from the posterior."""
 
 from importlib.util import find_spec
 
@@ -9,8 +9,7 @@ from builders import refusal
 from gymnasium.utils.env_checker import check_env
 
 from vpp_fmu.errors import BadInput
-from vpp_fmu.export import native_fmu, python_fmu
-from vpp_fmu.gym import Reward, VppFmuEnv, VppThrustEnv, VppThrustVectorEnv
+from vpp_fmu.gym import Reward, VppThrustEnv, VppThrustVectorEnv
 from vpp_fmu.kernel.plant import FINE_TUNED, plant
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.parameters import ParameterSet
@@ -86,23 +85,6 @@ def test_each_environment_of_many_is_a_single_one_to_the_bit(way, fitted, reques
         slow = vector.parameters[:, [p.name for p in own.model.parameters].index("sensor_lag.time_constant")] > 0.0
         assert slow.any()
         assert not slow.all()
-
-
-@pytest.mark.parametrize("make", [native_fmu, python_fmu])
-def test_an_fmu_in_the_plants_place_is_the_plant_to_the_bit(make, tmp_path):
-    parameters = model_with_delay()
-    (tmp_path / "plant.fmu").write_bytes(make(parameters.model, parameters.values))
-    options = {"seconds": 0.4, "hold": 2, "noise": (0.1, 0.0)}
-    fmu, own = VppFmuEnv(tmp_path / "plant.fmu", **options), VppThrustEnv(parameters=parameters, **options)
-    rng = np.random.default_rng(3)
-    try:
-        for _ in range(2):
-            assert np.array_equal(fmu.reset(seed=1)[0], own.reset(seed=1)[0])
-            for _ in range(own.task.actions):
-                action = rng.uniform(-1.0, 1.0, 2)
-                assert all(map(np.array_equal, fmu.step(action)[:4], own.step(action)[:4]))
-    finally:
-        fmu.close()
 
 
 def test_actions_become_commands_and_the_model_is_moved():

@@ -52,26 +52,3 @@ def test_the_export_points_hosts_without_python_to_the_native_flavour(flavour, p
         pytest.skip(f"native FMUs: {missing}")
     said = capsys.readouterr().out
     assert ("--flavour native" in said) == points
-
-
-def test_a_checker_is_found_by_its_environment_variable_or_reported_as_not_run(tmp_path, monkeypatch):
-    """The row shows its exit code and its last line or verdict, for the versions of FMI that it supports."""
-    monkeypatch.setenv("PATH", "/usr/bin:/bin")
-    monkeypatch.setattr("sys.executable", "/usr/bin/python3")
-    for checker in hosts.CHECKERS:
-        monkeypatch.delenv(checker.variable, raising=False)
-    fmus = {("plant", "native", version): tmp_path / f"plant{version}.fmu" for version in ("2.0", "3.0")}
-    rows = hosts.checked(fmus)
-    assert [row.split("|")[1].strip() for row in rows] == ["VDMCheck2", "VDMCheck3", "fmusim", "fmutool", "fmuCheck"]
-    assert all("not run here" in row for row in rows)
-    checker = tmp_path / "checker"
-    checker.write_text('#!/bin/sh\necho reading\necho "$# words, of $(basename $1)"\nexit 3\n')
-    checker.chmod(0o755)
-    monkeypatch.setenv("VDMCHECK2", str(checker))
-    assert hosts.checked(fmus)[0] == "| VDMCheck2 | plant, native, FMI 2.0 | 3: 1 words, of plant2.0.fmu |"
-    assert len(hosts.checked(fmus)) == len(rows)
-    checker.write_text('#!/bin/sh\necho "INFO | it is compliant"\necho reading\necho "No semantic error"\necho not saved\n')
-    monkeypatch.setenv("FMUTOOL", str(checker))
-    assert hosts.checked(fmus)[3:5] == [
-        f"| fmutool | plant, native, FMI {version} | 0: INFO it is compliant No semantic error |" for version in ("2.0", "3.0")
-    ]

@@ -1,8 +1,6 @@
 """From the files of a campaign to parameters: the records that are fitted, those that are only predicted, and the output."""
 
 import json
-from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,11 +9,9 @@ from studies.synthetic import NOISE, TRUTH, commands, measured
 from identification.assessment.reading_noise import REPEATS
 from identification.diagnose.initial_model import from_identification
 from identification.gate.gate import passed
-from identification.identify import identify, off_bounds, slowest
-from identification.steps.response import StepSummary
+from identification.identify import identify
 from vpp_fmu.app.cli import main
-from vpp_fmu.campaign import Campaign, read_campaign
-from vpp_fmu.errors import BadInput
+from vpp_fmu.campaign import read_campaign
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
 from vpp_fmu.native import Simulator
@@ -89,15 +85,6 @@ def test_raw_samples_give_the_static_map(found):
         assert abs(coefficients[name] - TRUTH[name]) < 5 * std
 
 
-def test_one_further_record_is_enough(folder):
-    more = {"tuesday": read_campaign(folder).open_loop}
-    found = identify(Campaign(folder, None, (), None, None, None), starts=1, records=more)
-    assert found.fitted == ("tuesday",)
-    assert all(near_truth(found))
-    with pytest.raises(BadInput, match=r"no identifiable parameter .* expected a record with time"):
-        identify(Campaign(folder, None, (), None, None, None))
-
-
 def test_command_fits_further_records_and_says_what_it_did(folder, tmp_path, capsys):
     taken = str(folder / "more" / "open_loop.csv")
     further = ["--record", str(folder / "more" / "tuesday.csv.gz"), "--record", taken]
@@ -125,31 +112,3 @@ def test_a_further_record_that_cannot_be_read_is_refused_in_one_line(folder, tmp
     assert str(path) in said
     assert says in said
     assert not (tmp_path / "parameters.json").exists()
-
-
-def test_findings_name_the_record_of_the_rows_left_out(folder):
-    campaign = read_campaign(folder)
-    clipped = campaign.repeat.with_columns(thrust=np.minimum(campaign.repeat["thrust"], 9.0))
-    found = identify(replace(campaign, repeat=clipped), starts=1)
-    (finding,) = [f for f in found.quality if f.code == "clipped"]
-    assert (finding.file, finding.field, finding.level) == ("repeat.csv", "thrust", "warning")
-
-
-def test_a_lag_on_its_bound_is_not_used_as_a_time_scale():
-    """A lag of 30 s that a saturated rotor causes is no time scale for plans, noise blocks or bounds."""
-    start = BASE.values()
-    longest = next(p.maximum for p in BASE.parameters if p.name == "tau_omega_1")
-    bent = {**start, "tau_omega_1": longest, "tau_beta_1": 1.1 * start["tau_beta_1"]}
-    kept = off_bounds(BASE, bent, start)
-    assert kept == {**bent, "tau_omega_1": start["tau_omega_1"]}
-    assert slowest(kept, start) == pytest.approx(kept["tau_beta_1"] + kept["tau_beta_2"])
-
-
-@pytest.mark.parametrize(("told", "other"), [((), 7.1), (("beta",), 0.2)])
-def test_the_other_lag_of_the_channel_is_replaced_if_steps_have_identified_it(told, other):
-    """An actuator that latches half way looks like a lag of 7 s beside a negligible one."""
-    start = {**BASE.values(), "tau_beta_1": 0.2, "tau_beta_2": 0.1}
-    shortest = next(p.minimum for p in BASE.parameters if p.name == "tau_beta_2")
-    steps = StepSummary((), (), {u: SimpleNamespace(slow=0.2, fast=0.1) for u in told}, {})
-    kept = off_bounds(BASE, {**start, "tau_beta_1": 7.1, "tau_beta_2": shortest}, start, steps)
-    assert kept == {**start, "tau_beta_1": other}

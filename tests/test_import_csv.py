@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from import_logs import lagged, stand, table
 from import_zoo import PLAIN, text, truth
-from studies.gate import SIZES
+from planted_faults import SIZES
 
 from identification.logs.clock import guessed_unit, mended
 from identification.logs.commands import fitted_map

@@ -10,7 +10,7 @@ from builders import TWO_DELAYS, paper_map, random_steps, reference, simulator, 
 from scipy.signal import lsim
 
 from vpp_fmu.kernel.ops import NUMBERS
-from vpp_fmu.kernel.plant import AVERAGED, BASE, FINE_TUNED, LIBRARY, POWER_EFFECTS, plant
+from vpp_fmu.kernel.plant import AVERAGED, BASE, FINE_TUNED
 from vpp_fmu.kernel.schedule import run_sampled
 from vpp_fmu.kernel.simulation import Simulation
 
@@ -87,22 +87,6 @@ def test_plant_is_the_papers_equations_under_scipy():
     np.testing.assert_allclose(shown[:, 0], paper_map(omega, beta), rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("channel", ["omega", "beta"])
-def test_the_order_of_two_lags_shows_if_the_inner_one_is_not_settled(channel):
-    """From rest their order is not observable. With x and u the deviations of the inner and the outer lag from the command:
-
-    u(t) = u_0 exp(-t / tau_1) + x_0 tau_2 (exp(-t / tau_1) - exp(-t / tau_2)) / (tau_1 - tau_2)
-    """
-    rest, tau_1, tau_2 = {"omega_ref": 3000.0, "beta_ref": 2.0}, 0.2, 0.05
-    simulation = Simulation(BASE, {f"tau_{channel}_1": tau_1, f"tau_{channel}_2": tau_2})
-    level, x_0, u_0 = rest[f"{channel}_ref"], 1.5, -0.5
-    simulation.start(rest, {f"{channel}_inner": level + x_0, f"{channel}_outer": level + u_0})
-    for t in np.arange(1, 60) * 0.01:
-        shown = simulation.advance(rest, 0.01)[channel] - level
-        slow, fast = np.exp(-t / tau_1), np.exp(-t / tau_2)
-        assert shown == pytest.approx(u_0 * slow + x_0 * tau_2 * (slow - fast) / (tau_1 - tau_2), abs=1e-11)
-
-
 @pytest.mark.parametrize(
     "taus", [{}, {"tau_beta_2": 0.207}, {"tau_omega_2": 0.172 + 1e-9}, {"tau_omega_1": 3, "tau_omega_2": 0.001}]
 )
@@ -120,19 +104,6 @@ def test_splitting_a_step_gives_the_same_state(taus, seed):
         assert split.states[name] == pytest.approx(value, rel=1e-12), name
 
 
-@pytest.mark.parametrize("dt", [1e-6, 0.001, 0.004, 0.1, 100.0])
-def test_settled_plant_stays_still_to_the_bit(dt):
-    simulation = Simulation(plant(["pitch_command_deadband", "pitch_delay", "pitch_speed_coupling", "stand_resonance"]))
-    for omega, beta in np.random.default_rng(1).uniform([0.0, -10.0], [7000.0, 12.0], (5, 2)):
-        held = {"omega_ref": omega, "beta_ref": beta}
-        begun = simulation.start(held)
-        assert begun["omega"] == omega
-        assert begun["beta"] == beta
-        assert begun["thrust"] == pytest.approx(paper_map(omega, beta), rel=1e-13, abs=1e-13)
-        for _ in range(3):
-            assert simulation.advance(held, dt) == begun
-
-
 def test_sets_are_the_papers_numbers():
     assert FINE_TUNED == {
         **{"tau_omega_1": 0.172, "tau_omega_2": 0.053, "tau_beta_1": 0.207, "tau_beta_2": 0.374},
@@ -141,27 +112,6 @@ def test_sets_are_the_papers_numbers():
     assert {p.name: p.default for p in BASE.parameters} | FINE_TUNED == BASE.values()
     taus = {"tau_omega_1": 0.15, "tau_omega_2": 0.04, "tau_beta_1": 0.11, "tau_beta_2": 0.28}
     assert {name: AVERAGED[name] for name in taus} == taus
-
-
-@pytest.mark.parametrize("beta", np.linspace(-10.0, 10.0, 10))
-@pytest.mark.parametrize("omega", np.linspace(2000.0, 6000.0, 10))
-def test_averaged_map_is_the_papers_polynomial_but_for_the_dropped_term(omega, beta):
-    """With beta = 15 b - 5 the coefficient of w alone is (5 x 5.7 - 25 x 1.25) 1e-6 = -2.75e-6 N/rpm, 0.0165 N at 6000 rpm."""
-    paper = (
-        0.21 * omega**2 - 5.7 * omega * beta + 0.023 * omega**2 * beta - 1.25 * omega * beta**2 - 2.15e-6 * omega**3
-    ) * 1e-6
-    ours = Simulation(BASE, AVERAGED).start({"omega_ref": omega, "beta_ref": beta})["thrust"]
-    assert ours - paper == pytest.approx(2.75e-6 * omega, rel=1e-9)
-    assert abs(ours - paper) <= 0.017
-
-
-def test_unknown_names_are_key_errors():
-    with pytest.raises(KeyError, match="tau_omega_3"):
-        BASE.values({"tau_omega_3": 1.0})
-    with pytest.raises(KeyError, match=r"pitch_delay\.delay"):
-        Simulation(BASE, {"pitch_delay.delay": 0.1})
-    with pytest.raises(KeyError, match="no_such_effect"):
-        plant(["pitch_delay", "no_such_effect"])
 
 
 GRIDS = {
@@ -197,9 +147,3 @@ def test_every_sample_falls_into_its_communication_step(period, span):
         wait = run_sampled(wait, float(period), float(span), lambda _, k=k: taken.append(k))
     exact = (n * Fraction(period) // Fraction(span) for n in range(len(taken) + 1))
     assert [k for k in exact if k < 3000] == taken
-
-
-def test_the_defaults_of_an_effect_switch_it_off():
-    """A parameter file that names the effect but not its size gives the model without it."""
-    for effect in (e for e in (*LIBRARY, *POWER_EFFECTS) if e.off):
-        assert {p.name: p.default for p in effect.parameters if p.name in effect.off} == effect.off, effect.name

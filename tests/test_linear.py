@@ -5,13 +5,11 @@ import sys
 import numpy as np
 import pytest
 from scipy.io import loadmat
-from scipy.signal import lsim
 
 from vpp_fmu.app.api.linear import Linearisable, linearised
 from vpp_fmu.app.api.results import DiagnoseResult, IdentifyResult
 from vpp_fmu.errors import BadInput, ExtraMissing
 from vpp_fmu.kernel.plant import plant
-from vpp_fmu.native import Simulator
 from vpp_fmu.parameters import ParameterSet
 
 SPEEDS, PITCHES = (2500.0, 4000.0, 5800.0), (-4.0, 1.0, 9.0)
@@ -51,25 +49,6 @@ def test_the_frequency_response_is_two_lags_times_the_slope_of_the_map(omega, be
     assert linearised(v, omega, beta).thrust == pytest.approx(thrust(v, omega, beta), rel=1e-12)
 
 
-@pytest.mark.parametrize(("omega", "beta"), POINTS)
-def test_a_small_step_is_the_compiled_simulators(omega, beta):
-    """The error of the linear plant decreases with the square of the step, the response with the step."""
-    found, dt, rows = Found(), 0.004, 500
-    model, values = found.parameters.model, found.parameters.values
-    system, time, errors = found.to_scipy(omega, beta), np.arange(rows) * dt, []
-    for size in (1e-3, 1e-4):
-        moves = size * np.array([values["omega_scale"], values["beta_scale"]])
-        inputs = {"omega_ref": np.full(rows, omega), "beta_ref": np.full(rows, beta)}
-        inputs["omega_ref"][1:] += moves[0]
-        inputs["beta_ref"][1:] += moves[1]
-        shown = Simulator(model).simulate(values, inputs, np.full(rows - 1, dt))[:, 0]
-        _, linear, _ = lsim(system, np.tile(moves, (rows, 1)), time)
-        difference = shown[1:] - shown[0] - linear[:-1]
-        errors.append(np.abs(difference).max())
-        assert errors[-1] < 0.02 * np.abs(linear).max()
-    assert errors[1] < 0.02 * errors[0]
-
-
 def test_python_control_has_the_same_system_with_names():
     control = pytest.importorskip("control", reason="python-control is not installed")
     found = Found()
@@ -88,17 +67,6 @@ def test_without_python_control_one_line_says_what_installs_it(monkeypatch):
         Found().to_control(4000.0, 2.0)
 
 
-def test_effects_are_named_as_left_out():
-    with pytest.warns(UserWarning, match="not part of the linear model: pitch_command_deadband"):
-        Found("pitch_command_deadband").to_scipy(4000.0, 2.0)
-
-
-@pytest.mark.parametrize(("point", "said"), [((-1.0, 2.0), "omega: found -1 rpm"), ((4000.0, 200.0), "beta: found 200 deg")])
-def test_a_point_that_no_rig_has_is_refused(point, said):
-    with pytest.raises(BadInput, match=f"working point: {said}, expected "):
-        Found().to_scipy(*point)
-
-
 def test_a_mat_file_has_the_matrices_the_parameters_and_their_units(tmp_path):
     found = Found()
     path = found.save_mat(tmp_path / "rig.mat", 4000.0, 2.0)
@@ -115,14 +83,6 @@ def test_a_mat_file_has_the_matrices_the_parameters_and_their_units(tmp_path):
     assert "load('rig.mat')" in script
     with pytest.raises(BadInput, match="name: found my rig"):
         found.save_mat(tmp_path / "my rig.mat", 4000.0, 2.0)
-
-
-def test_an_effects_parameter_has_a_name_that_matlab_takes(tmp_path):
-    with pytest.warns(UserWarning, match="pitch_delay"):
-        path = Found("pitch_delay").save_mat(tmp_path / "rig", 4000.0, 2.0)
-    held = loadmat(path, simplify_cells=True)
-    assert held["units"]["pitch_delay__delay"] == "s"
-    assert held["effects"] == "pitch_delay"
 
 
 def test_results_of_identify_and_diagnose_can_be_linearised():

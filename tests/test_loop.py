@@ -89,25 +89,6 @@ def test_the_record_is_a_record_of_the_loop(closed_loops, name):
         assert record["thrust"][round(end / 0.004)] == pytest.approx(wanted, abs=1e-3)
 
 
-def test_the_commands_of_a_run_in_open_loop_reproduce_its_measurements(closed_loops):
-    """A row is measured before its commands act, so the record can be replayed in open loop."""
-    record, plant = closed_loops["dual"], KernelPlant(parameters=FAST_PITCH)
-    shown = [plant.start(0.0, 0.0)]
-    shown += [plant.step(*commands) for commands in zip(record["omega_ref"][:-1], record["beta_ref"][:-1], strict=True)]
-    np.testing.assert_array_equal(np.array(shown), np.column_stack([record[name] for name in ("thrust", "omega", "beta")]))
-
-
-def test_a_fmu_pair_can_run_twice(fmu_files, closed_loops):
-    plant, controller = FmuPlant(fmu_files["fast_pitch"]), FmuController(fmu_files["controller"])
-    short = profile((0.0, 1.5), (1.0, 1.5))
-    runs = [run(plant, controller, short) for _ in range(2)]
-    for record in runs:
-        for column in COLUMNS:
-            np.testing.assert_array_equal(record[column], closed_loops["dual"][column][:251])
-    plant.close()
-    controller.close()
-
-
 class Echo:
     """A plant whose thrust is the last commanded speed; it records its calls."""
 
@@ -207,19 +188,3 @@ def test_both_masters_report_a_failure_in_the_same_words(native_files, monkeypat
     assert compiled == interpreted
     assert "controller.fmu: the step at 5 s with inputs [nan, " in compiled
     assert "thrust_set: found nan" in compiled
-
-
-def test_without_a_compiler_the_loop_runs_call_by_call(native_files, monkeypatch):
-    def missing(*_):
-        raise CompilerMissing("none here")
-
-    monkeypatch.setattr("vpp_fmu.loop.run_together", missing)
-    (record, _), (other, _) = run_both_ways(native_files, monkeypatch, profile((0.0, 4.0), (1.0, 4.0)))
-    np.testing.assert_array_equal(record["thrust"], other["thrust"])
-
-
-def test_python_fmus_are_not_stepped_by_the_compiled_master(fmu_files):
-    plant = FmuPlant(fmu_files["plain"])
-    plant.start(0.0, 0.0)
-    assert plant.instance.entry() is None
-    plant.close()

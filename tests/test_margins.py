@@ -1,13 +1,11 @@
 """Margins against closed forms, and against the gain and the delay that destabilise the simulated loop."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from builders import FAST_PITCH
 from scipy.signal import cont2discrete, freqz
 
-from identification.tune.linear import chain_response, controller_response, plant_response, pulse_response
+from identification.tune.linear import controller_response, plant_response, pulse_response
 from identification.tune.margins import frequencies, margins
 from identification.tune.objective import Objective, closed_loop
 from identification.tune.operating import margins_at, operating_points
@@ -38,20 +36,6 @@ def test_a_sampled_integrator_has_the_textbooks_margins(k):
     assert found.delay == pytest.approx((np.pi / 2.0 - at / 2.0) / (at / DT), rel=2e-3)
     assert found.sensitivity == pytest.approx(1.0 / (1.0 - k / 2.0), rel=1e-3)
     assert found.reduction == 0.0
-
-
-def test_a_third_order_loop_has_its_gain_margin():
-    """a / (s (s + 1) (s + 2)) passes -180 deg at sqrt 2 rad/s, where it is a / 6."""
-    s = 1j * OMEGA
-    for a, stable in ((1.5, True), (5.9, True), (6.1, False)):
-        found = margins(OMEGA, a / (s * (s + 1.0) * (s + 2.0)))
-        assert found.stable == stable
-        factor = found.gain if stable else found.reduction
-        assert factor == pytest.approx(6.0 / a, rel=1e-3)
-
-
-def test_a_sampled_integrator_is_unstable_above_two():
-    assert not margins(OMEGA, sampled_integrator(2.1)).stable
 
 
 @pytest.mark.parametrize(("omega", "beta"), [(2500.0, -1.0), (5500.0, 8.0)])
@@ -89,15 +73,6 @@ def test_the_controllers_response_is_what_a_sine_shows(channel, frequency):
     real, imaginary, _ = np.linalg.lstsq(basis, np.array(shown)[kept], rcond=None)[0]
     expected = controller_response(SETTINGS, channel, np.array([frequency]))[0]
     assert complex(real, imaginary) / 1e-3 == pytest.approx(expected, rel=1e-6)
-
-
-def test_the_chains_response_is_a_delay_and_a_lag():
-    whole = chain_response(MEASUREMENT.values({"delay": 2.0}), OMEGA, DT)
-    np.testing.assert_allclose(whole, np.exp(-2j * OMEGA * DT), atol=1e-9)
-    slow = OMEGA < 25.0
-    late = chain_response(MEASUREMENT.values({"delay": 0.4, "time_constant": 0.01, "resolution": 0.1}), OMEGA, DT)[slow]
-    s = 1j * OMEGA[slow]
-    np.testing.assert_allclose(late, np.exp(-0.4 * DT * s) / (0.01 * s + 1.0), atol=2e-3)
 
 
 def an_objective(gains, effects=(), changes=None, course=None):
@@ -155,54 +130,8 @@ def test_the_loop_is_stable_up_to_its_gain_margin(at_rest):
     assert ringing(gains, point, factor=1.07 * found.gain) > 1.05
 
 
-def test_operating_points_hold_their_thrust():
-    objective = an_objective(DUAL)
-    points = operating_points(objective, objective.gains)
-    assert [round(p.thrust, 9) for p in points] == [3.0, 5.0, 7.0, 9.0, 11.0, 9.0, 7.0, 5.0, 3.0]
-    for p in points:
-        shown = Simulation(BASE, FAST_PITCH).start(dict(zip(("omega_ref", "beta_ref"), p.commands, strict=True)))
-        assert shown["thrust"] == pytest.approx(p.thrust, abs=0.02)
-
-
-def test_a_channel_at_its_limit_is_not_free():
-    low = an_objective({**SPEED_ONLY, "omega_max": 3000.0}, course=Course(np.array([3.0, 11.0]), np.zeros(2), DT, 15.0))
-    points = operating_points(low, low.gains)
-    assert [p.channels for p in points] == [("omega",)] * len(points)
-    assert {round(p.thrust, 9) for p in points} == {3.0}
-
-
 def test_a_loop_with_more_than_its_margin_counts_as_unstable(at_rest):
     gains, point, found = at_rest
     grown = {name: 1.05 * found.gain * value if name[:2] in ("kp", "ki", "kd") else value for name, value in gains.items()}
     objective = an_objective(grown)
     assert not margins_at(objective, objective.gains, (point,))[0].stable
-
-
-PAIRS = {f"pair_{u}_{k}": value for u, value in (("omega", 4000.0), ("beta", 4.0)) for k in range(9)}
-ALLOCATED = CONTROLLER.values({**PAIRS, "mode": 2.0, "k_mid": 0.8, "ki_beta": 17.0})
-
-
-@pytest.mark.parametrize(("channel", "scale", "rest"), [("omega", 6000.0, 4000.0), ("beta", 15.0, 4.0)])
-def test_on_the_best_pairs_the_response_is_that_of_the_simulated_law_to_a_growing_error(channel, scale, rest):
-    """An error z^k outgrows the law's own modes, whose poles are at 1 and below, so that C(z) z^k remains."""
-    growth, rows = 1.05, 400
-    error = 1e-3 * growth ** np.arange(-rows, 0.0)
-    inputs = {"thrust_set": np.full(rows, 8.0), "thrust": 8.0 - 15.0 * error}
-    controller, shown = Simulation(CONTROLLER, ALLOCATED), []
-    controller.start({name: values[0] for name, values in inputs.items()})
-    for k in range(rows):
-        shown.append(controller.advance({name: values[k] for name, values in inputs.items()}, DT)[f"{channel}_ref"])
-    expected = controller_response(ALLOCATED, channel, np.array([-1j * np.log(growth) / DT]))[0]
-    assert abs(expected.imag) < 1e-9 * abs(expected)
-    assert (shown[-1] - rest) / scale / error[-1] == pytest.approx(expected.real, rel=1e-4)
-
-
-def test_a_search_on_the_best_pairs_sees_the_sensitivity_of_its_margins():
-    """Its sum over the gains, two of which are multiplied, against the response itself."""
-    searched = an_objective(ALLOCATED)
-    points = operating_points(searched, searched.gains)
-    searched = replace(searched, points=points)
-    found = max(m.sensitivity for m in margins_at(searched, searched.gains, points))
-    assert searched.names[2] == "k_mid"
-    assert max(len(point.channels) for point in points) == 2
-    assert searched.largest_sensitivity(searched.gains) == pytest.approx(found, rel=0.02)

@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 import test_native_fmu
 from builders import ALL_ON, PROBES, Slave, random_steps, simulator
-from fmpy.fmi1 import FMICallException
 from fuzz import fuzz, fuzzer
 from misuse import Host
 
 from vpp_fmu.fmu import FmuInstance
-from vpp_fmu.kernel.controller import CONTROLLER
 
 # Without a compiler all is skipped together with that module.
 MODELS, OUTPUTS, each_fmu = test_native_fmu.MODELS, test_native_fmu.OUTPUTS, test_native_fmu.each_fmu
@@ -50,39 +48,6 @@ CALLS = {
     "fmi2SetDebugLogging": lambda h: h.log(1),
     "fmi2CancelStep": lambda h: h.call("CancelStep"),
 }
-STATES = {
-    "instantiated": [],
-    "initialising": ["fmi2SetupExperiment", "fmi2EnterInitializationMode"],
-    "stepping": ["fmi2EnterInitializationMode", "fmi2ExitInitializationMode"],
-    "terminated": ["fmi2EnterInitializationMode", "fmi2ExitInitializationMode", "fmi2Terminate"],
-    "failed": ["fmi2EnterInitializationMode", "fmi2DoStep"],
-}
-ALLOWED = {
-    "instantiated": {"fmi2SetupExperiment", "fmi2EnterInitializationMode", "fmi2SetReal", "fmi2SetString"},
-    "initialising": {"fmi2ExitInitializationMode", "fmi2GetReal", "fmi2SetReal", "fmi2GetInteger", "fmi2SetString"},
-    "stepping": {"fmi2Terminate", "fmi2DoStep", "fmi2GetReal", "fmi2SetReal", "fmi2GetInteger", "fmi2SetString"},
-    "terminated": {"fmi2GetReal", "fmi2GetInteger"},
-    "failed": {"fmi2GetReal", "fmi2GetInteger"},
-}
-ALWAYS = {"fmi2Reset", "fmi2GetFMUstate", "fmi2SetDebugLogging"}
-
-
-@pytest.mark.parametrize("state", STATES)
-def test_calls_are_taken_in_the_order_of_the_standard(fmus, state):
-    for name, call in CALLS.items():
-        raw = started(fmus["plain"])
-        for way in STATES[state]:
-            CALLS[way](raw)
-        raw.said.clear()
-        allowed = ALLOWED[state] | ALWAYS | ({"fmi2GetDirectionalDerivative"} if state != "instantiated" else set())
-        assert call(raw) == (0 if name in allowed else 3), name
-        if name not in allowed:
-            [(status, category, text)] = raw.said
-            assert (status, category) == (3, "logStatusError")
-            assert text.startswith(f"VppPlant: {name}: found a call ")
-            assert CALLS["fmi2SetReal"](raw) == 3  # an error stays until a reset
-            assert CALLS["fmi2Reset"](raw) == CALLS["fmi2SetupExperiment"](raw) == 0
-        raw.call("FreeInstance")
 
 
 def test_no_instance_without_the_arguments_that_the_standard_requires(fmus):
@@ -110,70 +75,6 @@ def test_missing_callbacks_and_null_pointers_are_refused(fmus):
     for call in CALLS.values():
         assert call(raw) == 3
     raw.call("FreeInstance")
-
-
-def test_other_types_than_real_and_derivatives_in_time_are_refused(fmus):
-    for name in ("GetInteger", "GetBoolean", "GetString", "SetInteger", "SetBoolean", "SetString"):
-        raw = started(fmus["plain"])
-        raw.call("EnterInitializationMode")
-        assert raw.call(name, (ctypes.c_uint * 1)(2), ctypes.c_size_t(1), (ctypes.c_double * 1)()) == 3
-        assert raw.said[-1][2] == f"VppPlant: fmi2{name}: found thrust of type Real, expected the call's own type"
-    raw = started(fmus["plain"])
-    assert raw.call("SetRealInputDerivatives", None, ctypes.c_size_t(1), None, None) == 3
-    raw = started(fmus["plain"])
-    for way in STATES["stepping"]:
-        CALLS[way](raw)
-    assert raw.call("GetRealStatus", 0, (ctypes.c_double * 1)()) == 2
-    assert raw.said[-1][:2] == (2, "logStatusDiscard")
-    assert raw.step() == 0
-    assert raw.call("GetRealStatus", 2, reached := (ctypes.c_double * 1)()) == 0
-    assert reached[0] == 0.004
-
-
-def test_logging_is_switched_by_category(fmus):
-    raw = started(fmus["plain"])
-    for on in (0, 1):
-        raw.said.clear()
-        assert raw.log(on, "logStatusError") == 0
-        raw.step()
-        assert len(raw.said) == on
-        raw.call("Reset")
-    assert raw.log(1, "logAll") == 0
-    for way in (*STATES["stepping"], "fmi2DoStep", "fmi2Terminate"):
-        assert CALLS[way](raw) == 0
-    events = [(0, "logEvents", f"VppPlant: {what} s") for what in ("initialised at 0.0", "terminated at 0.004")]
-    assert raw.said[-2:] == events
-    assert raw.log(1, "logNothing") == 0
-    assert raw.said[-1] == (1, "logStatusWarning", "VppPlant: log category logNothing is unknown")
-    assert CALLS["fmi2GetReal"](raw) == 0
-
-
-def test_messages_write_numbers_as_python_does(fmus):
-    slave = Slave(fmus["plain"])
-    for value in (-0.1, -1e-5, -123456.789, -1e16, -1e22, -1.0, -(2.0**53), -1 / 3, -5e-324, -1.7976931348623157e308, -0.0):
-        with pytest.raises(FMICallException):
-            slave.fmi.doStep(0.0, value)
-        assert slave.messages[-1] == f"VppPlant: communication step: found {value} s, expected a positive number"
-        slave.fmi.reset()
-        slave.initialise()
-
-
-def test_a_delay_takes_no_more_changes_than_it_can_hold(fmus):
-    slave = Slave(fmus["all_on"], initialised=False).initialise(**{"pitch_delay.delay": 0.3})
-    for k in range(4096):
-        slave.step({"beta_ref": float(1 + k % 2)}, 1e-6)
-    with pytest.raises(FMICallException):
-        slave.step({"beta_ref": 5.0}, 1e-6)
-    assert "found more than 4096 waiting command changes" in slave.messages[-1]
-
-
-def test_a_state_of_another_fmu_is_refused(fmus):
-    plant, controller = Slave(fmus["plain"]), Slave(fmus["controller"])
-    with pytest.raises(FMICallException):
-        controller.fmi.deSerializeFMUstate(plant.fmi.serializeFMUstate(plant.fmi.getFMUstate()))
-    controller.fmi.reset()
-    with pytest.raises(FMICallException):
-        controller.fmi.setFMUstate(plant.fmi.getFMUstate())
 
 
 def derivative(slave, unknowns, knowns, moves):
@@ -225,39 +126,6 @@ def test_derivatives_at_communication_points_are_the_simulators(fmus, name):
             slave.fmi.setFMUstate(slave.fmi.deSerializeFMUstate(slave.fmi.serializeFMUstate(slave.fmi.getFMUstate())))
         if row < 399:
             slave.step({n: float(column[row]) for n, column in inputs.items()}, 0.0037)
-
-
-def test_the_controllers_derivatives_are_differences(fmus):
-    """Also with respect to its sample time: 37 samples of each length, at constant thrust."""
-    held, unknowns = {"thrust_set": 7.0, "thrust": 6.99}, ["omega_ref", "beta_ref"]
-
-    def run(samples, **values):
-        slave = Slave(fmus["controller"], initialised=False).enter(**values)
-        derivative(slave, unknowns, ["kp_omega"], [1.0])
-        slave.fmi.exitInitializationMode()
-        slave.step(held, samples * values.get("sample_time", 0.004))
-        return slave
-
-    slave, model = run(37), CONTROLLER.values()
-    for known in ("sample_time", "kp_omega", "ki_beta", "kd_omega", "t_filter", "thrust_scale"):
-        h = 1e-6 * model[known]
-        above, below = (np.array(run(37, **{known: model[known] + d}).get(*unknowns)) for d in (h, -h))
-        found = derivative(slave, unknowns, [known], [1.0])
-        np.testing.assert_allclose(found, (above - below) / (2.0 * h), rtol=1e-5, atol=1e-6)
-
-
-def test_unavailable_derivatives_are_refused_with_the_reason(fmus):
-    cases = {
-        ("thrust", "tau_omega_1"): "found the known tau_omega_1 after initialisation",
-        ("thrust", "omega"): "found the known omega",
-        ("omega_ref", "omega_ref"): "found the unknown omega_ref",
-        ("c20", "omega_ref"): "found the unknown c20",
-    }
-    for (unknown, known), words in cases.items():
-        slave = Slave(fmus["plain"])
-        with pytest.raises(FMICallException):
-            derivative(slave, [unknown], [known], [1.0])
-        assert words in slave.messages[-1]
 
 
 def one(reference):
@@ -322,7 +190,6 @@ def test_threads_with_instances_of_their_own_do_not_mix(fmus):
     ("name", "version", "calls"), [("plain", "2.0", 3000), ("controller", "2.0", 3000), ("controller", "3.0", 10_000)]
 )
 def test_no_sequence_of_calls_crashes_it(name, version, calls, tmp_path):
-    """`python -m tests.studies fmus` tests the other models, with ten times the calls."""
     program, _ = fuzzer(tmp_path, *MODELS[name], version)  # where there are no sanitizers, a crash still shows
     for seed in (1, 2, 3):
         done = fuzz(program, seed, calls)

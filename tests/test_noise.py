@@ -9,7 +9,7 @@ from scipy.fft import dct
 from scipy.signal import lfilter
 
 from identification.fit import ar_filter, noise
-from identification.fit.noise import Blocks, Colour, colour_of
+from identification.fit.noise import Blocks, colour_of
 
 RNG = np.random.default_rng(20)
 
@@ -37,13 +37,6 @@ def risen(rng: np.random.Generator, rows: int, corner: float, power: int) -> np.
     return rng.standard_normal(rows) + np.fft.irfft(slow, 2 * rows)[:rows]
 
 
-def test_white_noise_has_no_colour():
-    """The BIC rarely selects a wrong order: at most 4 of 40 draws of 2000 rows."""
-    rng = np.random.default_rng(12)
-    found = [colour_of([rng.standard_normal(2000)]) for _ in range(40)]
-    assert sum(c.order > 0 or c.corner > 0.0 for c in found) <= 4
-
-
 @pytest.mark.parametrize(("corner", "power"), [(0.02, 1), (0.1, 1), (0.02, 2)])
 def test_noise_that_increases_at_low_frequencies_is_whitened(corner, power):
     """Flicker noise and a random walk: the mean power of the ten lowest ordinates of another draw, 1 for white noise, over 40
@@ -55,28 +48,6 @@ def test_noise_that_increases_at_low_frequencies_is_whitened(corner, power):
         ordinates.append(dct(colour.whiten(other - other.mean()), norm="ortho")[1:11] ** 2)
     assert 0.6 < np.mean(ordinates) < 2.5
     assert np.mean(ordinates, axis=0)[0] < 0.1**power * (1.0 + (corner * 2.0 * 2000.0) ** power)
-
-
-def test_whitening_of_low_frequencies_keeps_gaps_in_place():
-    colour, values = Colour((), (), 1.0, 0.05, 1), RNG.standard_normal((300, 2))
-    holed = values.copy()
-    holed[100:103, 1] = np.nan
-    left, whole = colour.whiten(holed), colour.whiten(values)
-    np.testing.assert_array_equal(np.isnan(left), np.isnan(holed))
-    np.testing.assert_allclose(left[:, 0], whole[:, 0], atol=1e-12)
-    assert np.corrcoef(left[:50, 1], whole[:50, 1])[0, 1] > 0.99
-
-
-def test_a_gap_costs_the_filter_s_length_and_nothing_else():
-    colour = colour_of([lfilter([1.0], [1.0, -0.5, -0.3], RNG.standard_normal(5000))])
-    values = RNG.standard_normal((300, 2))
-    holed = values.copy()
-    holed[100, 1] = np.nan
-    left, whole = colour.whiten(holed), colour.whiten(values)
-    gone = np.isnan(left)
-    assert not gone[:, 0].any()
-    np.testing.assert_array_equal(np.flatnonzero(gone[:, 1]), 100 - colour.order + np.arange(colour.order + 1))
-    np.testing.assert_allclose(left[~gone], whole[~gone], atol=1e-9)
 
 
 def test_block_means_leave_empty_cells_out():

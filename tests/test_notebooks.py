@@ -56,6 +56,7 @@ def short(tmp_path):
     return folder.path
 
 
+@pytest.mark.slow
 def test_the_main_job(short, tmp_path):
     found = run(
         "campaign_to_fmu.ipynb",
@@ -71,6 +72,7 @@ def test_the_main_job(short, tmp_path):
     assert (before, after) == (pytest.approx(said_before, rel=0.02), pytest.approx(said_after, rel=0.02))
 
 
+@pytest.mark.slow
 def test_an_effect_of_ones_own(tmp_path):
     found = run(
         "effect_of_your_own.ipynb",
@@ -92,6 +94,7 @@ def test_an_effect_of_ones_own(tmp_path):
     assert seen_step / whole_step == pytest.approx(shown, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_learned_controller(tmp_path):
     """The environment rewards a law that sees the error; the learned law completes a run on the emulated rig."""
     asked = "(sorted(rewards, key=rewards.get), observation.shape, code, sorted(p.name for p in Path('policy').iterdir()),"

@@ -30,20 +30,6 @@ def names(folder):
     return sorted(name for name in os.listdir(folder) if name != WRITTEN)
 
 
-def test_files_appear_when_the_run_ends(tmp_path):
-    (tmp_path / "parameters.json").write_text("old")
-    run = OutputSet(tmp_path, "identify")
-    staged = run.write("parameters.json", "new")
-    run.write("identification.json", "new")
-    assert staged.read_text() == "new"
-    assert (tmp_path / "parameters.json").read_text() == "old"
-    assert not (tmp_path / "identification.json").exists()
-    run.finish(ONE)
-    assert names(tmp_path) == ["identification.json", "parameters.json"]
-    assert (tmp_path / "parameters.json").read_text() == "new"
-    assert run.replaced == ("parameters.json",)
-
-
 def test_a_run_that_fails_leaves_what_was_there(tmp_path):
     ran(tmp_path, "identify", ONE, parameters_json="old", identification_json="old")
     before = {name: (tmp_path / name).read_bytes() for name in os.listdir(tmp_path)}
@@ -113,42 +99,6 @@ def test_one_folder_holds_one_model(tmp_path, first, second):
     assert names(tmp_path) == ["empirical.json", "identification.json", "notes.txt", "parameters.json"]
 
 
-def test_a_file_that_the_user_has_changed_is_kept(tmp_path):
-    ran(tmp_path, "diagnose", ONE, parameters_json="1", diagnosis_json="1")
-    (tmp_path / "diagnosis.json").write_text("1, and a remark")
-    run = ran(tmp_path, "diagnose", OTHER, parameters_json="2")
-    assert (run.kept, run.removed) == (("diagnosis.json",), ())
-    assert (tmp_path / "diagnosis.json").exists()
-    again = ran(tmp_path, "diagnose", ONE, parameters_json="3")
-    assert (again.kept, again.removed) == ((), ())
-
-
-def test_files_that_other_verbs_made_of_other_parameters_are_kept_and_named(tmp_path):
-    ran(tmp_path, "identify", ONE, parameters_json="1")
-    ran(tmp_path, "tune", ONE, gains_json="1")
-    ran(tmp_path, "export", ONE, VppPlant_fmu="1")
-    same = ran(tmp_path, "identify", ONE, parameters_json="1, on another day")
-    assert same.others == {}
-    run = ran(tmp_path, "diagnose", OTHER, parameters_json="2")
-    assert run.others == {"gains.json": "tune", "VppPlant.fmu": "export"}
-    assert names(tmp_path) == ["VppPlant.fmu", "gains.json", "parameters.json"]
-    assert ran(tmp_path, "export", OTHER, VppPlant_fmu="2").others == {"gains.json": "tune"}
-
-
-def test_a_verb_replaces_its_own_set(tmp_path):
-    ran(tmp_path, "export", ONE, VppPlant_fmu="1", VppController_fmu="1")
-    run = ran(tmp_path, "export", ONE, VppController_fmu="2")
-    assert run.removed == ("VppPlant.fmu",)
-    assert run.replaced == ("VppController.fmu",)
-
-
-def test_a_run_without_parameters_leaves_no_list_of_its_files(tmp_path):
-    run = OutputSet(tmp_path, "compare")
-    run.write("comparison.json", "{}")
-    run.finish()
-    assert os.listdir(tmp_path) == ["comparison.json"]
-
-
 @pytest.mark.parametrize(
     "noted",
     ["", "[]", "{}", '{"format": "vpp-written/2", "files": {}}', '{"format": "vpp-written/1", "files": {"a": 1}}', "outside"],
@@ -170,19 +120,6 @@ def test_an_invalid_list_of_files_removes_nothing(tmp_path, noted):
     assert names(folder) == ["a.json", "c.json"]
 
 
-def test_a_scratch_folder_is_removed_with_its_owner(tmp_path):
-    scratch = Scratch(tmp_path)
-    path = scratch.path
-    (path / "file").write_text("x")
-    assert path.parent == tmp_path
-    assert path.name.startswith(".")
-    other = Scratch(tmp_path)  # sweeps; but this one lives
-    assert path.exists()
-    other.close()
-    del scratch
-    assert os.listdir(tmp_path) == []
-
-
 DIES = """
 import os, signal, sys
 from pathlib import Path
@@ -200,3 +137,13 @@ def test_the_next_process_removes_the_scratch_folder_of_a_killed_one(tmp_path):
     (tmp_path / left.name.replace("scratch", "other")).mkdir()
     Scratch(tmp_path).close()
     assert [Path(name) for name in os.listdir(tmp_path)] == [Path(left.name.replace("scratch", "other"))]
+
+
+def test_a_file_that_the_user_has_changed_is_kept(tmp_path):
+    ran(tmp_path, "diagnose", ONE, parameters_json="1", diagnosis_json="1")
+    (tmp_path / "diagnosis.json").write_text("1, and a remark")
+    run = ran(tmp_path, "diagnose", OTHER, parameters_json="2")
+    assert (run.kept, run.removed) == (("diagnosis.json",), ())
+    assert (tmp_path / "diagnosis.json").exists()
+    again = ran(tmp_path, "diagnose", ONE, parameters_json="3")
+    assert (again.kept, again.removed) == ((), ())

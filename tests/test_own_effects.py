@@ -11,7 +11,6 @@ from builders import refusal
 import vpp_fmu as vpp
 from identification.tune.objective import closed_loop
 from vpp_fmu.app.cli import main
-from vpp_fmu.app.report.sentences import clause
 from vpp_fmu.errors import BadInput
 from vpp_fmu.invariants import INVARIANTS
 from vpp_fmu.kernel.plant import LIBRARY
@@ -98,14 +97,6 @@ def test_python_that_cannot_be_traced_is_refused_by_every_verb_with_its_line(ver
     assert said in refused(*(word.format(path) for word in verb.split()))
 
 
-def test_an_effect_is_described_by_its_sentence_or_its_description(tmp_path):
-    path = tmp_path / "with_a_sentence.py"
-    path.write_text(SOURCE.replace('reading="thrust"', 'says="the reading lags by {tau}"'))
-    for file, said in ((FILE, "the load cell's amplifier is slow"), (path, "the reading lags by 0.0500 s")):
-        (own,) = (e for e in library_with([file]) if e.name == "cell_lag")
-        assert clause(own, {"cell_lag.tau": 0.05000001}) == said
-
-
 def test_the_readme_shows_the_file_that_is_tested():
     body = SOURCE.partition("\n\n")[2].strip()
     assert body in (FILE.parents[1] / "README.md").read_text()
@@ -181,10 +172,6 @@ def installed(tmp_path, monkeypatch):
     return install
 
 
-def test_without_installed_packages_the_library_is_unchanged():
-    assert library_with(()) is LIBRARY
-
-
 @pytest.mark.parametrize("value", ["a_plugin_effect", "a_plugin_effect:EFFECT"])
 def test_an_installed_package_brings_effects(installed, value):
     installed([("vpp.effects", "cell", value)], {"a_plugin_effect": SOURCE})
@@ -206,8 +193,3 @@ def test_an_installed_package_brings_verbs(installed, printed, capsys):
     with pytest.raises(SystemExit):
         main(["--help"])
     assert re.search(r"greet +of a-plugin", capsys.readouterr().out)
-
-
-def test_an_installed_verb_without_an_example_is_refused_in_one_line(installed, refused):
-    installed([("vpp.verbs", "greet", "a_plugin_verb")], {"a_plugin_verb": VERB.replace("EXAMPLE", "OTHER")})
-    assert "no EXAMPLE" in refused("greet")

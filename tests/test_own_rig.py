@@ -13,18 +13,13 @@ from xml.etree import ElementTree
 import pytest
 from builders import shorten_tuning
 
-import vpp_fmu as vpp
 from identification.diagnose import diagnose as diagnosing
 from identification.plan import plan as planning
-from identification.tune.controllers import rig_controller
 from vpp_fmu.app import cli
-from vpp_fmu.app.cli import hil as hil_verb
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL
 from vpp_fmu.kernel.plant import plant
-from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.parameters import ParameterSet, read_parameters, to_json
-from vpp_fmu.record import RecordWarning, read_record
-from vpp_fmu.rig import Rig, rig_of
+from vpp_fmu.rig import Rig
 
 DATA = Path(__file__).parent / "data"
 README = (Path(__file__).parents[1] / "README.md").read_text()
@@ -136,16 +131,6 @@ def test_every_controller_that_is_written_has_the_rigs_limits_and_sampling(writt
     assert f"within {low} to {high} rpm" in found["export"][1]
 
 
-@of_each_rig
-def test_every_written_command_is_within_the_ranges_of_the_rig(written):
-    rig, folder, _ = written
-    (low, high), (least, most) = RIGS[rig]["speed"], RIGS[rig]["pitch"]
-    for name in ("loop/run.csv", "next/plan.csv", "out/next_experiment.csv"):
-        record = read_record(folder / name)
-        assert low * (1 - 1e-3) <= record["omega_ref"].min() <= record["omega_ref"].max() <= high * (1 + 1e-3), name
-        assert least - 1e-3 <= record["beta_ref"].min() <= record["beta_ref"].max() <= most + 1e-3, name
-
-
 PAPERS = re.compile(r"(?<![\w.,])(6000(\.0)?|2000(\.0)?|20000? to 6000)(?![\w.])")
 """The paper's speeds; the other numbers of its rig are too common to search for."""
 
@@ -183,13 +168,6 @@ def test_no_number_of_the_papers_rig_is_in_what_is_written(written):
             raise AssertionError((name, text[max(0, hit.start() - 80) : hit.end() + 40]))
 
 
-def test_without_parameters_the_papers_values_are_said_to_be_a_default(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("vpp_fmu.app.cli.export.exported", lambda parts, *_: {})
-    assert cli.main(["export", "-o", str(tmp_path)]) == 0
-    said = "within 2000 to 6000 rpm, -5 to 10 deg (the paper's by default: no rig is known), sampled every 4 ms"
-    assert said in capsys.readouterr().out
-
-
 CAMPAIGN = dict.fromkeys(("speed", "pitch", "thrust"), "the campaign")
 WIDE = Rig("wide", (0.0, 5573.0), (-4.0, 12.0), (0.0, 15.0), origin=CAMPAIGN)
 """A rig of the paper's size whose blades go beyond the calibration of the emulated rig."""
@@ -199,27 +177,6 @@ WIDE = Rig("wide", (0.0, 5573.0), (-4.0, 12.0), (0.0, 15.0), origin=CAMPAIGN)
 def wide(tmp_path):
     (tmp_path / "parameters.json").write_text(to_json(ParameterSet(plant(), source={"rig": WIDE.summary()})))
     return tmp_path
-
-
-def test_the_emulated_rig_covers_the_ranges_of_the_parameters(wide, monkeypatch):
-    monkeypatch.chdir(wide)
-    Path("step.csv").write_text("time,thrust_set\n0,2\n1,14.9\n4,14.9\n")
-    assert cli.main(["hil", "run", "--virtual", "--parameters", ".", "--profile", "step.csv", "-o", "run"]) == 0
-    with pytest.warns(RecordWarning, match="omega_wanted"):
-        run = read_record(next((wide / "run").rglob("run.csv")))
-    assert run["omega_ref"].max() == WIDE.speed[1]
-    assert run["beta_ref"].max() == WIDE.pitch[1]  # above the 10 deg of the calibration that it has for the paper's rig
-
-
-def test_twin_and_hil_take_the_same_emulated_rig(wide):
-    for verb, words in (("twin", ["day"]), ("hil", ["run", "--profile", "step.csv"])):
-        parser, _ = cli.parser_of(verb)
-        options = parser.parse_args([*words, "--virtual", "--parameters", str(wide)])
-        found = hil_verb.setup_of(options)
-        assert (found.allowed.speed, found.allowed.pitch) == (WIDE.speed, WIDE.pitch)
-        for pitch in WIDE.pitch:
-            assert found.calibration.pitch(found.calibration.lac_pulse(pitch)) == pytest.approx(pitch)
-    assert hil_verb.gains_of(options).values["beta_max"] == WIDE.pitch[1]
 
 
 def test_the_suggested_remedy_works(tmp_path, printed, refused):
@@ -241,29 +198,3 @@ def test_gains_beyond_the_limits_of_the_rig_are_not_exported(wide, refused):
     said = refused("export", "--parameters", wide, "--gains", wide / "gains.json", "-o", wide / "fmus")
     assert "omega_max: found 6000 rpm, expected 0 to 5573 rpm (the campaign)" in said
     assert not (wide / "fmus" / "VppController.fmu").exists()
-
-
-@pytest.mark.parametrize(("period", "expected"), [(0.01, 0.01), (0.002, 0.002), (0.5, 0.02)])
-def test_the_controller_samples_as_the_log_did_where_the_plant_allows(period, expected):
-    """At least ten samples in the faster channel's lags of 0.2 s."""
-    lags = {"tau_omega_1": 0.15, "tau_omega_2": 0.05, "tau_beta_1": 0.15, "tau_beta_2": 0.1}
-    own = ParameterSet(plant(), source={"rig": WIDE.summary(), "sample_period": period}).replaced(lags)
-    assert rig_controller(own).values["sample_time"] == pytest.approx(expected)
-
-
-def test_a_rig_that_names_a_part_of_its_ranges_takes_the_rest_from_its_own_scales():
-    scales = Scales(2500.0, 20.0, -6.0, 200.0)
-    own = rig_of(scales, {"rig": {"format": "vpp-rig/1", "pitch": {"min": 1.0, "max": 20.0, "unit": "deg"}}})
-    assert own.speed == (2500.0 / 3.0, 2500.0)
-    assert (own.pitch, own.thrust) == ((1.0, 20.0), (0.0, 200.0))
-
-
-def test_a_loop_of_parameters_stays_within_the_ranges_of_their_rig():
-    own = ParameterSet(plant(), source={"rig": WIDE.summary(), "sample_period": 0.01})
-    profile = {"time": [0.0, 1.0, 6.0], "thrust_set": [2.0, 40.0, 40.0]}
-    found = vpp.run_loop(own, {}, profile)
-    assert found.record.period == 0.01
-    assert (found.record["omega_ref"].max(), found.record["beta_ref"].max()) == (WIDE.speed[1], WIDE.pitch[1])
-    (step,) = found.steps
-    assert step.stuck[1:] == (WIDE.speed[1], WIDE.pitch[1])
-    assert "out of reach" in str(found)

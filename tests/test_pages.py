@@ -173,12 +173,6 @@ def test_a_page_is_small(pages, name):
     assert pages[name].stat().st_size < BOUND
 
 
-def test_names_with_underscores_are_in_tables_only(pages):
-    markup = test_report.Markup(pages["identification"].read_text(encoding="utf-8"))
-    assert any(tag == "td" and text == "tau_beta_1" for tag, text in markup.texts)
-    assert not any("tau_beta" in text for tag, text in markup.texts if tag != "td")  # those of figures are in scripts
-
-
 @pytest.mark.parametrize("reader", READERS)
 @pytest.mark.parametrize("name", PAGES)
 def test_nothing_overlaps_is_cut_off_or_empty_and_all_can_be_read(pages, browser, name, reader):
@@ -203,23 +197,6 @@ def test_faults_that_are_planted_are_found(pages, browser):
     faults = " / ".join(browser.run(FAULTS))
     for wanted in ("overlap in figure-1", "empty panel: figure-2", "beyond the page: H1", "the page is"):
         assert wanted in faults
-
-
-def test_lines_are_drawn_at_their_values(pages, browser):
-    """The heights of the drawn path are converted to values by the labels of the axis."""
-    browser.show(pages["figures"], *READERS["desk"], dark=False)
-    ticks, path = browser.run("""(() => {
-      const sheet = document.querySelector("#figure-1 .sheet svg");
-      const middle = (text) => [+text.textContent.replace("−", "-"), (+text.getAttribute("y")) - 4];
-      const first = sheet.querySelector("g[clip-path]");
-      const own = [...sheet.querySelectorAll("text.tick[text-anchor=end]")].map(middle);
-      return [own.slice(0, 5), first.querySelector("path.mark").getAttribute("d")];
-    })()""")
-    (low, low_at), (high, high_at) = ticks[0], ticks[4]
-    heights = [float(point.split(" ")[1]) for point in path[1:].split("L")]
-    values = [low + (at - low_at) / (high_at - low_at) * (high - low) for at in heights]
-    drawn = test_report.figures()["prediction"].data[0].y
-    np.testing.assert_allclose(values, drawn, atol=0.02)
 
 
 def test_a_name_of_the_legend_hides_its_line_and_dragging_zooms(pages, browser):
@@ -253,15 +230,3 @@ def test_what_cannot_be_drawn_is_refused():
     fig.data[0].line.color = "#123456"
     with pytest.raises(ValueError, match="#123456 is in no scheme"):
         drawing(fig, Arrays())
-
-
-def test_a_band_is_under_the_lines_and_its_edges_are_above(pages, browser):
-    browser.show(pages["figures"], *READERS["desk"], dark=False)
-    orders = browser.run("""[...document.querySelectorAll(".sheet g[clip-path]")].map((panel) =>
-      [...panel.children].map((each) => each.tagName === "rect" ? "band" : each.classList.contains("mark") ? "line" :
-        each.classList.contains("line") ? "edge" : "").filter(Boolean)
-    ).filter((found) => found.includes("band") && found.includes("line") && found.includes("edge"))""")
-    assert orders
-    for order in orders:
-        assert order[0] == "band"
-        assert order[-2:] == ["edge", "edge"]

@@ -1,7 +1,6 @@
 """The next experiment: within the rig's range, better than the paper's, with a correct forecast of the uncertainty."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,17 +9,11 @@ from builders import refusal, simulator
 from identification.assessment.information import Information
 from identification.fit.problem import Prior, Problem
 from identification.fit.refine import BASE_PARAMETERS, independent_readings
-from identification.plan.excitation import candidate, paper_plan
-from identification.plan.plan import free_parameters, plan
+from identification.plan.plan import plan
 from vpp_fmu.app import cli
-from vpp_fmu.commands import ends
-from vpp_fmu.errors import BadInput, NotIdentifiable
-from vpp_fmu.files import OutputFolder
-from vpp_fmu.kernel.plant import BASE, FINE_TUNED, LIBRARY, plant
-from vpp_fmu.kernel.scales import Scales
-from vpp_fmu.kernel.types import Effect, Parameter, Signal
+from vpp_fmu.kernel.plant import BASE, FINE_TUNED
 from vpp_fmu.parameters import ParameterSet, to_json
-from vpp_fmu.record import Record, read_record, write_record
+from vpp_fmu.record import read_record
 from vpp_fmu.rig import Rig
 
 SORTED = FINE_TUNED | {"tau_beta_1": 0.374, "tau_beta_2": 0.207}
@@ -55,50 +48,6 @@ def test_limits_and_slew_hold_at_every_row(narrow):
     assert pitch == pytest.approx(45.0, rel=1e-9)
 
 
-def test_every_family_stays_within_the_limits_and_some_reach_them():
-    rng = np.random.default_rng(0)
-    drawn, (low, high) = np.array([candidate(rng, 300, 0.02, NARROW) for _ in range(200)]), ends(NARROW)
-    assert (drawn >= low).all()
-    assert (drawn <= high).all()
-    np.testing.assert_array_equal(drawn.min(axis=(0, 1)), low)
-    np.testing.assert_array_equal(drawn.max(axis=(0, 1)), high)
-    moved = (np.ptp(drawn, axis=1) > 0.0).T
-    assert (moved[0] & moved[1]).any()
-    assert (moved[0] & ~moved[1]).any()
-    assert (~moved[0] & moved[1]).any()
-
-
-@pytest.mark.parametrize("fixed", [{"pitch": (4.0, 4.0)}, {"speed": (3000.0, 3000.0)}])
-def test_a_fixed_channel_is_not_moved_and_the_other_always_is(fixed):
-    rng, rig = np.random.default_rng(0), Rig(**fixed)
-    channel = 1 if "pitch" in fixed else 0
-    drawn = np.array([candidate(rng, 500, 0.02, rig) for _ in range(100)])
-    assert (drawn[:, :, channel] == next(iter(fixed.values()))[0]).all()
-    assert (np.ptp(drawn[:, :, 1 - channel], axis=1) > 0.0).all()
-    found = plan(BASE, SORTED, rig, 10.0, 0.3, evaluations=1)
-    assert set(found.commands[("omega_ref", "beta_ref")[channel]]) == {next(iter(fixed.values()))[0]}
-    assert {f"tau_{('omega', 'beta')[channel]}_{k}" for k in (1, 2)} <= set(found.not_identifiable)
-
-
-def test_the_paper_s_plan_is_the_paper_s():
-    commands = paper_plan(np.random.default_rng(0), 3000, 0.02, Rig())
-    moves = np.diff(commands, axis=0) != 0.0
-    assert not moves[:999, 1].any()
-    assert not moves[1000:1999, 0].any()
-    for part in (moves[:999, 0], moves[1000:1999, 1], moves[2000:, 0], moves[2000:, 1]):
-        holds = np.diff(np.flatnonzero(part)) * 0.02
-        assert holds.min() >= 1.0
-        assert holds.max() <= 2.5
-
-
-def test_the_same_seed_gives_the_same_plan(narrow):
-    again, other = (plan(BASE, SORTED, NARROW, 12.0, 0.3, seed=seed, evaluations=50, step=0.005) for seed in (3, 4))
-    for name in ("time", "omega_ref", "beta_ref"):
-        np.testing.assert_array_equal(again.commands[name], narrow.commands[name])
-    assert again.summary() == narrow.summary()
-    assert not np.array_equal(other.commands["omega_ref"], narrow.commands["omega_ref"])
-
-
 def test_it_beats_the_paper_s_plan(planned, narrow):
     """Steps every 0.2 to 0.8 s on both channels cut the error of tau_beta_1 and of the weakest direction to a third (notes)."""
     assert planned.gain > 2.0
@@ -121,11 +70,6 @@ def test_a_rig_ten_times_as_slow_gets_the_same_plan_ten_times_as_slowly():
     for name in ("omega_ref", "beta_ref"):
         np.testing.assert_array_equal(slow.commands[name], fast.commands[name])
     np.testing.assert_allclose(slow.after.relative, fast.after.relative, rtol=1e-6)
-
-
-def test_default_noise_and_length_are_those_of_the_rig():
-    found = plan(BASE, SORTED, replace(Rig(), scales=Scales(thrust_scale=150.0)).timed(1.0), evaluations=1)
-    assert (found.noise_std, found.commands.time[-1], found.step) == (3.0, 120.0, 0.008)
 
 
 def test_information_on_a_coefficient_is_the_closed_form():
@@ -175,61 +119,6 @@ def test_prior_knowledge_adds_to_the_information_and_steers_the_search():
     taus = information.of(np.column_stack([without.commands[n] for n in ("omega_ref", "beta_ref")]), 0.004)
     told = information.forecast(taus + information.known(knowledge))
     assert np.sum(found.after.relative[:4] ** 2) < np.sum(told.relative[:4] ** 2)
-
-
-def test_a_plan_for_effects_names_parameters_that_are_not_identifiable():
-    """A threshold has no derivative; under much noise some coefficients become unidentifiable before others."""
-    model, delay = plant(["pitch_delay", "pitch_command_deadband"]), "pitch_delay.delay"
-    values = {delay: 0.0413, "pitch_command_deadband.half_width": 1.5}
-    found = plan(model, values, Rig(), 20.0, 0.1, evaluations=20)
-    assert found.after.relative[found.after.names.index(delay)] < 0.05
-    assert list(found.not_identifiable) == ["pitch_command_deadband.half_width"]
-    assert "first order" in found.not_identifiable["pitch_command_deadband.half_width"]
-    assert set(found.after.names) | set(found.not_identifiable) == set(free_parameters(model))
-
-    noisy = plan(BASE, SORTED, Rig(), 10.0, 15.0, evaluations=1)
-    assert 0 < len(noisy.not_identifiable) < 9
-    assert all("times its size" in why for why in noisy.not_identifiable.values())
-    assert (noisy.after.relative < 1.1).all()
-
-
-def _wind(ops, s, x, p, dt):
-    return {"thrust": s.thrust * (1.0 - p.share * ops.where(p.kind > 0.5, s.crosswind, 0.0))}, {}
-
-
-WIND = Effect(
-    "wind",
-    "an effect with a form to choose and an input of its own",
-    _wind,
-    parameters=(
-        Parameter("share", "1", 0.0, 0.0, 1.0, "share of the thrust that the wind takes", 0.1),
-        Parameter("kind", "1", 1.0, 0.0, 1.0, "whether it blows", choices=(0.0, 1.0)),
-    ),
-    off={"share": 0.0},
-    probe={"share": 0.05},
-    inputs=(Signal("crosswind", "1", "strength of the wind", 0.0, 100.0, 2.0),),
-)
-
-
-def test_forms_are_not_planned_for_and_other_inputs_are_nominal():
-    model = plant(["wind"], (*LIBRARY, WIND))
-    assert free_parameters(model) == (*BASE_PARAMETERS, "wind.share")
-    found = plan(model, {"wind.share": 0.05}, Rig(), 5.0, 0.3, names=("wind.share", "tau_beta_1"), evaluations=1)
-    assert found.after.names == ("wind.share", "tau_beta_1")
-    rest = Information(model, {"wind.share": 0.05}, ("wind.share",), 0.3, 0.004).thrust(np.full((2, 2), [4000.0, 5.0]), 0.004)
-    none = Information(BASE, {}, ("c20",), 0.3, 0.004).thrust(np.full((2, 2), [4000.0, 5.0]), 0.004)
-    np.testing.assert_allclose(rest, none * (1.0 - 0.05 * 2.0), rtol=1e-14)
-
-
-def test_a_tachometer_adds_information_on_the_speed_channel():
-    deaf, hearing = (plan(BASE, SORTED, Rig(), 10.0, 0.3, evaluations=1, omega_std=std) for std in (None, 20.0))
-    improved = hearing.after.relative / deaf.after.relative
-    assert (improved[:2] < 0.7).all()
-
-
-def test_noise_above_all_information_is_refused():
-    with pytest.raises(NotIdentifiable, match="no parameter is identifiable"):
-        plan(BASE, SORTED, Rig(), 10.0, 1e6, evaluations=1)
 
 
 BAD = [
@@ -318,41 +207,6 @@ def test_a_plan_stays_in_the_measured_ranges_unless_a_rig_json_widens_them(param
     assert "--omega-slew: found 9001 rpm/s, expected more than 0 and at most 9000" in said
 
 
-def test_a_plan_needs_a_measured_or_declared_range(tmp_path, printed, refused):
-    path = tmp_path / "unknown.json"
-    path.write_text(to_json(ParameterSet(BASE).replaced(SORTED)))
-    words = ["plan", "--parameters", str(path), "--seconds", "5", "-o", str(tmp_path)]
-    missing = "range of speed and pitch: found none, expected a measured or declared range. Try: --campaign DIR"
-    assert missing in refused(*words)
-    assert not (tmp_path / "plan.csv").exists()
-    assert "range of pitch: found none" in refused(*words, "--omega", "3000", "4000")
-    assert "pitch 2 deg, fixed (the command line)" in printed(*words, "--omega", "3000", "4000", "--pitch", "2", "2")
-    assert ranges(read_record(tmp_path / "plan.csv"))[2:] == (2.0, 2.0)
-
-
-def test_a_plan_for_a_slow_logger_is_sampled_faster(parameters, tmp_path):
-    """Commands are at most a tenth of the rig's time scale apart: 0.05 s for the paper's rig, although its log has a row each
-    0.2 s."""
-    slow = ParameterSet(BASE, source=SOURCE | {"sample_period": 0.2}).replaced(SORTED)
-    parameters.write_text(to_json(slow))
-    assert cli.main(["plan", "--parameters", str(parameters), "--seconds", "8", "-o", str(tmp_path / "out")]) == 0
-    assert read_record(tmp_path / "out" / "plan.csv").period == pytest.approx(0.1 * slow.rig.scales.time_scale, rel=1e-9)
-
-
-def test_range_sampling_and_noise_come_from_the_campaign(parameters, tmp_path, printed):
-    rng, time = np.random.default_rng(0), 0.01 * np.arange(3000)
-    commands = {"time": time, "omega_ref": 2000.0 + 500.0 * (time // 3 % 3), "beta_ref": 6.0 * (time // 1 % 2)}
-    folder = tmp_path / "campaign"
-    for name in ("open_loop", "repeat"):
-        noisy = Record({**commands, "thrust": 5.0 + rng.normal(0.0, 0.07, len(time))}, "")
-        write_record(OutputFolder(folder), f"{name}.csv", noisy)
-    words = ["plan", "--parameters", str(parameters), "--campaign", str(folder), "--seconds", "8", "-o", str(tmp_path / "out")]
-    told = printed(*words)
-    assert "speed 2000 to 3000 rpm (the campaign), pitch 0 to 6 deg (the campaign)" in told
-    assert float(told.partition("noise of a thrust reading ")[2].split()[0]) == pytest.approx(0.07, rel=0.05)
-    assert read_record(tmp_path / "out" / "plan.csv").period == 0.01
-
-
 def test_bad_calls_are_refused_in_one_line(parameters, tmp_path, refused):
     broken = tmp_path / "broken.json"
     broken.write_text(json.dumps({"parameters": {}, "correlation": {"names": ["c11"], "matrix": [[1.0]]}}))
@@ -372,51 +226,3 @@ def test_bad_calls_are_refused_in_one_line(parameters, tmp_path, refused):
         for word in (says, "found", "expected"):
             assert word in said
     assert not (tmp_path / "bad" / "plan.csv").exists()
-
-
-def test_a_range_without_a_measurable_change_of_thrust_needs_the_option_yes(tmp_path, refused, monkeypatch):
-    """At 500 rpm the paper's rig makes at most 0.15 N, half of the noise of a reading."""
-    rig = Rig(speed=(0.0, 6000.0), origin=dict.fromkeys(("speed", "pitch", "thrust"), "the campaign"))
-    (tmp_path / "parameters.json").write_text(to_json(ParameterSet(plant(), source={"rig": rig.summary()})))
-    tried = []
-    monkeypatch.setattr("vpp_fmu.app.cli.plan.plan", lambda *given, **more: tried.append(given) or pytest.fail("planned"))
-    words = ["plan", "--parameters", str(tmp_path), "--omega", "100", "500", "-o", str(tmp_path / "next")]
-    said = "less than the 0.3 N of noise of a reading, expected a wider range. Try: --yes to go on"
-    assert said in refused(*words)
-    assert not tried
-    for more in (["--yes"], ["--omega", "100", "3000"]):
-        with pytest.raises(pytest.fail.Exception):
-            cli.main([*words, *more])
-
-
-def test_an_identification_beside_the_parameters_is_used_as_knowledge(tmp_path, capsys, monkeypatch):
-    """identification.json is used without an option if it is of the same model, and ignored if it is not."""
-    seen = []
-
-    def planned(*given, **more):
-        seen.append((given[4], given[5]))
-        raise BadInput("test", "plan", "reached", "nothing")
-
-    monkeypatch.setattr("vpp_fmu.app.cli.plan.plan", planned)
-    values = plant().values()
-    entries = {n: {"value": values[n], "std": 0.01 * abs(values[n])} for n in ("tau_omega_1", "c20")}
-    known = {
-        "effects": [],
-        "parameters": entries,
-        "noise_floor_thrust": 0.07,
-        "correlation": {"names": list(entries), "matrix": np.eye(2).tolist()},
-    }
-    rig = Rig(origin=dict.fromkeys(("speed", "pitch", "thrust"), "the campaign"))
-    (tmp_path / "parameters.json").write_text(to_json(ParameterSet(plant(), source={"rig": rig.summary()})))
-    (tmp_path / "identification.json").write_text(json.dumps(known))
-    words = ["plan", "--parameters", str(tmp_path / "parameters.json"), "-o", str(tmp_path / "next")]
-    assert cli.main(words) == 2
-    noise, prior = seen.pop()
-    assert noise == 0.07
-    np.testing.assert_allclose(np.sqrt(np.diag(prior.covariance)), [0.01 * values["tau_omega_1"], 0.01 * values["c20"]])
-    entries["c20"]["value"] *= 2.0
-    (tmp_path / "identification.json").write_text(json.dumps(known))
-    capsys.readouterr()
-    assert cli.main(words) == 2
-    assert seen.pop() == (pytest.approx(0.3), None)
-    assert "not used: " in capsys.readouterr().err

@@ -1,8 +1,8 @@
 """Learned laws: the same bits in all flavours, the network against numpy, limits, the fallback, files, and the command."""
 
 import json
+import re
 from dataclasses import replace
-from importlib.util import find_spec
 from itertools import pairwise
 
 import numpy as np
@@ -20,7 +20,7 @@ from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.policy import policy_model
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.native.stepper import Stepper
-from vpp_fmu.policy import policy_from_arrays, policy_from_onnx, policy_from_torch, read_policy
+from vpp_fmu.policy import policy_from_arrays, read_policy
 
 OBSERVED = ("thrust_set", "thrust", "integral", "omega_ref", "beta_ref")
 WIDE = {"thrust_set": 1e3, "thrust": 1e3, "integral": 1e3, "omega_ref": 1e5, "beta_ref": 1e3, "omega": 1e5}
@@ -185,20 +185,11 @@ def test_with_weights_of_a_hundred_times_the_rig_stays_within_its_limits(factor)
         assert shown["thrust"] == pytest.approx(9.0, abs=0.01)  # as the PID's integrals have it
 
 
-@pytest.mark.parametrize("form", ["json", "npz"])
-def test_a_file_is_the_policy(form, tmp_path):
+def test_a_file_is_the_policy(tmp_path):
     for found in CASES.values():
-        if form == "json":
-            path = found.save(tmp_path)
-        else:
-            path, content = tmp_path / "policy.npz", found.to_dict()
-            for name in ("weights", "biases"):
-                content |= {f"{name}_{k}": np.array(layer) for k, layer in enumerate(content.pop(name))}
-            content |= {f"parameters.{name}": value for name, value in content.pop("parameters").items()}
-            np.savez(path, **content)
-        back = read_policy(path)
-        assert back.law == found.law
-        assert back.values == found.values
+        back = read_policy(found.save(tmp_path))
+        assert (back.law, back.values) == (found.law, found.values)
+        assert read_policy(tmp_path).law == found.law
 
 
 BAD = {
@@ -225,10 +216,16 @@ def test_a_bad_policy_file_is_refused_in_one_line(field, tmp_path, refused):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_file_that_is_no_npz_is_named(tmp_path):
-    (tmp_path / "policy.npz").write_bytes(b"PK\x03\x04 nothing")
-    with pytest.raises(BadInput, match=r"policy\.npz"):
-        read_policy(tmp_path / "policy.npz")
+def test_layers_that_do_not_fit_are_named():
+    weights, biases = arrays((4,), 2)
+    for wrong, words in (
+        (([weights[0], weights[1][:, :3]], biases), "weights, layer 1: found 2 x 3"),
+        (([[*weights[0].tolist()[:-1], [1.0]], weights[1]], biases), "weights, layer 0: found rows of different length"),
+        ((weights, [biases[0], [np.nan, 0.0]]), "biases, layer 1: found 2, "),
+        ((weights, biases[:1]), "biases: found 1, expected 2 layers"),
+    ):
+        with pytest.raises(BadInput, match=re.escape(words)):
+            policy_from_arrays(*wrong, **scaling(("thrust_set", "thrust")))
 
 
 def test_the_command_exports_it_and_the_loop_runs(tmp_path, capsys):
@@ -273,48 +270,3 @@ def test_weights_as_parameters_are_the_weights(tmp_path):
     for wanted in np.random.default_rng(0).uniform(0.0, 15.0, 50).tolist():
         inputs = {"thrust_set": wanted, "thrust": 4.0}
         assert named.advance(inputs, 0.004) == fixed.advance(inputs, 0.004)
-
-
-@pytest.mark.skipif(find_spec("torch") is None, reason="torch is not installed")
-def test_a_torch_module_is_its_policy():
-    import torch
-
-    net = torch.nn.Sequential(torch.nn.Linear(2, 5), torch.nn.ReLU(), torch.nn.Linear(5, 2), torch.nn.Tanh()).double()
-    found = policy_from_torch(net, **scaling(("thrust_set", "thrust")))
-    assert (found.law.activation, found.law.squash, found.size) == ("relu", True, (2, 5, 2))
-    assert found.law.layers[1][0] == tuple(map(tuple, net[2].weight.tolist()))
-
-
-@pytest.mark.skipif(find_spec("onnx") is None, reason="onnx is not installed")
-@pytest.mark.parametrize("way", ["Gemm", "MatMul"])
-def test_an_onnx_file_is_its_policy(way, tmp_path):
-    """Against onnx's own evaluation of the graph."""
-    import onnx
-    from onnx import helper, numpy_helper
-    from onnx.reference import ReferenceEvaluator
-
-    weights, biases = arrays((4,), 2)
-    constants, nodes, carried = [], [], "seen"
-    for k, (w, b) in enumerate(zip(weights, biases, strict=True)):
-        kept = w if way == "Gemm" else w.T
-        constants += [numpy_helper.from_array(kept, f"w{k}"), numpy_helper.from_array(b, f"b{k}")]
-        if way == "Gemm":
-            nodes.append(helper.make_node("Gemm", [carried, f"w{k}", f"b{k}"], [f"h{k}"], transB=1))
-        else:
-            nodes.append(helper.make_node("MatMul", [carried, f"w{k}"], [f"m{k}"]))
-            nodes.append(helper.make_node("Add", [f"m{k}", f"b{k}"], [f"h{k}"]))
-        nodes.append(helper.make_node("Tanh", [f"h{k}"], [f"t{k}"]))
-        carried = f"t{k}"
-    ends = [helper.make_tensor_value_info(n, onnx.TensorProto.DOUBLE, [1, 2]) for n in ("seen", carried)]
-    model = helper.make_model(helper.make_graph(nodes, "net", ends[:1], ends[1:], constants))
-    onnx.save(model, tmp_path / "net.onnx")
-    found = policy_from_onnx(tmp_path / "net.onnx", **scaling(("thrust_set", "thrust")))
-    assert found.law.squash
-    z = np.array([[0.3, -0.7]])
-    (expected,) = ReferenceEvaluator(model).run(None, {"seen": z})
-    for w, b in found.law.layers:
-        z = np.tanh(z @ np.array(w).T + b)
-    np.testing.assert_allclose(z, expected, rtol=1e-12)
-    (tmp_path / "bad.onnx").write_bytes(b"nothing")
-    with pytest.raises(BadInput, match=r"bad\.onnx"):
-        policy_from_onnx(tmp_path / "bad.onnx", **scaling(("thrust_set", "thrust")))

@@ -7,7 +7,7 @@ from importlib.resources import files
 import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
-from studies.power_residual import Rig, truth
+from power_rig import Rig, truth
 
 from identification.power.diagnose import diagnose_power
 from identification.power.effects import HEATING, Signals
@@ -28,7 +28,7 @@ def clear(seed, kind):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_nothing_hidden_is_no_effect(seed):
-    found = Rig(seed, "none").diagnosed("none")
+    found = Rig(seed, "none").diagnosed()
     assert [e.name for e in found.effects] == [], found.summary()
     assert found.verdict == "none", found.summary()["lack_of_fit"]
 
@@ -38,7 +38,7 @@ def test_nothing_hidden_is_no_effect(seed):
 )
 def test_a_hidden_effect_is_named_with_its_size(kind):
     rig = clear(7, kind)
-    found = rig.diagnosed(kind)
+    found = rig.diagnosed()
     name, _, form = kind.partition(" ")
     assert [(e.name, e.form) for e in found.effects] == [(name, form or "only")], found.summary()["candidates"]
     for (effect, parameter), value in truth(rig, found).items():
@@ -52,7 +52,7 @@ def test_a_hidden_effect_is_named_with_its_size(kind):
 def test_supply_sag_is_not_offered_without_voltage_and_current():
     rig = Rig(8, "servo_load rate")
     rig.drawn.update(columns="power", noise=0.003)
-    found = rig.diagnosed("servo_load rate").summary()
+    found = rig.diagnosed().summary()
     assert "supply_sag" not in {c["name"] for c in found["candidates"]}
     assert list(found["not_identifiable"]) == ["supply_sag"]
 
@@ -72,7 +72,7 @@ def test_rates_are_those_of_the_lags():
     """Two lags after a step of 1: exp(-t / a) and exp(-t / b) over a - b, in closed form."""
     rig = Rig(3, "none")
     values = rig.parameters.values
-    record = rig.record(np.random.default_rng(0), "none")
+    record = rig.record(np.random.default_rng(0))
     columns = {n: record[n][:400] for n in ("time", "omega_ref", "beta_ref", "thrust")}
     columns["omega_ref"] = np.where(columns["time"] < columns["time"][50], 3000.0, 4000.0)
     found = respond(rig.parameters, type(record)(columns, "step"))
@@ -83,7 +83,7 @@ def test_rates_are_those_of_the_lags():
 
 def test_a_plant_or_a_record_without_power_has_no_diagnosis():
     rig = Rig(3, "none")
-    record = rig.record(np.random.default_rng(0), "none")
+    record = rig.record(np.random.default_rng(0))
     bare = type(record)({n: c for n, c in record.columns.items() if n not in ("power", "voltage", "current")}, "bare")
     assert diagnose_power({"open_loop": record}, None, ParameterSet(BASE), 0.02) is None
     assert diagnose_power({"open_loop": bare}, None, rig.parameters, 0.02) is None
@@ -99,7 +99,7 @@ def campaign(tmp_path_factory):
         there = OutputFolder(folder / name)
         write_static(there, rig.points if name == "with" else replace(rig.points, further={}))
     for record in ("open_loop", "validation"):
-        rows = rig.record(rng, rig.kind)
+        rows = rig.record(rng)
         write_record(OutputFolder(folder / "with"), f"{record}.csv", rows)
         bare = {n: c for n, c in rows.columns.items() if n != "power"}
         write_record(OutputFolder(folder / "without"), f"{record}.csv", replace(rows, columns=bare))

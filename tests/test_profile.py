@@ -4,9 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
 from scipy.stats import chi2
-from studies.synthetic import commands, measured
 
 from identification.assessment.profile import profiled
 from identification.diagnose.search.fits import Searcher
@@ -14,10 +12,9 @@ from identification.fit.coordinates import Coordinates
 from identification.fit.experiment import Experiment
 from identification.fit.least_squares import solve
 from identification.fit.noise import independent
-from identification.fit.refine import BASE_PARAMETERS, refine
 from identification.fit.uncertainty import NORMAL_95, Uncertainty
 from identification.roles import Fitted
-from vpp_fmu.kernel.plant import AVERAGED, BASE, LIBRARY, plant
+from vpp_fmu.kernel.plant import LIBRARY, plant
 from vpp_fmu.kernel.types import Effect, Model, Parameter
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
@@ -85,12 +82,6 @@ def test_the_interval_at_a_bound_is_the_likelihood_interval(readings):
     assert found.intervals[0, 1] == pytest.approx(-0.3 + np.sqrt(0.09 + NORMAL_95**2 * variance / 20.0), rel=0.02)
 
 
-def test_interval_ends_at_a_bound_that_the_cost_does_not_reach(readings):
-    found = Level(readings, np.exp, np.exp, minimum=-0.2).interval(2.0)
-    assert found.intervals[0, 0] == pytest.approx(-0.2)
-    assert found.intervals[0, 1] == pytest.approx(np.log(1.0 + 2.0 * NORMAL_95 / np.sqrt(20.0)), rel=0.02)
-
-
 def test_an_interval_reaches_other_optima_that_the_data_leave_open(readings):
     """cos(p) has the same minimum at p and at -p: a search from one never reaches the other."""
     level = Level(readings - 0.5, np.cos, lambda p: -np.sin(p))
@@ -103,100 +94,6 @@ def test_an_interval_reaches_other_optima_that_the_data_leave_open(readings):
         told = profiled(level, found, uncertainty, others)
         assert told.intervals[0, 0] == pytest.approx(-float(found.value[0]))
     assert told.intervals[0, 1] == pytest.approx(profiled(level, found, uncertainty).intervals[0, 1])
-
-
-class Plane(Level):
-    """Two parameters: readings of p + q, and as many of q alone; q may not be negative."""
-
-    def __init__(self, first, second):
-        parameters = (Parameter("p", "1", 0.5, -10.0, 10.0, ""), Parameter("q", "1", 0.5, 0.0, 10.0, ""))
-        self.model = Model("plane", "", (), (), (Effect("plane", "", parameters=parameters),))
-        self.coordinates = Coordinates(self.model, ["p", "q"])
-        self.first, self.second = first, second
-
-    def rows(self, values, inner=None):
-        p, q = values["p"], values["q"]
-        n = len(self.first)
-        jacobian = np.vstack([np.ones((n, 2)), np.column_stack([np.zeros(n), np.ones(n)])])
-        return np.concatenate([p + q - self.first, q - self.second]), jacobian if inner is None else jacobian @ inner
-
-    def residual_at(self, values):
-        return self.rows(values)[0]
-
-
-def test_a_parameter_on_its_bound_is_excluded_from_the_intervals_of_others(readings):
-    """q would be -5 and is at its bound 0, so p is the plain mean of twenty readings, whatever q's column."""
-    plane = Plane(readings, readings - 6.0)
-    found = solve(lambda x: plane.rows(dict(zip("pq", x, strict=True))), np.ones(2), *[[-10.0, 0.0], [10.0, 10.0]])
-    variance = 2.0 * found.cost / (len(found.residual) - 2)
-    uncertainty = Uncertainty(("p", "q"), found.value, np.diag([variance / 20.0, 0.0]), np.ones(2))
-    half = NORMAL_95 * np.sqrt(variance / 20.0)
-    # Upwards q stays at 0; downwards only q > 0 would help, which costs more than it gains.
-    assert profiled(plane, found, uncertainty).intervals[0] == pytest.approx([1.0 - half, 1.0 + half], rel=0.01)
-
-
-def test_data_without_noise_leave_nothing_to_search():
-    found = Level(np.ones(20), np.exp, np.exp).interval(std=1e-9)
-    assert found.profiled == ()
-    assert found.std[0] == pytest.approx(1e-9)
-
-
-@pytest.fixture(scope="module")
-def near_double_pole():
-    """A record whose two pitch lags came out close to each other."""
-    rng = np.random.default_rng(1)
-    record = measured(commands(rng), rng)
-    found = refine(BASE, [record], AVERAGED, channels=("thrust",))
-    return found, profiled(found.problem, found.solution, found.uncertainty)
-
-
-def least_cost(problem, name, value, start) -> float:
-    """The cost with one constant of the pitch fixed, by scipy, in the parameters themselves."""
-    names = [n for n in BASE_PARAMETERS if n != name]
-    columns = [BASE_PARAMETERS.index(n) for n in names]
-
-    def rows(p):
-        return problem.rows(dict(zip(names, p, strict=True)) | {name: value})
-
-    low = {n: 0.001 if n.startswith("tau") else -10.0 for n in names}
-    high = dict.fromkeys(names, 10.0)
-    if name == "tau_beta_1":  # else the two would change their names
-        high["tau_beta_2"] = value
-    else:
-        low["tau_beta_1"] = value
-    bounds = np.array([[low[n], high[n]] for n in names]).T
-    start = np.clip([start[n] for n in names], bounds[0] + 1e-6, bounds[1] - 1e-6)
-    found = least_squares(lambda p: rows(p)[0], start, lambda p: rows(p)[1][:, columns], bounds, x_scale="jac")
-    return float(found.cost)
-
-
-@pytest.mark.parametrize("name", ["tau_beta_1", "tau_beta_2"])
-def test_ends_near_a_double_pole_are_where_another_search_finds_them(near_double_pole, name):
-    found, uncertainty = near_double_pole
-    assert {"tau_beta_1", "tau_beta_2"} <= set(uncertainty.profiled)
-    k = BASE_PARAMETERS.index(name)
-    variance = 2.0 * found.solution.cost / (len(found.solution.residual) - 9)
-    wanted = 0.5 * (NORMAL_95 * uncertainty.inflation[k]) ** 2 * variance
-    for end in uncertainty.intervals[k]:
-        rise = least_cost(found.problem, name, end, found.values) - found.solution.cost
-        # Kept where within 5 % of a parabola, so within 10 % in the cost.
-        assert rise == pytest.approx(wanted, rel=0.12)
-
-
-def test_a_profile_is_cheap(near_double_pole):
-    """Two of nine parameters are searched; each evaluation costs one step of the fit."""
-    found, _ = near_double_pole
-    count, rows = 0, found.problem.rows
-
-    def counted(*at):
-        nonlocal count
-        count += 1
-        return rows(*at)
-
-    found.problem.rows = counted
-    profiled(found.problem, found.solution, found.uncertainty)
-    del found.problem.rows
-    assert count < 100
 
 
 @pytest.mark.parametrize("seed", [0, 3, 5])

@@ -4,7 +4,6 @@ import json
 import re
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
-from pathlib import Path
 
 import pytest
 from builders import refusal
@@ -32,15 +31,6 @@ def campaign(tmp_path_factory):
     record = read_record(example_folder() / "open_loop.csv.gz", NEED).part(slice(0, 2500))
     write_record(OutputFolder(folder), "open_loop.csv", record)
     return folder
-
-
-def test_the_version_is_the_packages(capsys):
-    declared = re.search(r'^version = "(.*)"', (Path(__file__).parents[1] / "pyproject.toml").read_text(), re.MULTILINE)
-    assert vpp_fmu.__version__ == declared.group(1)
-    with pytest.raises(SystemExit) as left:
-        main(["--version"])
-    assert left.value.code == 0
-    assert capsys.readouterr().out == f"vpp {declared.group(1)}\n"
 
 
 def test_the_date_is_the_runs_or_the_one_asked_for(monkeypatch):
@@ -74,13 +64,6 @@ def test_identity_is_of_the_numbers_alone(tmp_path):
         ParameterSet(CONTROLLER),
     ]
     assert len({each.identity for each in (SET, *others)}) == 5
-
-
-def test_what_it_descends_from_is_named_with_its_identity():
-    parent = SET.replaced({"c20": 0.4})
-    source = dated(SET, descends=("there/parent.json", parent), parameters=("p.json", SET)).source
-    assert source["descends"] == {"file": "parent.json", "identity": parent.identity}
-    assert source["parameters"] == {"file": "p.json", "identity": SET.identity}
 
 
 @pytest.mark.parametrize(

@@ -9,13 +9,11 @@ from scipy.signal import lfilter
 from studies.synthetic import NOISE, STEP, TRUTH, commands
 
 from identification.assessment.prediction import Prediction, predict
-from identification.assessment.reading_noise import HOLDS, NEIGHBOURS, POINTS, REPEATS, reading_noise
+from identification.assessment.reading_noise import HOLDS, POINTS, REPEATS, reading_noise
 from identification.demo import example_folder
-from identification.diagnose.diagnose import diagnose
 from identification.identify import identify
-from vpp_fmu.app.report.summary import summary
 from vpp_fmu.campaign import Campaign, StaticMap, read_campaign
-from vpp_fmu.kernel.plant import BASE, LIBRARY
+from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.record import Record
 
 SEEDS = range(5)
@@ -86,26 +84,6 @@ def test_repeated_records_include_slow_noise_that_steady_holds_miss():
     assert reading_noise([first], None, TRUTH).std < error
 
 
-def test_a_tare_that_moves_between_repeated_records_is_no_noise():
-    rng = np.random.default_rng(2)
-    (first, error), offset = shown(rng, white), 5.0
-    second, _ = shown(rng, white, record=first.record)
-    moved = replace(second, record=second.record.with_columns(thrust=second.record["thrust"] + offset))
-    assert reading_noise([first, moved], None, TRUTH).std == pytest.approx(error, rel=0.05)
-
-
-def test_without_steady_holds_the_range_is_from_neighbours_to_the_residual():
-    rng = np.random.default_rng(3)
-    time = np.arange(15000) * STEP
-    restless = Record({"time": time, "omega_ref": 4000.0 + 500.0 * np.sin(time), "beta_ref": 0.0 * time}, "restless")
-    one, error = shown(rng, lambda n: coloured(n, 0.1), record=restless)
-    found = reading_noise([one], None, TRUTH)
-    assert found.source == NEIGHBOURS
-    # Half the mean squared difference of neighbours of AR(1) noise: the variance times 1 - rho.
-    assert found.std == pytest.approx(NOISE * np.sqrt(1.0 - np.exp(-STEP / 0.1)), rel=0.05)
-    assert found.low < error < found.high
-
-
 def test_the_noise_from_steady_points_is_weighted_by_their_samples():
     std, samples = np.array([0.1, 0.1, 0.2]), np.array([100.0, 100.0, 200.0])
     points = StaticMap(*(np.arange(3.0),) * 4, std, samples, "static.csv")
@@ -114,14 +92,6 @@ def test_the_noise_from_steady_points_is_weighted_by_their_samples():
     assert found.std == pytest.approx(np.sqrt((0.01 + 0.01 + 2 * 0.04) / 4))
     assert found.low < found.std < found.high
     assert reading_noise([], replace(points, thrust_std=np.zeros(3)), TRUTH) is None
-
-
-def test_noise_that_grows_with_speed_widens_the_range_of_a_record_to_that_of_the_points():
-    rng = np.random.default_rng(4)
-    one, error = shown(rng, white)
-    points = StaticMap(*(np.arange(10.0),) * 4, np.full(10, 2.0 * NOISE), np.full(10, 100.0), "static.csv")
-    found = reading_noise([one], points, TRUTH)
-    assert found.low < error < 2.0 * NOISE <= found.high
 
 
 def alone(**changes) -> Campaign:
@@ -144,14 +114,6 @@ def test_an_effect_outside_the_model_is_not_taken_for_noise(changes):
     assert said["noise_floor_thrust"] == found.noise.std
     assert said["noise_floor_thrust_range"] == [found.noise.low, found.noise.high]
     assert said["noise_floor_thrust_from"] == (HOLDS if changes else POINTS)
-
-
-def test_an_effect_outside_the_library_of_a_diagnosis_is_not_taken_for_noise():
-    library = [e for e in LIBRARY if e.off is None or e.name == "pitch_offset"]
-    found = diagnose(alone(static=None, validation=None), library, thorough=False)
-    assert found.errors(found.final)[0] > 1.4 * TRUE
-    assert found.noise.floor == pytest.approx(TRUE, rel=0.1)
-    assert summary(found)["noise_floor_thrust_from"] == HOLDS
 
 
 def test_the_noise_is_estimated_from_steps_alone():

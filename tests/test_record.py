@@ -1,19 +1,14 @@
-import csv
 import gzip
-import time
-import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
 from builders import refusal
 
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, RecordWarning
 from vpp_fmu.files import OutputFolder
-from vpp_fmu.kernel.plant import BETA_REF, OMEGA, OMEGA_REF, THRUST
-from vpp_fmu.record import Record, RecordWarning, read_profile, read_record, write_record
+from vpp_fmu.kernel.plant import OMEGA
+from vpp_fmu.record import Record, read_profile, read_record, write_record
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 NEED_THRUST = ("time", "omega_ref", "beta_ref", "thrust")
 
 GOOD = """time,omega_ref,beta_ref,thrust
@@ -44,43 +39,11 @@ def test_read_record(tmp_path, name, text):
     assert "omega" not in record
 
 
-def test_columns_stand_in_any_order(tmp_path):
-    record = read_record(written(tmp_path, "beta_ref,time,omega_ref\n1,0,2\n3,0.5,4\n"))
-    np.testing.assert_array_equal(record.time, [0.0, 0.5])
-    np.testing.assert_array_equal(record["beta_ref"], [1.0, 3.0])
-
-
 def test_steps_are_exact_on_a_written_grid(tmp_path):
     rows = "".join(f"{k * 0.004:.3f},4000,5\n" for k in range(25_000))
     record = read_record(written(tmp_path, "time,omega_ref,beta_ref\n" + rows))
     assert np.unique(np.diff(record.time)).size > 1
     assert set(record.steps.tolist()) == {0.004}
-
-
-def test_steps_of_an_uneven_record():
-    record = Record({"time": np.array([0.0, 0.1, 0.1 + 0.2])}, "here")
-    np.testing.assert_array_equal(record.steps, [0.1, 0.2])
-
-
-def test_part_keeps_rows_of_every_column(tmp_path):
-    record = read_record(written(tmp_path, GOOD), NEED_THRUST)
-    np.testing.assert_array_equal(record.part(slice(1, None)).time, [0.004, 0.008])
-    masked = record.part(record["thrust"] != 7.2)
-    np.testing.assert_array_equal(masked["omega_ref"], [4000.0, 4001.0])
-    assert len(masked) == 2
-    assert masked.source == record.source
-    assert len(record) == 3
-
-
-def test_with_columns_adds_and_exchanges(tmp_path):
-    record = read_record(written(tmp_path, GOOD), NEED_THRUST)
-    other = record.with_columns(omega=[1.0, 2.0, 3.0], thrust=record["thrust"] * 2.0)
-    np.testing.assert_array_equal(other["omega"], [1.0, 2.0, 3.0])
-    np.testing.assert_array_equal(other["thrust"], [14.2, 14.4, 14.6])
-    np.testing.assert_array_equal(record["thrust"], [7.1, 7.2, 7.3])
-    assert "omega" not in record
-    with pytest.raises(ValueError, match="unequal length"):
-        record.with_columns(omega=np.zeros(2))
 
 
 def test_gaps_in_measured_columns_become_nan(tmp_path):
@@ -119,13 +82,6 @@ def test_unknown_columns_are_kept_and_named_in_one_warning(tmp_path):
     np.testing.assert_array_equal(record["strain"], [0.5, 0.6])
     assert list(record["note"]) == ["start", ""]
     assert list(record["gap"]) == ["", "3"]
-
-
-def test_a_column_that_is_needed_is_not_unknown(tmp_path):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        record = read_record(written(tmp_path, "time,esc\n0,1\n"), ("time", "esc"))
-    np.testing.assert_array_equal(record["esc"], [1.0])
 
 
 def changed(line, text):
@@ -169,12 +125,6 @@ def test_bad_records(tmp_path, text, message):
     assert ", expected " in said
 
 
-def test_the_line_is_right_behind_blank_lines(tmp_path):
-    path = written(tmp_path, "\ntime,omega_ref,beta_ref\n0,1,2\n\n\n0.5,-1,2\n")
-    with pytest.raises(BadInput, match="omega_ref, line 6: found -1"):
-        read_record(path)
-
-
 @pytest.mark.parametrize(
     ("name", "value", "allowed"),
     [
@@ -197,12 +147,6 @@ def test_bad_columns_beyond_the_needed_ones(tmp_path, name, value, allowed):
     assert said.endswith(f", expected {allowed}")
 
 
-def test_the_ends_of_the_ranges_are_allowed(tmp_path):
-    text = f"time,omega_ref,beta_ref,thrust\n0,{OMEGA_REF.minimum},{BETA_REF.minimum},{THRUST.minimum}\n"
-    text += f"1,{OMEGA_REF.maximum},{BETA_REF.maximum},{THRUST.maximum}\n"
-    assert len(read_record(written(tmp_path, text), NEED_THRUST)) == 2
-
-
 def test_read_profile(tmp_path):
     profile = read_profile(written(tmp_path, "time,thrust_set\n0,5\n2.5,7\n"))
     np.testing.assert_array_equal(profile.time, [0.0, 2.5])
@@ -221,19 +165,6 @@ def test_read_profile(tmp_path):
 def test_bad_profiles(tmp_path, text, message):
     path = written(tmp_path, text)
     assert refusal(read_profile, path).startswith(f"{path}: {message}")
-
-
-def test_written_values_are_short(tmp_path):
-    columns = {
-        "time": np.array([0.0, 0.1 + 0.2]),
-        "thrust": np.array([0.1 + 0.2, np.nan]),
-        "omega": np.array([12345.678901234, 1e-7]),
-        "samples": np.array([1, 1234567890]),
-        "note": np.array(["a, b", 'say "so"'], dtype=object),
-    }
-    path = write_record(OutputFolder(tmp_path), "out.csv", Record(columns, "here"))
-    text = 'time,thrust,omega,samples,note\n0.0,0.3,12345.6789,1,"a, b"\n0.3,,1e-07,1234567890,"say ""so"""\n'
-    assert path.read_bytes() == text.encode()
 
 
 @pytest.mark.parametrize("name", ["out.csv", "out.csv.gz"])
@@ -255,35 +186,3 @@ def test_what_is_written_reads_back(tmp_path, name):
         np.testing.assert_allclose(back[column], columns[column], rtol=6e-9, atol=0.0)
     again = write_record(OutputFolder(tmp_path / "again"), name, back)
     assert again.read_bytes() == path.read_bytes()
-
-
-def test_gzipped_bytes_do_not_depend_on_clock_or_name(tmp_path, monkeypatch):
-    record = Record({"time": np.arange(3.0), "thrust": np.ones(3)}, "here")
-    folder = OutputFolder(tmp_path)
-    first = write_record(folder, "a.csv.gz", record).read_bytes()
-    monkeypatch.setattr(time, "time", lambda: 2e9)
-    second = write_record(folder, "b.csv.gz", record).read_bytes()
-    assert first == second
-    assert first[4:8] == bytes(4)
-    assert gzip.decompress(first) == b"time,thrust\n0.0,1\n1.0,1\n2.0,1\n"
-
-
-@pytest.mark.skipif(not DATA.is_dir(), reason="the shared data are not here")
-def test_reading_takes_no_longer_than_twice_a_plain_reading_of_its_numbers():
-    path = DATA / "rig_a" / "open_loop.csv"
-
-    def plain():
-        with path.open() as file:
-            rows = csv.reader(file)
-            next(rows)
-            return [[float(cell) for cell in row] for row in rows]
-
-    def least(read):
-        spent = []
-        for _ in range(5):
-            start = time.process_time()
-            read()
-            spent.append(time.process_time() - start)
-        return min(spent)
-
-    assert least(lambda: read_record(path)) < 2.0 * least(plain)

@@ -6,14 +6,10 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 from studies.synthetic import STEP, TRUTH, commands, measured
 
-from identification.fit.experiment import TICKS, Experiment
 from identification.fit.least_squares import solve
-from identification.fit.noise import independent
 from identification.fit.problem import Problem
 from identification.fit.refine import BASE_PARAMETERS, independent_readings, refine
-from identification.roles import Fitted
 from vpp_fmu.kernel.plant import AVERAGED, BASE
-from vpp_fmu.record import Record
 
 SCALE = BASE.values()["thrust_scale"]
 
@@ -92,18 +88,3 @@ def test_a_fit_in_other_coordinates_has_the_same_minimum(is_chord, most):
     np.testing.assert_allclose(found.residual, residual, atol=1e-8)
     if not is_chord:
         np.testing.assert_allclose(found.jacobian, jacobian @ inner(found.value), atol=1e-3)
-
-
-def test_the_times_of_uneven_rows_are_rounded_where_all_of_their_steps_differ():
-    """At most half a tick, without adding up over rows; even rows stay as they are."""
-    even = np.arange(3000) * 0.025
-    uneven = even + np.random.default_rng(0).uniform(-0.008, 0.008, 3000)
-    levels = {"omega_ref": 4000.0, "beta_ref": 4.0, "thrust": 5.0}
-    for time, changed in ((even, False), (uneven, True)):
-        record = Record({"time": time, **{name: np.full(3000, level) for name, level in levels.items()}}, "synthetic")
-        experiment = Experiment([Fitted("open_loop", record)], independent(1.0))
-        shown = experiment.record
-        assert experiment.records[0].record is shown  # a sensor of another kind reads the same rows
-        assert len(np.unique(shown.steps)) < 2 * TICKS
-        assert bool(np.any(shown.time != time)) == changed
-        np.testing.assert_allclose(shown.time, time, rtol=0, atol=0.5 * record.period / TICKS + 1e-8)

@@ -1,11 +1,8 @@
 """One version in all files that name it, and the same dependencies wherever they are listed."""
 
 import re
-import subprocess
 import sys
 from pathlib import Path
-
-import pytest
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -54,16 +51,3 @@ def test_the_installation_page_names_the_wheel_and_the_extras():
     assert set(re.findall(r"vpp_fmu-(\d[\d.]*\d)-py3", page)) == {VERSION}
     internal = {"test", "docs", "release", "interop", "benchmarks"}
     assert set(re.findall(r"^\| `(\w+)` \|", page, flags=re.M)) == set(PROJECT["optional-dependencies"]) - internal
-
-
-@pytest.mark.parametrize("extra", ["docs", "release"])
-def test_what_builds_site_and_release_is_pinned(extra):
-    pinned = {name_of(line) for line in (ROOT / "constraints.txt").read_text().splitlines() if "==" in line}
-    assert {name_of(requirement) for requirement in PROJECT["optional-dependencies"][extra]} <= pinned
-
-
-def test_the_release_names_its_options():
-    done = subprocess.run(
-        [sys.executable, "-m", "tests.release", "--help"], cwd=ROOT, check=True, capture_output=True, text=True
-    )
-    assert "--checks-only" in done.stdout

@@ -39,13 +39,6 @@ def test_a_settled_record_has_no_run_in_and_one_in_motion_has_one(seed):
     assert run_in(*cut(seed, 0.1), LAG) == pytest.approx(5.0 * LAG)
 
 
-@pytest.mark.parametrize("blind", ["thrust", "omega"])
-def test_thrust_alone_or_speed_alone_shows_a_run_in(blind):
-    record, shown = cut(0, 0.1)
-    hidden = np.full(len(record), np.nan) if blind == "thrust" else shown[:, 1]
-    assert run_in(record.with_columns(**{blind: hidden}), shown, LAG) > 0.0
-
-
 ERRORS = {
     "constant": lambda t, move: 1.0 + 0.0 * t,
     "constant until the first move": lambda t, move: np.where(t < move, 1.0, 0.0),
@@ -138,10 +131,3 @@ def test_of_step_runs_those_in_motion_lose_their_run_in(campaigns):
     assert not settled.any()
     assert np.flatnonzero(moving)[-1] * STEP == pytest.approx(5.0 * LAG, rel=0.05)
     assert [(f.code, f.file) for f in gate.findings] == [("run_in", "steps.csv")]
-
-
-def test_check_reports_a_run_in_in_one_line(campaigns, printed):
-    said = [line for line in printed("check", campaigns["unseen"].folder).splitlines() if "run_in" in line]
-    assert len(said) == 1
-    assert "validation.csv" in said[0]
-    assert "begins in motion: its first 2.9 s are excluded" in said[0]

@@ -1,23 +1,17 @@
 """One sentence for each mistake that users made: swapped files, another separator, settings that changed, no measurement."""
 
-import json
 import re
 
 import numpy as np
 import pytest
 
-from hil.campaign import Plan
-from hil.campaign_folder import Measuring
-from hil.emulator.rig import NEAREST, effects_to_hide
+from hil.emulator.rig import effects_to_hide
 from hil.physics.rig_model import library
-from hil.replay import other_settings
 from vpp_fmu.app.cli import main
-from vpp_fmu.errors import BadInput
-from vpp_fmu.kernel.controller import DUAL
-from vpp_fmu.kernel.plant import LIBRARY
+from vpp_fmu.errors import RecordWarning
 from vpp_fmu.plants import Sample
 from vpp_fmu.reach import thrust_range, warn_beyond_reach
-from vpp_fmu.record import Record, RecordWarning
+from vpp_fmu.record import Record
 
 FILES = {
     "p.csv": "time,thrust_set\n0,2\n0.5,5\n1,5\n",
@@ -83,11 +77,6 @@ def test_the_list_of_effects_has_sizes_and_ends_well(capsys):
     assert all(re.search(r"=[0-9.]+ \(", line) for line in lines)
 
 
-def test_the_nearest_effects_exist():
-    assert set(NEAREST) <= {effect.name for effect in library(commanded=False)}
-    assert set(NEAREST.values()) <= {effect.name for effect in LIBRARY}
-
-
 class Square:
     """A plant that starts at rest: its thrust is speed^2 / 1e6 times a parabola of the pitch with its top at 5 deg."""
 
@@ -118,24 +107,3 @@ def test_a_profile_beyond_reach_is_named(wanted, beyond, recwarn):
     assert len(said) == beyond
     sentence = f"p.csv: thrust_set: {wanted:g} N at 2 s is out of reach: the plant's model gives 7.5 to 40 N"
     assert not beyond or sentence in said[0]
-
-
-def test_a_replay_with_other_gains_names_them(tmp_path):
-    content = {"format": "vpp-hil/1", "controller": {"kind": "kernel", "parameters": dict(DUAL)}}
-    (tmp_path / "hil.json").write_text(json.dumps(content))
-    assert other_settings(tmp_path / "run.csv", DUAL) == []
-    (said,) = other_settings(tmp_path / "run.csv", {**DUAL, "kp_omega": 3.0})
-    assert said == f"kp_omega {DUAL['kp_omega']:g} in the run, 3 here"
-
-
-def test_a_resumed_campaign_names_the_entry_that_changed(tmp_path):
-    before = {"format": "vpp-hil/1", "rig": "emulated", "begun": "now", "limits": {"omega_max": 6000.0, "beta_max": 10.0}}
-    first = Measuring(None, Plan())
-    (tmp_path / "hil.json").write_text(json.dumps(first.begin(tmp_path, before, resume=False)))
-    with pytest.raises(BadInput) as refused:
-        Measuring(None, Plan(seed=2)).begin(tmp_path, before, resume=True)
-    assert (refused.value.field, refused.value.found, refused.value.allowed) == (
-        "plan.seed",
-        str(Plan().seed),
-        "2, as this call has it",
-    )

@@ -65,28 +65,6 @@ def test_every_link_has_a_target(name):
             assert there in {included.picture(file) for file in included.pictures()}, link
 
 
-def test_a_missing_section_is_named():
-    with pytest.raises(included.Missing, match="no section 'Wirring'"):
-        included.with_included("how-to/x.md", "<!-- include hil/README.md # Wirring -->")
-
-
-def test_sections_keep_their_order_of_headings():
-    found = included.section("hil/README.md", "Raspberry Pi", 3)
-    assert "### Permissions" in found
-    assert "# Firmware" not in found
-    assert "\n## " not in found
-
-
-def test_lists_are_those_of_python_markdown():
-    given = "It needs\n- one\n  thing\n- two\n\n```\n- not\n- these\n```\n"
-    assert included.python_markdown(given) == "It needs\n\n- one\n    thing\n- two\n\n```\n- not\n- these\n```\n"
-
-
-def test_an_item_after_a_paragraph_of_the_one_before_is_an_item():
-    given = "1. One:\n   - a\n\n   Then more,\n   and more.\n2. Two\n"
-    assert "    and more.\n\n2. Two\n" in included.python_markdown(given)
-
-
 def test_every_verb_has_a_page_with_its_options():
     made = verbs.pages()
     assert set(made) == {f"reference/verbs/{verb}.md" for verb in VERBS}

@@ -9,7 +9,6 @@ import pytest
 from identification.static.at_rest import AtRest
 from identification.static.static_map import TERMS, coefficient_grid, design, fit_static_map, static_fit, thrust_coefficient
 from identification.static.steady import samples_needed, steady_points, with_steady_points
-from vpp_fmu.app.report.figures.map import map_uncertainty, mean_convergence, thrust_coefficients
 from vpp_fmu.campaign import Campaign, StaticMap
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import BASE, plant
@@ -96,33 +95,6 @@ def test_coefficients_that_a_grid_does_not_identify_are_named(speeds, pitches, n
     assert (fits[0].uncertainty(2000.0, -5.0, SCALES) > 1.0) == bool(not_identifiable)  # away from the points
 
 
-def test_points_that_do_not_vary_have_no_share_explained():
-    static = grid()
-    dead = replace(static, thrust=np.zeros(len(static.thrust)), thrust_std=np.zeros(len(static.thrust)))
-    fit = fit_static_map(dead, SCALES)
-    assert fit.r2_adjusted is None
-    assert np.all(np.linalg.eigvalsh(fit.covariance) > 0.0)
-    still = replace(static, omega=np.where(static.omega_ref < 2500.0, 0.0, static.omega))
-    assert np.isnan(coefficient_grid(still)[2][0]).all()
-
-
-def test_a_point_with_a_large_uncertainty_has_no_weight():
-    static = grid(0.02)
-    wrong, spread, samples = static.thrust.copy(), static.thrust_std.copy(), static.samples.copy()
-    wrong[75] += 5.0
-    trusted = fit_static_map(replace(static, thrust=wrong), SCALES).coefficients
-    spread[75] = 1e6
-    vague = fit_static_map(replace(static, thrust=wrong, thrust_std=spread), SCALES).coefficients
-    samples[75] = 1e-10  # as few as that are as vague as a large spread
-    rare = fit_static_map(replace(static, thrust=wrong, samples=samples), SCALES).coefficients
-    kept = np.arange(100) != 75
-    columns = {n: getattr(static, n)[kept] for n in ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")}
-    without = fit_static_map(replace(static, **columns), SCALES).coefficients
-    for fit in (vague, rare):
-        np.testing.assert_allclose(list(fit.values()), list(without.values()), rtol=1e-6)
-    assert np.max(np.abs(np.array(list(trusted.values())) - list(without.values()))) > 0.01
-
-
 def test_the_covariance_is_the_scatter_of_many_campaigns():
     noise = np.where(np.arange(100) % 3 == 0, 0.2, 0.03)
     fits = [fit_static_map(grid(noise, seed), SCALES) for seed in range(1000)]
@@ -136,21 +108,6 @@ def test_the_covariance_is_the_scatter_of_many_campaigns():
     uncertainty = np.sqrt(np.mean([f.uncertainty(omega, beta, SCALES) ** 2 for f in fits], axis=0))
     assert uncertainty.shape == (3, 3)
     np.testing.assert_allclose(thrust.std(axis=0), uncertainty.ravel(), rtol=0.08)
-
-
-def test_adjusted_r2_is_that_of_the_textbook():
-    static = grid(0.3, seed=4)
-    fit = fit_static_map(static, SCALES)
-    measured = static.thrust[fit.used]
-    explained = 1.0 - np.sum(fit.residual**2) / np.sum((measured - np.mean(measured)) ** 2)
-    n = len(measured)
-    assert fit.r2_adjusted == pytest.approx(1.0 - (1.0 - explained) * (n - 1) / (n - 5), rel=1e-12)
-    assert 0.9 < fit.r2_adjusted < explained
-
-
-def test_no_point_is_refused():
-    with pytest.raises(BadInput, match="made up: steady points: found none from 20 to 30 deg"):
-        fit_static_map(grid(), SCALES, (20.0, 30.0))
 
 
 BENT, ERROR = 0.2, 0.02
@@ -185,26 +142,6 @@ def test_steady_points_identify_the_map_and_an_effect_of_the_map():
     assert np.all(np.abs(told.mean - [*KNOWN, BENT]) < 4.0 * std)
     alone = told_beside(free=())
     assert np.max(np.abs(alone.mean - KNOWN) / std[:5]) > 30.0  # the polynomial alone has absorbed the stall
-
-
-@pytest.mark.parametrize(
-    ("effect", "free"),
-    [("recirculation", "share"), ("sensor_drift", "offset"), ("pitch_asymmetry", "asymmetry"), ("speed_saturation", "maximum")],
-)
-def test_steady_points_give_no_knowledge_of_dynamic_effects(effect, free):
-    """Nor of effects of the reading, or of a measured speed: only the map is known."""
-    limit = {"speed_saturation.maximum": 4000.0} if effect == "speed_saturation" else {}
-    told, alone = told_beside(effect, free=(f"{effect}.{free}",), **limit), told_beside(free=())
-    assert told.names == alone.names == tuple(TERMS)
-    np.testing.assert_array_equal(told.mean, alone.mean)
-
-
-def test_knowledge_of_nearly_collinear_terms_has_a_square_root():
-    """With all further terms of the map some sums are known ten decades better than others; whitened, all have variance 1."""
-    free = tuple(f"map_terms.{n}" for n in ("c10", "c22", "stall", "knee"))
-    told = told_beside("map_terms", free=free, **{"map_terms.form": 2.0, "map_terms.knee": 3.0, "map_terms.stall": -0.1})
-    root = told.root()
-    np.testing.assert_allclose(root @ told.covariance @ root.T, np.eye(len(told.names)), atol=0.05)
 
 
 def test_thrust_coefficient():
@@ -267,31 +204,12 @@ def test_the_settled_ends_of_step_responses_are_the_steady_points_where_there_ar
     assert with_steady_points(Campaign(Path("."), means, runs, None, None, None), 0.2).static is means
 
 
-def test_means_and_raw_samples_give_the_same_map():
-    static = grid(pitches=np.linspace(-5.0, 10.0, 4))
-    rows = 40
-    columns = {n: np.repeat(getattr(static, n), rows) for n in ("omega_ref", "beta_ref", "omega", "thrust")}
-    record = Record({"time": np.arange(rows * len(static.omega)) * 0.1} | columns, "raw")
-    fit = fit_static_map(steady_points(record), SCALES)
-    np.testing.assert_allclose(list(fit.coefficients.values()), KNOWN, rtol=1e-9)
-
-
 def first_order(rho: float, n: int, seed: int) -> np.ndarray:
     """Noise of variance 1 whose correlation is rho^lag."""
     from scipy.signal import lfilter
 
     drive = np.random.default_rng(seed).standard_normal(n + 1000) * np.sqrt(1.0 - rho**2)
     return lfilter([1.0], [1.0, -rho], drive)[1000:]
-
-
-@pytest.mark.parametrize("wanted", [0.1, 0.01, 0.002])
-def test_white_readings_need_the_ratio_squared(wanted):
-    found = samples_needed(0.2 * first_order(0.0, 100_000, 1), wanted)
-    assert found.number == pytest.approx((0.2 / wanted) ** 2, rel=0.3)
-    assert found.inflation == pytest.approx(1.0, abs=2.5 * found.relative_std)
-    np.testing.assert_allclose(found.std[:20], found.white[:20], rtol=0.05)
-    np.testing.assert_allclose(found.white, 0.2 / np.sqrt(found.m), rtol=0.01)
-    assert found.settled
 
 
 @pytest.mark.parametrize("rho", [0.5, 0.9, -0.5])
@@ -304,49 +222,3 @@ def test_coloured_readings_need_the_textbooks_inflation(rho):
     m = runs[0].m
     exact = (factor - 2.0 * rho * (1.0 - rho**m) / (m * (1.0 - rho) ** 2)) / m
     np.testing.assert_allclose(np.mean([r.std**2 for r in runs], axis=0), exact, rtol=0.1)
-
-
-@pytest.mark.parametrize("rho", [0.5, 0.9])
-def test_means_of_coloured_readings_are_worth_fewer_of_them(rho):
-    """The effective number is n (1 - rho) / (1 + rho) for first-order noise and large n."""
-    rows, points = 2000, 12
-    omega_ref = np.repeat(np.linspace(2000.0, 6000.0, points), rows)
-    thrust = omega_ref / 1000.0 + 0.2 * first_order(rho, len(omega_ref), 7)
-    columns = {"omega_ref": omega_ref, "beta_ref": np.zeros(len(omega_ref)), "thrust": thrust}
-    record = Record({"time": np.arange(len(omega_ref)) * 0.01} | columns, "raw")
-    found = steady_points(record, settle=0.0)
-    np.testing.assert_allclose(found.samples, rows * (1.0 - rho) / (1.0 + rho), rtol=0.35)
-    pulls = (found.thrust - found.omega_ref / 1000.0) / (found.thrust_std / np.sqrt(found.samples))
-    assert np.sqrt(np.mean(pulls**2)) == pytest.approx(1.0, abs=3.0 / np.sqrt(2.0 * points))
-
-
-def test_readings_that_cannot_be_averaged():
-    wander = np.cumsum(np.random.default_rng(2).standard_normal(20_000))
-    assert not samples_needed(wander, 0.1).settled
-    tone = np.tile([1.0, -1.0], 500)
-    assert samples_needed(tone, 0.5).number == 2
-    assert samples_needed(first_order(0.0, 1000, 3), 5.0).number == 1
-    holes = first_order(0.0, 1000, 3)
-    holes[::7] = np.nan
-    assert np.isfinite(samples_needed(holes, 0.1).std).all()
-    for readings, wanted in ((np.ones(1000), 0.1), (wander[:100], 0.1), ([], 0.1), (wander, 0.0)):
-        with pytest.raises(BadInput, match="samples_needed: readings"):
-            samples_needed(readings, wanted)
-
-
-def test_figures_show_what_they_are_given():
-    static = grid(0.02)
-    fit = fit_static_map(static, SCALES)
-    speeds, pitches, ct = coefficient_grid(static)
-    lines = thrust_coefficients(speeds, pitches, ct, "C_T")
-    assert [line.name for line in lines.data][::9] == ["2000 rpm", "6000 rpm"]
-    np.testing.assert_array_equal(lines.data[3].y, ct[3])
-    needed = samples_needed(first_order(0.9, 5000, 0), 0.1)
-    means = mean_convergence(needed.m, needed.std, needed.white, "means")
-    assert means.layout.xaxis.type == means.layout.yaxis.type == "log"
-    told = mean_convergence(needed.m, needed.std, needed.white, "means", (needed.number, 0.1)).data[-1]
-    assert (told.x, told.y) == ((needed.number,), (0.1,))
-    omega, beta = np.linspace(2000.0, 6000.0, 9), np.linspace(-5.0, 10.0, 7)
-    std = fit.uncertainty(omega, beta[:, None], SCALES)
-    heat = map_uncertainty(omega, beta, std, "uncertainty")
-    np.testing.assert_array_equal(heat.data[0].z, std)

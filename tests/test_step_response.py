@@ -1,30 +1,20 @@
 """Start values from step responses: known constants are recovered, and unusable runs are left out."""
 
-import json
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
 import pytest
 from builders import simulator
 
-from identification.demo import example_folder
 from identification.steps.lag_fit import two_lags
 from identification.steps.response import fit_steps
-from vpp_fmu.app.report.figures.time import step_responses
-from vpp_fmu.app.report.style import FAINT, FIT
-from vpp_fmu.campaign import read_steps
 from vpp_fmu.kernel.ops import NUMBERS
-from vpp_fmu.kernel.plant import BASE, FINE_TUNED, plant
+from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.record import Record
 
-RIGS = Path(__file__).resolve().parents[2] / "shared" / "data"
 STEP = 0.004
 AT = 0.5
 NOISE = 0.1
 VALUES = BASE.values()
 MAP = {name: VALUES[name] for name in ("c20", "c11", "c21", "c12", "c30")}
-DELAY = plant(["pitch_delay"])
 
 
 def run(channel, start, end, level, seconds=3.0, noise=0.0, seed=0, model=BASE, shown=True, **values) -> Record:
@@ -125,46 +115,6 @@ def test_without_a_map_the_lags_are_those_of_the_normalised_thrust():
     assert bent.slow + bent.fast > 1.05 * 0.225  # thrust is proportional to the square of the speed: upwards it is later
 
 
-def test_offset_and_gain_of_a_run_do_not_touch_its_lags():
-    record = run("omega", 6000, 3000, 0, shown=False)
-    record = record.with_columns(thrust=0.7 * record["thrust"] - 2.0)
-    fit = fit_steps([record], VALUES, MAP).runs[0].fits["thrust"].plain
-    assert (fit.slow, fit.fast) == pytest.approx((0.172, 0.053), abs=1e-6)
-
-
-def test_equal_lags_are_one_double_pole():
-    equal = {"tau_omega_1": 0.1, "tau_omega_2": 0.1}
-    exact = fit_steps([run("omega", 2000, 6000, 7, shown=False, **equal)], VALUES, MAP).runs[0].fits["thrust"].plain
-    assert exact.slow + exact.fast == pytest.approx(0.2, abs=1e-5)
-    assert exact.double_pole
-    assert exact.std["slow"] is None
-    assert exact.std["sum"] is not None
-    fits = [run("omega", 2000, 6000, 7, noise=NOISE, seed=seed, shown=False, **equal) for seed in range(8)]
-    plain = [r.fits["thrust"].plain for r in fit_steps(fits, VALUES, MAP).runs]
-    assert all(abs(p.slow + p.fast - 0.2) < 4 * p.std["sum"] for p in plain)
-    assert any(p.double_pole for p in plain)
-
-
-def test_a_delay_is_found_beside_the_lags():
-    late = {"pitch_delay.delay": 0.06}
-    exact = fit_steps([run("beta", -5, 10, 6000, model=DELAY, **FAST, **late)], VALUES, MAP).runs[0].fits["thrust"]
-    assert (exact.delayed.slow, exact.delayed.fast, exact.delayed.delay) == pytest.approx((0.2, 0.08, 0.06), abs=1e-5)
-    made = [run("beta", *s, 6000, noise=NOISE, seed=k, model=DELAY, **FAST, **late) for k, s in enumerate(PITCHES)]
-    summary = fit_steps(made, VALUES, MAP)
-    assert summary.delayed("beta")
-    assert found(summary, "beta").delay == pytest.approx(0.06, abs=0.015)
-    # The start is for a model without a delay: its lags take the delay in.
-    assert summary.start["tau_beta_1"] + summary.start["tau_beta_2"] == pytest.approx(0.34, abs=0.02)
-
-
-def test_gaps_in_the_thrust_are_no_readings():
-    record = run("omega", 2000, 6000, 7, shown=False)
-    thrust = np.where(np.arange(len(record)) % 3 > 0, np.nan, record["thrust"])
-    fit = fit_steps([record.with_columns(thrust=thrust)], VALUES, MAP).runs[0].fits["thrust"].plain
-    assert (fit.slow, fit.fast) == pytest.approx((0.172, 0.053), abs=1e-6)
-    assert fit.readings == 250
-
-
 # The uncertainty
 
 
@@ -179,12 +129,6 @@ def test_standard_deviations_are_those_of_repeats():
         assert least < np.sqrt(np.mean(np.square(pulls))) < 1.4
     gains = np.array([f["thrust"].plain.gain for f in fits])
     assert gains.std() == pytest.approx(np.mean([f["thrust"].plain.std["gain"] for f in fits]), rel=0.35)
-
-
-def test_rms_is_the_noise():
-    fit = fit_steps([run("omega", 2000, 5000, 7, noise=NOISE, shown=False)], VALUES, MAP).runs[0]
-    assert fit.fits["thrust"].plain.rms == pytest.approx(NOISE, rel=0.1)
-    assert fit.noise == pytest.approx(NOISE, rel=0.1)
 
 
 def test_averages_are_near_the_truth_and_slow_comes_first(noisy):
@@ -234,44 +178,10 @@ def test_a_run_that_is_noisy_small_or_short_is_left_out(pitch_runs, end, noise, 
     assert reason(pitch_runs, run("beta", -5.0, end, 6000, noise=noise, seed=99, **lags)).startswith(why)
 
 
-def test_a_run_unlike_the_model_is_left_out(pitch_runs):
-    odd = run("beta", -5, 10, 6000, noise=NOISE, seed=99, **FAST)
-    time = odd.time - AT
-    swing = np.where(time > 0, 2.0 * np.exp(-time / 0.3) * np.sin(25.0 * time), 0.0)
-    assert reason(pitch_runs, odd.with_columns(thrust=odd["thrust"] + swing)).startswith("the residual is ")
-
-
 def test_a_command_not_reached_is_detected_by_the_thrust(pitch_runs):
     half = run("beta", -5, 2, 6000, noise=NOISE, seed=99, **FAST)
     odd = half.with_columns(beta_ref=np.where(half.time < AT - 1e-9, -5.0, 10.0))
     assert "thrust changes by 5" in reason(pitch_runs, odd)
-
-
-def test_a_command_not_reached_is_detected_by_its_own_sensor():
-    record = run("omega", 2000, 6000, 7, noise=NOISE)
-    odd = record.with_columns(omega_ref=np.where(record["omega_ref"] > 2000, 6600.0, 2000.0))
-    assert "command not reached: omega ends at " in fit_steps([odd], VALUES, MAP).runs[0].reason
-
-
-def test_left_out_runs_do_not_count(pitch_runs):
-    odd = run("beta", -5, 3, 6000, noise=2.0, seed=99, tau_beta_1=0.4, tau_beta_2=0.3)
-    with_it, without = (fit_steps(r, VALUES, MAP) for r in ([*pitch_runs, odd], pitch_runs))
-    assert with_it.averages == without.averages
-    assert with_it.start == without.start
-
-
-def test_runs_without_one_single_step_are_named():
-    record = run("omega", 2000, 6000, 7)
-    both = record.with_columns(beta_ref=np.where(record.time > 1.0, 5.0, 7.0))
-    none = record.with_columns(omega_ref=np.full(len(record), 2000.0))
-    blind = record.with_columns(thrust=np.where(record.time > 2.0, np.nan, record["thrust"]))
-    parts = {"both": both, "none": none, "blind": blind}
-    summary = fit_steps([replace(part, source=name) for name, part in parts.items()], VALUES, MAP)
-    assert not summary.runs
-    assert not summary.start
-    assert summary.unreadable["both"].startswith("2 changes")
-    assert summary.unreadable["none"].startswith("0 changes")
-    assert summary.unreadable["blind"].startswith("thrust readings")
 
 
 def test_overshoot_is_measured_and_flagged(pitch_runs):
@@ -288,62 +198,4 @@ def test_overshoot_is_measured_and_flagged(pitch_runs):
 # Recorded campaigns
 
 
-def test_the_example_campaign_gives_a_start():
-    records = read_steps(example_folder() / "steps.csv.gz")
-    summary = fit_steps(records, VALUES, MAP)
-    assert len(summary.runs) == len(records) == 40
-    check_rig(summary)
-    content = json.loads(json.dumps(summary.summary(), allow_nan=False))
-    assert len(content["runs"]) == 40
-    assert content["start"] == summary.start
-    assert {a["direction"] for a in content["averages"]} == {"up", "down", "both"}
-    assert content["runs"][0]["omega"]["plain"]["std"]["slow"] > 0
-
-
-@pytest.mark.skipif(not RIGS.exists(), reason="the rigs' campaigns are not here: ../shared/data")
-@pytest.mark.parametrize("rig", ["rig_a", "rig_b", "rig_c", "rig_d"])
-def test_rigs_give_a_start(rig):
-    check_rig(fit_steps(read_steps(RIGS / rig / "steps.csv"), VALUES, MAP))
-
-
-def check_rig(summary):
-    """Data's README: within 15 % of the fine-tuned set, but for a faster pitch actuator."""
-    for name in ("tau_omega_1", "tau_omega_2"):
-        assert summary.start[name] == pytest.approx(FINE_TUNED[name], rel=0.15)
-    spread = found(summary, "omega", "omega").spread
-    assert spread["slow"] < 0.005
-    assert summary.start["tau_beta_1"] + summary.start["tau_beta_2"] < FINE_TUNED["tau_beta_1"] + FINE_TUNED["tau_beta_2"]
-    assert len(summary.outliers) <= 6
-
-
 # The figure
-
-
-def test_figure_has_a_panel_a_step_and_greys_what_was_left_out(pitch_runs):
-    odd = run("beta", -5, 3, 6000, noise=2.0, seed=99, **FAST)
-    other = run("beta", -5, 10, 4000, noise=NOISE, seed=98, **FAST)
-    summary = fit_steps([*pitch_runs, other, odd], VALUES, MAP)
-    fig = step_responses(summary.runs, "Two lags explain all but one", unit="deg", level_unit="rpm")
-    assert "Two lags explain all but one" in fig.layout.title.text
-    assert [note.text for note in fig.layout.annotations] == [f"{start:g} → {end:g} deg" for start, end in PITCHES]
-    assert len({trace.xaxis for trace in fig.data}) == 8
-    grey = [trace for trace in fig.data if trace.line.color == FAINT]
-    assert len(grey) == 1
-    assert "noise is" in grey[0].hovertemplate
-    assert len([trace for trace in fig.data if trace.line.color == FIT]) == 9
-    assert len(fig.data) == 19
-    legend = [trace.name for trace in fig.data if trace.showlegend]
-    assert sorted(legend) == ["fitted", "left out", "measured at 4000 rpm", "measured at 6000 rpm"]
-    titles = {axis.title.text for axis in fig.select_xaxes()} | {axis.title.text for axis in fig.select_yaxes()}
-    assert {"time [s]", "thrust [share of step]"} <= titles
-    for trace in fig.data:
-        assert len(trace.x) <= 240
-        assert np.isfinite(trace.y).all()
-
-
-def test_figure_shows_the_share_of_the_step():
-    fig = step_responses(fit_steps([run("omega", 2000, 6000, 7, noise=0.01)], VALUES, MAP).runs, "Message")
-    for trace in fig.data:
-        x, y = np.array(trace.x), np.array(trace.y)
-        assert np.abs(y[x < 0.0]).max() < 0.01
-        assert np.abs(y[x > 0.9 * x.max()] - 1.0).max() < 0.01

@@ -6,22 +6,15 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
-import time
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import pytest
 from processes import VPP, cpu_seconds, group, signalled
 
-from identification.demo import example_folder
 from identification.workers import spread
 from vpp_fmu.app.cli import main
-from vpp_fmu.campaign import NEED
 from vpp_fmu.errors import WorkerLost
-from vpp_fmu.files import OutputFolder
 from vpp_fmu.fmu import Fmu, FmuInstance
-from vpp_fmu.record import read_record, write_record
 from vpp_fmu.scratch import Scratch
 from vpp_fmu.stopping import SIGNALS, Stopped, stoppable, unbroken
 
@@ -33,13 +26,11 @@ def told(verb, number):
 
 
 @has_proc
-def test_a_bootstrap_and_its_workers_end_and_write_nothing(tmp_path):
-    record = read_record(example_folder() / "open_loop.csv.gz", NEED).part(slice(0, 2500))
-    write_record(OutputFolder(tmp_path / "campaign"), "open_loop.csv", record)
-    words = [*VPP, "identify", str(tmp_path / "campaign"), "--starts", "1", "--bootstrap", "100000", "--workers", "2"]
-    ended = signalled([*words, "-o", str(tmp_path / "out")], signal.SIGTERM, at_work)
+def test_a_search_and_its_workers_end_and_write_nothing(tmp_path):
+    words = [*VPP, "tune", "--robust", "mean", "--draws", "10000", "--workers", "2", "-o", str(tmp_path / "out")]
+    ended = signalled(words, signal.SIGTERM, at_work)
     assert (ended.code, ended.left) == (143, ())
-    assert told("vpp identify", signal.SIGTERM) in ended.error.splitlines()  # Python 3.10 counts semaphores behind it
+    assert told("vpp tune", signal.SIGTERM) in ended.error.splitlines()  # Python 3.10 counts semaphores behind it
     assert "Traceback" not in ended.error
     assert os.listdir(tmp_path / "out") == []
 
@@ -148,15 +139,6 @@ def test_the_command_reports_a_signal_in_one_line_and_the_exit_code(monkeypatch,
     assert capsys.readouterr().err.splitlines() == [told("vpp identify", signal.SIGTERM)]
 
 
-def test_an_ignored_signal_stays_ignored():
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
-    try:
-        with stoppable("vpp test"):
-            signal.raise_signal(signal.SIGHUP)
-    finally:
-        signal.signal(signal.SIGHUP, before)
-
-
 def test_a_signal_waits_for_an_unbroken_section():
     done = []
 
@@ -191,41 +173,6 @@ def test_a_signal_within_an_fmus_own_python_is_no_error_of_its_model(fmu_files):
     fmu.close()
 
 
-def test_another_thread_leaves_the_signal_handlers_alone():
-    found = []
-
-    def elsewhere():
-        with stoppable("vpp test"), unbroken():
-            found.append(signal.getsignal(signal.SIGTERM))
-
-    thread = threading.Thread(target=elsewhere)
-    thread.start()
-    thread.join()
-    assert found == [signal.getsignal(signal.SIGTERM)]
-
-
-@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="Windows has no signal masks")
-def test_a_signal_waits_until_a_worker_is_started(monkeypatch):
-    own, done = ProcessPoolExecutor.submit, []
-
-    def interrupted(*arguments):
-        os.kill(os.getpid(), signal.SIGTERM)  # this thread is deaf to it, the one that watches is not
-        time.sleep(0.1)
-        done.append("whole")
-        return own(*arguments)
-
-    monkeypatch.setattr(ProcessPoolExecutor, "submit", interrupted)
-    with pytest.raises(Stopped), stoppable("vpp test"):
-        spread(float, ["1.0", "2.0"], workers=2)
-    assert done == ["whole", "whole"]
-
-
 def test_a_dead_worker_is_reported():
     with pytest.raises(WorkerLost, match="test: one of 2 processes has died"):
         spread(os._exit, [1, 1], workers=2, what="test")
-
-
-def test_an_exception_of_a_worker_is_raised_here():
-    with pytest.raises(ValueError, match="no number"):
-        spread(float, ["1.0", "no number"], workers=2)
-    assert spread(float, ["1.0", "2.0"], workers=2) == [1.0, 2.0]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from vpp_fmu.app.cli import main, parser_of
+from vpp_fmu.app.cli import main
 
 ROOT = str(Path(__file__).parents[1])
 ASCII = {"PYTHONIOENCODING": "ascii"}
@@ -77,23 +77,6 @@ def test_a_full_standard_output_is_reported_after_the_results_are_written(here):
     assert os.path.getsize(here + b"/out/prediction.csv") > 0
 
 
-def test_a_full_standard_error_changes_no_exit_code(here):
-    assert run(simulate(here), "2>/dev/full")[0] == 0
-    assert run(["simulate", here + b"/none.csv", "--parameters", here + b"/p.json"], "2>/dev/full")[0] == 2
-
-
-def test_files_stay_valid_utf_8_if_folder_names_are_not(here):
-    """Every file of a verb that writes pages can be read as UTF-8, JSON included."""
-    assert run(["compare", here + b"/record.csv", here + b"/record.csv", "-o", here + b"/pair"])[0] == 0
-    assert run(simulate(here))[0] == 0
-    for folder in (b"/pair", b"/out"):
-        for name in os.listdir(here + folder):
-            with open(here + folder + b"/" + name, encoding="utf-8") as file:
-                text = file.read()
-            if name.endswith(b".json"):
-                json.dumps(json.loads(text), ensure_ascii=False).encode()
-
-
 def test_results_are_written_before_anything_is_printed(here, monkeypatch, tmp_path):
     """A standard output that fails at the first character."""
 
@@ -110,15 +93,3 @@ def test_results_are_written_before_anything_is_printed(here, monkeypatch, tmp_p
     monkeypatch.setattr(sys, "stdout", Broken())
     assert main([os.fsdecode(word) for word in simulate(here)]) == 141
     assert os.path.getsize(here + b"/out/prediction.csv") > 0
-
-
-@pytest.mark.parametrize("verb", ["cosim", "check-effect", "simulate", "diagnose", "plan", "tune", "export"])
-def test_help_warns_of_code_by_other_authors(verb):
-    assert "its author's code" in " ".join(parser_of(verb)[0].format_help().split())
-
-
-def test_help_of_the_rig_warns_of_code_by_other_authors(capsys):
-    for word in ("run", "replay"):
-        with pytest.raises(SystemExit):
-            main(["hil", word, "--help"])
-        assert "its author's code" in " ".join(capsys.readouterr().out.split())

@@ -1,18 +1,16 @@
 """Tracing: which operations are recorded or refused, their derivatives, and expressions prepared outside the step."""
 
 import math
-import re
 
 import numpy as np
 import pytest
-from builders import ALL_ON, PROBES, reference
+from builders import ALL_ON, reference
 
 from vpp_fmu.kernel.controller import CONTROLLER
-from vpp_fmu.kernel.plant import BASE, plant
-from vpp_fmu.kernel.simulation import Simulation
+from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.kernel.types import Effect, Model, Parameter, Signal, State
 from vpp_fmu.native import Simulator
-from vpp_fmu.tracer import c_lanes, c_source, python_source, trace
+from vpp_fmu.tracer import trace
 from vpp_fmu.tracer.graph import CALLS, COMPARE, TABLES, Graph, Node
 
 FINITE = (-1e3, 1e3)
@@ -108,15 +106,6 @@ def test_slope_of_relaxation_is_right_down_to_zero(x, slope):
     assert tangents[-1, 0, 0] == pytest.approx(exact, rel=1e-8)
 
 
-@pytest.mark.parametrize("a", [0.1, 3.0])
-def test_slopes_of_two_equal_lags_are_each_half_of_the_slope_of_both(a):
-    """S(a, b) is symmetric: at a == b both slopes are half of d/da (1 - exp(-t/a) (1 + t/a))."""
-    model, t = toy(lambda ops, a, b, u, y: ops.two_lag_step(a, b, 0.3)), 0.3
-    tangents = Simulator(model, ("a", "b")).sensitivities({"a": a, "b": a}, {"u": [0.0, 0.0]}, [1.0])[1]
-    half = -0.5 * math.exp(-t / a) * t**2 / a**3
-    assert tangents[-1, 0].tolist() == pytest.approx([half, half], rel=1e-9)
-
-
 UNSEEN = {  # one use of each of Python's special methods: and, not, max and sorted call __bool__, as if does
     "if": lambda x: 1.0 if x > 0.0 else 2.0,
     "or": lambda x: x or 1.0,
@@ -148,32 +137,6 @@ def test_python_that_cannot_be_traced_is_a_type_error(what):
         trace(toy(lambda ops, a, b, u, y: UNSEEN[what](a * u)))
 
 
-@pytest.mark.parametrize(
-    "number", [0.1, -0.1, 1e-300, 5e-324, -0.0, 1.0 / 3.0, 2.0**53, 1e22, 1.7976931348623157e308, math.inf]
-)
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_constants_survive_exactly(number, sign, no_compiler, recwarn):
-    model = toy(lambda ops, a, b, u, y: ops.where(u > 0.0, sign * number, u))
-    inputs = {"u": [-2.0, 1.0, 0.0]}
-    shown = [Simulator(model).simulate({}, inputs, [1.0, 1.0])]
-    shown.append(reference(model, {}, inputs, [1.0, 1.0]))
-    for rows in shown:
-        assert rows[1:, 0].tolist() == [-2.0, sign * number]
-        assert math.copysign(1.0, rows[2, 0]) == math.copysign(1.0, sign * number)
-
-
-def test_constants_survive_compilation():
-    numbers = [0.1, -0.1, 1e-300, 5e-324, 1.0 / 3.0, 1e22, 1.7976931348623157e308, math.inf, -math.inf, 7]
-
-    def pick(ops, a, b, u, y):
-        for i, number in enumerate(numbers):
-            y = ops.where(u > i - 0.5, number, y)
-        return y
-
-    shown = Simulator(toy(pick)).simulate({}, {"u": np.arange(len(numbers) + 1.0)}, np.ones(len(numbers)))
-    assert shown[1:, 0].tolist() == numbers
-
-
 def test_only_states_that_depend_on_a_parameter_have_a_tangent_in_it():
     """The outer lag of the speed affects speed and thrust, the inner one also its own state, a coefficient only the thrust."""
     program = trace(BASE, ("tau_omega_1", "tau_omega_2", "c20"))
@@ -183,28 +146,6 @@ def test_only_states_that_depend_on_a_parameter_have_a_tangent_in_it():
             found.setdefault(program.wrt[at[1]], set()).add(names[at[0]])
     outer = {"thrust", "omega", "omega_outer"}
     assert found == {"tau_omega_1": outer, "tau_omega_2": outer | {"omega_inner"}, "c20": {"thrust"}}
-
-
-def c_body(model, function, wrt=()):
-    source = c_source(trace(model, wrt))
-    return re.search(rf"static \w+ {function}\(.*?\n}}", source, re.DOTALL).group()
-
-
-def test_step_of_the_plain_plant_has_no_exponential_left():
-    for wrt in ((), ("tau_omega_1", "tau_beta_2", "c21")):
-        assert "exp" not in c_body(BASE, "step", wrt)
-        assert "exp" in c_body(BASE, "prepare", wrt)
-
-
-@pytest.mark.parametrize("effect", ["pitch_speed_limits", "speed_dependent_lag", "rotor_vibration"])
-def test_parallel_runs_call_functions_in_loops_of_their_own(effect):
-    """The others, every second one from the first, are vectorised; the last one stores."""
-    loops = c_lanes(trace(plant([effect]))).split("for (int k")[1:]
-    calling = [any(f" {name}(" in loop for name in CALLS if name != "sqrt") for loop in loops]
-    assert any(calling[1::2])
-    assert not any(calling[::2])
-    assert len(loops) % 2
-    assert ["v[2][k] =" in loop for loop in loops] == [False] * (len(loops) - 1) + [True]
 
 
 @pytest.mark.parametrize("model", [BASE, ALL_ON, CONTROLLER], ids=["plain", "all on", "controller"])
@@ -229,16 +170,3 @@ def test_expressions_of_parameters_and_the_step_are_prepared(model, wrt):
     for _, value in program.step:
         moves(value)
     assert any(moving.values())
-
-
-def test_generated_python_of_the_whole_plant_runs_without_this_project():
-    code = {"__builtins__": {"float": float, "__import__": lambda name, *_: {"math": math}[name]}}
-    exec(python_source(trace(ALL_ON)), code)
-    assert {"start", "prepare", "step", "largest_step"} <= set(code)
-    layout = trace(ALL_ON).layout
-    values = ALL_ON.values(PROBES)
-    settled = [4000.0, 5.0, *ALL_ON.measured_inputs.values()]
-    v = [*settled, *[0.0] * len(layout.outputs), *values.values(), *[0.0] * len(layout.states)]
-    code["start"](v, None)
-    exact = Simulation(ALL_ON, PROBES).start({"omega_ref": 4000.0, "beta_ref": 5.0})
-    assert v[layout.index["output", "omega"]] == exact["omega"]

@@ -9,9 +9,8 @@ from builders import FAST_PITCH
 
 from identification.fit.problem import Prior
 from identification.thrust_steps import step_profile
-from identification.tune.draws import draws, standard_deviations
+from identification.tune.draws import draws
 from identification.tune.objective import Point
-from identification.tune.operating import margins_at
 from identification.tune.rounds import rounds
 from identification.tune.search import search
 from identification.tune.summary import summary
@@ -53,15 +52,6 @@ def test_the_cost_is_the_papers(gains):
     error = ((record["thrust_set"] - record["thrust"]) / 15.0)[:-1]
     expected = np.sum(error**2) * 0.004 + 1e-5 * sum(gains[name] ** 2 for name in names)
     assert objective.cost(objective.gains) == pytest.approx(expected, rel=1e-12)
-
-
-def test_over_many_plants_it_is_their_worst_or_their_mean():
-    task = a_task()
-    one = task.objective(DUAL)
-    many = replace(one, plants=task.plants(5, stream=0))
-    alone = [replace(one, plants=own[None]).cost(one.gains) for own in many.plants]
-    assert many.cost(one.gains) == max(alone)
-    assert replace(many, over="mean").cost(one.gains) == pytest.approx(np.mean(alone), rel=1e-12)
 
 
 def test_the_penalty_is_proportional_to_the_excess_over_a_limit():
@@ -119,21 +109,6 @@ def test_tuned_gains_cost_less_than_the_published_ones_and_keep_the_limits(nomin
     assert tuned.fmu_difference == 0.0
 
 
-def test_both_actuators_settle_sooner_on_a_step_down(nominal):
-    down = {name: tuned.objective.steps(tuned.final)[1] for name, tuned in nominal.tuned.items()}
-    assert down["dual"].settling < 0.8 * down["speed_only"].settling
-
-
-def test_without_limits_the_cost_prefers_an_unstable_loop(nominal):
-    """The reason for limits: these gains follow the test signal better than tuned ones, and are unstable a little above it."""
-    tuned = nominal.tuned["dual"]
-    keen = np.array([61.3, 16.6, 40.8, 139.0, 0.742, 1.225])
-    assert tuned.objective.cost(keen) < tuned.cost("tuned")
-    above = Point(13.0, (5500.0, 8.0), ("omega", "beta"))
-    assert not margins_at(tuned.objective, keen, (above,))[0].stable
-    assert replace(tuned.objective, points=(above,)).penalised(keen) > 10.0 * tuned.cost("tuned")
-
-
 def test_the_gains_do_not_depend_on_the_number_of_workers():
     objective = a_task(SHORT).objective(SPEED_ONLY)
     starts = {"speed_only": [(objective.gains, ("all",)), (0.5 * objective.gains, ("all",))]}
@@ -161,17 +136,6 @@ KNOWN = ParameterSet(plant(EFFECTS)).replaced(
     {"c20": 0.35, "pitch_command_deadband.half_width": 1.5, "pitch_backlash.half_gap": 0.02, "tau_beta_2": 0.05},
     {"c20": 0.01, "pitch_command_deadband.half_width": 0.2, "tau_beta_2": 0.03},
 )
-
-
-def test_standard_deviations_come_from_the_file_or_are_a_share_of_the_value():
-    std = standard_deviations(KNOWN, ("tau_beta_2",), 0.1)
-    assert std["c20"] == 0.01
-    assert std["pitch_command_deadband.half_width"] == 0.2
-    assert std["tau_beta_2"] == pytest.approx(0.005)
-    assert std["tau_omega_1"] == pytest.approx(0.1 * FINE_TUNED["tau_omega_1"])
-    assert std["pitch_backlash.half_gap"] == pytest.approx(0.002)
-    assert "pitch_backlash.form" not in std
-    assert "thrust_scale" not in std
 
 
 def test_draws_have_the_standard_deviations_and_the_correlation():
@@ -236,30 +200,6 @@ def test_the_command_writes_gains_that_export_takes(tmp_path, capsys, short_sear
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Both actuators against speed alone" in page
     assert "tau_beta_1 = 0.15" in page
-
-
-@pytest.mark.parametrize(("wanted", "points"), [(20.0, 0), (5.0, 1)])
-def test_a_constant_set_point_has_no_steps_and_may_be_out_of_reach(wanted, points, short_search):
-    flat = Record({"time": np.array([0.0, 0.4]), "thrust_set": np.array([wanted, wanted])}, "flat")
-    found = tune(a_task(flat), {"speed_only": SPEED_ONLY})
-    content = summary(found)["controllers"]["speed_only"]["tuned"]
-    assert content["steps"] == []
-    assert len(content["margins"]) == points
-    assert content["squared_error"] <= summary(found)["controllers"]["speed_only"]["published"]["squared_error"]
-    assert "speed alone" in tuning_page(found).html()
-
-
-def test_given_gains_bring_limits_and_sampling(tmp_path, short_search):
-    given = ParameterSet(CONTROLLER).replaced({**DUAL, "sample_time": 0.008, "omega_max": 5800.0, "beta_fixed": 9.0})
-    (tmp_path / "given.json").write_text(to_json(given))
-    (tmp_path / "p.csv").write_text(SHORT_CSV)
-    assert vpp(tmp_path, "--gains", str(tmp_path / "given.json"), "--profile", str(tmp_path / "p.csv")) == 0
-    content = json.loads((tmp_path / "out" / "tuning.json").read_text())
-    assert content["objective"]["sample_time"] == 0.008
-    assert set(content["controllers"]["dual"]) >= {"given", "tuned"}
-    for file in ("gains.json", "gains_speed_only.json"):
-        values = read_parameters(tmp_path / "out" / file, lambda _: CONTROLLER).values
-        assert (values["sample_time"], values["omega_max"], values["beta_fixed"]) == (0.008, 5800.0, 9.0)
 
 
 @pytest.mark.parametrize(

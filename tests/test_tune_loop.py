@@ -8,10 +8,9 @@ from scipy.signal import lsim
 from identification.thrust_steps import step_profile
 from identification.tune.check import Measured
 from vpp_fmu.commands import idle
-from vpp_fmu.errors import SimulationFailed
 from vpp_fmu.kernel.controller import DUAL, SPEED_ONLY
 from vpp_fmu.kernel.measurement import MEASUREMENT
-from vpp_fmu.kernel.plant import BASE, plant
+from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.loop import run
 from vpp_fmu.native.closed_loop import ROW, ClosedLoop, Course
@@ -78,13 +77,6 @@ def test_merits_are_those_of_the_record():
     assert 100.0 * overshoot == pytest.approx(max(step.overshoot for step in steps(record)), rel=1e-12)
 
 
-def test_small_changes_of_the_set_point_are_no_steps():
-    """A ramp of 1000 small steps: a delay of one sample spans many of them, and is no overshoot."""
-    ramp = Record({"time": np.arange(1001) * 0.004, "thrust_set": np.linspace(2.0, 12.0, 1001)}, "ramp")
-    loop, _, sets = loop_and_sets((), DUAL, {})
-    assert loop.merits(sets, Course.of(ramp, 0.004, 15.0, rest=IDLE))[0, 1] == 0.0
-
-
 def test_many_parameter_sets_at_once_equal_single_runs():
     loop, _, (values, chain, gains) = loop_and_sets(BENT, DUAL, ON_THE_WAY)
     course = Course.of(SHORT, 0.004, 15.0, noisy(ON_THE_WAY), rest=IDLE)
@@ -103,12 +95,6 @@ def test_a_run_without_finite_numbers_has_an_infinite_cost():
     assert np.isinf(loop.merits((np.full_like(values, np.nan), chain, gains), course)).all()
 
 
-def test_noise_must_be_as_long_as_the_course():
-    loop, _, sets = loop_and_sets((), DUAL, {})
-    with pytest.raises(SimulationFailed, match="noise: found 7 values, expected 501"):
-        loop.run(sets, Course.of(SHORT, 0.004, 15.0, np.zeros(7)))
-
-
 def readings(thrust, noise=None, **chain):
     simulation = Simulation(MEASUREMENT, chain)
     simulation.start({"thrust": thrust[0], "noise": 0.0})
@@ -118,10 +104,6 @@ def readings(thrust, noise=None, **chain):
 
 
 THRUST = 8.0 + np.cumsum(np.random.default_rng(5).standard_normal(300))
-
-
-def test_an_ideal_measurement_chain_gives_the_thrust_to_the_bit():
-    np.testing.assert_array_equal(readings(THRUST), THRUST)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 2.5, 8.0])
@@ -142,9 +124,3 @@ def test_the_converter_rounds_thrust_and_noise_to_its_steps():
     np.testing.assert_array_equal(readings(THRUST, noise, resolution=0.03), expected)
     halves = np.array([-2.5, -1.5, -0.5, 0.5, 1.5, 2.5])
     assert readings(halves, resolution=1.0).tolist() == [-2.0, -2.0, 0.0, 0.0, 2.0, 2.0]
-
-
-def test_a_measured_controller_can_run_twice():
-    controller = Measured(KernelController(DUAL), ON_THE_WAY, noisy(ON_THE_WAY))
-    first, second = (run(KernelPlant(BASE), controller, SHORT, IDLE) for _ in range(2))
-    np.testing.assert_array_equal(first["thrust"], second["thrust"])

@@ -8,7 +8,7 @@ import pytest
 from builders import FAST_PITCH
 
 from identification.tune.controllers import DESIGNED, controllers, sampling
-from identification.tune.profile import common_reach, rig_profile
+from identification.tune.profile import rig_profile
 from identification.tune.tune import Task
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL
@@ -120,18 +120,6 @@ def test_a_fixed_pitch_leaves_speed_alone_and_a_fixed_speed_pitch():
     assert objective.names == ("kp_beta", "ki_beta", "kd_beta")
     with pytest.raises(BadInput, match="speed fixed at 15000 rpm and pitch at 10 deg"):
         controllers(on(fixed(speed=(15000.0, 15000.0), pitch=(10.0, 10.0))))
-
-
-def test_thrust_that_does_not_grow_is_refused():
-    falling = on(MICRO, c20=-0.355, c11=-0.064, c21=-0.8, c12=0.16)
-    with pytest.raises(BadInput, match="thrust that grows with the commands"):
-        common_reach(falling, controllers(falling).settings)
-
-
-def test_given_limits_beyond_the_rig_are_refused():
-    given = ParameterSet(CONTROLLER.sized(MICRO.scales)).replaced({**DUAL, "omega_max": 21000.0})
-    with pytest.raises(BadInput, match="parameters, omega_max: found 21000 rpm, expected 6660 to 20000 rpm"):
-        controllers(on(MICRO), given, source="g.json")
 
 
 def test_the_command_on_a_rig_of_fixed_pitch(tmp_path, printed, short_search):

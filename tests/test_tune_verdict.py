@@ -11,7 +11,7 @@ from identification.tune.profile import rig_profile
 from identification.tune.search import Search
 from identification.tune.summary import summary
 from identification.tune.tune import Task, tune
-from identification.tune.verdict import Verdict, verdict
+from identification.tune.verdict import verdict
 from vpp_fmu.app.report.pages.tuning import tuning_page
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.native.closed_loop import Course
@@ -69,12 +69,6 @@ def test_a_second_order_loop_overshoots_and_rings_as_the_textbook_says(damping, 
     assert (step.time, step.end) == (0.0, 30.0)
 
 
-@pytest.mark.parametrize("thrust", [1.0 - np.exp(-np.arange(100.0)), 1.0 + 0.1 * np.exp(-np.arange(100.0))])
-def test_a_response_that_never_comes_back_does_not_ring(thrust):
-    (step,) = steps(response(np.arange(100.0), thrust))
-    assert step.ringing == 0.0
-
-
 def test_gains_that_cost_less_and_settle_later_are_not_chosen(example, monkeypatch):
     """The search is replaced by one that returns such gains, so that only the verdict can reject them."""
     task, settings = example
@@ -116,30 +110,6 @@ def test_the_search_keeps_the_settling_times_of_the_first_gains(example, monkeyp
     assert verdict.margins[1].sensitivity <= 2.03
 
 
-def test_later_settling_costs_in_the_search_as_far_as_it_is_late(example):
-    """Ten times ln(1.01 error / band), at the worst sample after the settling time of the reference and one sample of
-    tolerance."""
-    task, settings = example
-    free = task.objective(settings)
-    limited = replace(free, reference=free.steps(free.gains))
-    first, last = round(1.8 / 0.004), round(3.6 / 0.004)
-    late = first + round(limited.reference[0].settling / 0.004) + 1
-    thrust = free.run(CREEPING)["thrust"]
-    error = np.abs(12.0 - thrust[late:last]).max() / 10.5
-    factor = 1.0 + 10.0 * np.log(1.01 * error / 0.02)
-    assert error > 0.03
-    assert limited.penalised(CREEPING) == pytest.approx(factor * free.cost(CREEPING), rel=1e-9)
-    assert limited.penalised(free.gains) == free.penalised(free.gains)
-
-
-def test_steps_are_judged_without_noise(example):
-    task, settings = example
-    quiet, noisy = (replace(task, noise_std=std).objective(settings) for std in (0.0, 0.5))
-    assert noisy.cost(noisy.gains) != quiet.cost(quiet.gains)
-    assert noisy.steps(noisy.gains) == quiet.steps(quiet.gains)
-    assert replace(noisy, overshoot=1.0, sensitivity=1e3).penalised(noisy.gains) == noisy.cost(noisy.gains)
-
-
 SOUND = Margins(True, 4.0, 0.0, 40.0, 10.0, 0.02, 1.5)
 
 
@@ -179,34 +149,3 @@ def test_a_step_is_worse_by_more_than_a_sample_or_beyond_the_limit(other, worse)
     assert found.better == (not worse)
     assert worse in found.words()
     assert found.words().startswith("no better: kept the gains it started from" if worse else "better: ")
-
-
-@pytest.mark.parametrize(
-    ("margins", "worse"),
-    [
-        (replace(SOUND, stable=False), "a loop that was stable"),
-        (replace(SOUND, sensitivity=2.5), "sensitivity 1.5 → 2.5, limit 2"),
-        (replace(SOUND, sensitivity=2.0), ""),
-    ],
-)
-def test_margins_that_were_kept_may_not_be_lost(margins, worse):
-    found = verdict(Loop(), "other", ((SOUND,), (SOUND, margins)), (1.0, 0.5))
-    assert found.better == (not worse)
-    assert worse in found.words()
-
-
-@pytest.mark.parametrize(
-    ("other", "cost", "better"),
-    [({}, 0.9995, False), ({}, 0.998, True), ({"settling": 0.3}, 0.9995, True), ({"settling": 0.3}, 1.001, False)],
-)
-def test_a_decrease_below_the_resolution_of_the_search_is_no_gain(other, cost, better):
-    found = verdict(Loop(**other), "other", ((SOUND,), (SOUND,)), (1.0, cost))
-    assert isinstance(found, Verdict)
-    assert found.better == better
-    assert ("the cost with its limits changes by" in found.words()) == (not better)
-
-
-def test_the_least_margins_are_the_worst_of_each():
-    other = Margins(True, None, 0.2, 50.0, 30.0, 0.01, 1.4)
-    assert least((SOUND, other)) == Margins(True, 4.0, 0.2, 40.0, 10.0, 0.01, 1.5)
-    assert least(()) is None

@@ -4,10 +4,8 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from studies.synthetic import STEP, TRUTH, commands, measured
-from test_bootstrap import CALM, theory
+from studies.synthetic import STEP, TRUTH, commands, covariance, measured
 
-from identification.assessment.bootstrap import bootstrap
 from identification.fit.problem import Prior, Problem
 from identification.fit.refine import BASE_PARAMETERS, independent_readings, refine
 from vpp_fmu.kernel.plant import AVERAGED, BASE
@@ -16,6 +14,9 @@ from vpp_fmu.record import Record
 
 SECTION = 8.0
 """Seconds of each part of a record."""
+
+CALM = 0.05
+"""Noise [N] small enough for linear theory."""
 
 
 @pytest.fixture(scope="module")
@@ -28,6 +29,14 @@ def records():
 
 def fit(records):
     return refine(BASE, records, AVERAGED, channels=("thrust",))
+
+
+def theory(problem) -> np.ndarray:
+    """Standard deviations of the parameters from one record of the first experiment alone, at the truth."""
+    x, first, experiment = problem.coordinates.vector(TRUTH), problem.blocks[0].at, problem.experiments[0]
+    inner = problem.coordinates.jacobian(x)
+    scale = experiment.noise.colour.innovation * problem.scale["thrust"] / np.sqrt(len(experiment.records))
+    return np.sqrt(np.diag(inner @ covariance(problem.evaluate(x)[1][first] * scale, CALM) @ inner.T))
 
 
 def problem_of(records):
@@ -95,7 +104,7 @@ def test_independent_noise_halves_the_variance():
         orders = commands(rng, SECTION)
         found = fit([measured(orders, rng, CALM), measured(orders, rng, CALM)])
         ratios.append(found.uncertainty.std / theory(found.problem))
-    # As in the bootstrap's tests: a deviation is known to 14 % from a record, to 6 % from six; judged at three times that.
+    # A deviation is known to 14 % from a record, to 6 % from six; judged at three times that.
     assert np.mean(ratios, axis=0) == pytest.approx(1.0 / np.sqrt(2.0), abs=0.15)
 
 
@@ -107,10 +116,3 @@ def test_an_error_shared_by_both_records_is_not_averaged_out(records):
     once, twice = fit(shared[:1]), fit(shared)
     ratio = twice.uncertainty.std / once.uncertainty.std
     assert np.median(ratio) > 0.85
-
-
-def test_the_bootstrap_draws_the_same_blocks_from_repeated_records(records):
-    short = records[0].part(slice(0, None, 3))
-    once, twice = (bootstrap(fit(part), 60, seed=1) for part in ([short], [short, short]))
-    # With separate draws it would be 0.71; sixty samples give a deviation to 9 %, and the nine are correlated.
-    assert np.median(twice.std / once.std) == pytest.approx(1.0, abs=0.2)

@@ -10,12 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from vpp_fmu.errors import BadInput
-from vpp_fmu.files import OutputFolder, Table, read_table, reason
+from vpp_fmu.errors import BadInput, RecordWarning
+from vpp_fmu.files import OutputFolder, reason
 from vpp_fmu.notebook import table_html
-from vpp_fmu.record import COMMANDS, Record, RecordWarning, check_time, checked_columns, read_record, write_record
+from vpp_fmu.record import COMMANDS, Record, check_time, checked_columns, read_record, write_record
 from vpp_fmu.rig import FILE, Rig, infer_rig, read_rig
 from vpp_fmu.structured import read_object
+from vpp_fmu.table import Table, read_table
 
 NAMES = ("static", "steps", "open_loop", "repeat", "validation")
 _FILES = ", ".join(f"{name}.csv" for name in NAMES)

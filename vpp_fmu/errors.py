@@ -1,4 +1,4 @@
-"""All errors that a caller may catch. The command line prints each as one line and exits with code 2."""
+"""All errors that a caller may catch, and the warning. The command line prints an error as one line and exits with code 2."""
 
 import difflib
 from collections.abc import Iterable
@@ -58,6 +58,10 @@ class WorkerLost(VppError):
 
 class ExtraMissing(VppError):
     """A required optional library is not installed; the message names it and the command that installs it."""
+
+
+class RecordWarning(UserWarning):
+    """A file holds columns that are kept but not used."""
 
 
 def near(word: str, known: Iterable[str]) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from vpp_fmu.errors import BadInput, ExtraMissing
-from vpp_fmu.files import Table
+from vpp_fmu.table import Table
 
 EXTRA = "frames"
 

@@ -23,7 +23,7 @@ from vpp_fmu.structured import read_object
 WRITTEN = ".vpp-written.json"
 FORMAT = "vpp-written/1"
 
-MODEL_VERBS = ("identify", "diagnose", "demo", "paper")
+MODEL_VERBS = ("identify", "diagnose", "demo")
 """Verbs that write a parameters.json."""
 
 

@@ -7,8 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from vpp_fmu.digits import number
+from vpp_fmu.errors import RecordWarning
 from vpp_fmu.plants import COMMANDS, Plant
-from vpp_fmu.record import Record, RecordWarning
+from vpp_fmu.record import Record
 from vpp_fmu.response import BAND
 
 HOLD = 2.0

@@ -15,14 +15,15 @@ from typing import Any
 import numpy as np
 
 from vpp_fmu import frames
-from vpp_fmu.errors import BadInput, near
-from vpp_fmu.files import OutputFolder, Table, as_bytes, read_table
+from vpp_fmu.errors import BadInput, RecordWarning, near
+from vpp_fmu.files import OutputFolder, as_bytes
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BETA, BETA_REF, OMEGA, OMEGA_REF, THRUST
 from vpp_fmu.kernel.power import POWER, TORQUE
 from vpp_fmu.kernel.types import Signal
 from vpp_fmu.notebook import table_html
 from vpp_fmu.sensors import UNKNOWN, SpeedSensor
+from vpp_fmu.table import Table, read_table
 
 VOLTAGE = Signal("voltage", "V", "supply voltage", 0.0, 100.0, 25.0)
 CURRENT = Signal("current", "A", "supply current", -500.0, 500.0, 10.0)
@@ -34,10 +35,6 @@ COMMANDS = ("time", "omega_ref", "beta_ref")
 
 MOST_POINTS = 2_000_000
 """Communication points of a closed loop, 8000 s in steps of 4 ms: a run then takes about 1 GB of memory."""
-
-
-class RecordWarning(UserWarning):
-    """A file holds columns that are kept but not used."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ RESULTS = (
     "SimulateResult",
     "LoopResult",
 )
-POLICIES = ("Policy", "policy_from_arrays", "policy_from_torch", "policy_from_onnx", "read_policy")
+POLICIES = ("Policy", "policy_from_arrays", "read_policy")
 
 VERBS = tuple(name for name in vpp_fmu.__all__ if vpp_fmu._HOME[name] == "vpp_fmu.app.api.verbs")
 READERS = tuple(name for name in vpp_fmu.__all__ if vpp_fmu._HOME[name] == "vpp_fmu.app.api.objects")
@@ -57,7 +57,6 @@ def _environments() -> Iterable[tuple[str, str]]:
         ("reward", "Moment"),
         ("envs", "VppThrustEnv"),
         ("envs", "VppThrustVectorEnv"),
-        ("envs", "VppFmuEnv"),
     )
 
 

@@ -16,12 +16,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.tune.profile import reach
+from identification.tune.profile import common_reach
 from identification.tune.tune import Task
 from vpp_fmu.commands import idle
 from vpp_fmu.kernel.effects.dual_pid import ALLOCATION
 from vpp_fmu.kernel.measurement import MEASUREMENT
 from vpp_fmu.kernel.policy import policy_model
+from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.kernel.types import Model, Signal
 from vpp_fmu.native.closed_loop import ClosedLoop, Course
 from vpp_fmu.native.stepper import Stepper
@@ -33,6 +34,8 @@ with warnings.catch_warnings():  # its optional plots
     import cma
 
 OBSERVE, HISTORY = ("thrust_set", "thrust", "integral", "omega_ref", "beta_ref"), 3
+
+CHANNELS = "omega", "beta"
 
 POOL, FLOWN = 64, 6
 """Number of plants to learn on, and of those that a generation is simulated on."""
@@ -62,7 +65,7 @@ class Flights:
 
 
 @dataclass(frozen=True, eq=False)
-class Learned:
+class LearnedLaw:
     """The policy, its search (`evaluations`, `cost`, each (generations,)), and held-out flights by controller. `example`: a
     held-out flight on the nominal plant, by controller. `fallback`: share of time that the policy spends in it."""
 
@@ -87,16 +90,14 @@ class Learned:
 
 
 class _Network:
-    """The weights of a network as one vector, for the form of the law whose weights are parameters."""
+    """The weights of a network as one vector. `span` N: range of the set-points; `values`: of the PID to fall back on."""
 
     def __init__(self, hidden: int, span: tuple[float, float], values: Mapping[str, float]):
-        low, high = span
+        self.values = {n: v for n, v in values.items() if n not in ALLOCATION}
         names = [*OBSERVE, *["thrust"] * HISTORY]
-        middle, half = 0.5 * (low + high), 0.5 * (high - low)
-        scales = {"thrust_set": (middle, half), "thrust": (middle, half), "integral": (0.0, 0.1 * half)}
-        for u in ("omega", "beta"):
-            ends = values[f"{u}_min"], values[f"{u}_max"]
-            scales[f"{u}_ref"] = 0.5 * sum(ends), max(0.5 * (ends[1] - ends[0]), 1e-6)
+        ends = {"thrust": span, "thrust_set": span, **{f"{u}_ref": (values[f"{u}_min"], values[f"{u}_max"]) for u in CHANNELS}}
+        scales = {name: (0.5 * (low + high), max(0.5 * (high - low), 1e-6)) for name, (low, high) in ends.items()}
+        scales["integral"] = 0.0, 0.1 * scales["thrust"][1]
         self.mean, self.scale = (np.array(column) for column in zip(*(scales[n] for n in names), strict=True))
         self.shapes = ((hidden, len(names)), (hidden,), (2, hidden), (2,))
         self.count = sum(int(np.prod(shape)) for shape in self.shapes)
@@ -113,26 +114,23 @@ class _Network:
         ends = np.cumsum([int(np.prod(shape)) for shape in self.shapes])
         return [part.reshape(shape) for part, shape in zip(np.split(weights, ends[:-1]), self.shapes, strict=True)]
 
-    def policy(self, weights: np.ndarray, values: Mapping[str, float], **more) -> Policy:
+    def policy(self, weights: np.ndarray, **more) -> Policy:
         """The policy of weights (count,), without a box unless `more` has one."""
         inner, bias, outer, last = self.arrays(weights)
-        values = {n: v for n, v in values.items() if n not in ALLOCATION}
         wide = np.full(len(self.mean), 1e9)
         own = {"mean": self.mean, "scale": self.scale, "low": -wide, "high": wide, **more}
         mean, scale = (np.asarray(own[name]) for name in ("mean", "scale"))
         bias, inner = bias + inner @ ((mean - self.mean) / self.scale), inner * (scale / self.scale)
-        return policy_from_arrays(
-            [inner, outer], [bias, last], observe=OBSERVE, history=HISTORY, parameters=values, source="vpp learn", **own
-        )
+        own |= {"observe": OBSERVE, "history": HISTORY, "parameters": self.values}
+        return policy_from_arrays([inner, outer], [bias, last], "vpp learn", **own)
 
-    def model(self, values: Mapping[str, float], scales) -> tuple[Model, np.ndarray]:
+    def model(self, scales: Scales) -> tuple[Model, np.ndarray]:
         """The law with its weights as parameters, in the order of the vector; its values (parameters,), the weights last."""
         names = iter(f"weight_{k}" for k in range(self.count))
         named = [np.array([next(names) for _ in range(int(np.prod(s)))]).reshape(s).tolist() for s in self.shapes]
         layers = tuple((tuple(map(tuple, rows)), tuple(biases)) for rows, biases in (named[:2], named[2:]))
-        model = policy_model(replace(self.policy(np.zeros(self.count), {}).law, layers=layers), scales, outputs=2)
-        own = {n: v for n, v in values.items() if n not in ALLOCATION}
-        return model, np.array(list(model.values(own).values()))
+        model = policy_model(replace(self.policy(np.zeros(self.count)).law, layers=layers), scales, outputs=2)
+        return model, np.array(list(model.values(self.values).values()))
 
 
 class Trial:
@@ -140,13 +138,10 @@ class Trial:
 
     def __init__(self, task: Task, settings: Mapping[str, float]):
         self.task, self.settings, self.dt = task, settings, settings["sample_time"]
-        self.span = reach(task.parameters, settings)
-        rig = task.parameters.rig
-        self.span = max(self.span[0], rig.thrust[0]), min(self.span[1], rig.thrust[1])
+        self.span, rig = common_reach(task.parameters, {"": settings}), task.parameters.rig
         self.scale, self.rest = rig.scales.thrust_scale, idle(rig)
         self.time_scale = rig.scales.time_scale
-        chain = MEASUREMENT.values({**(task.chain or {}), "sample_time": self.dt})
-        self.chain = np.array(list(chain.values()))
+        self.chain = np.array(list(MEASUREMENT.values({**(task.chain or {}), "sample_time": self.dt}).values()))
 
     def course(self, rng: np.random.Generator) -> Course:
         """Random set-points within reach, with noise of the readings."""
@@ -160,7 +155,7 @@ class Trial:
     def flights(self, model: Model, values: np.ndarray, plants: np.ndarray, seed: tuple[int, ...]) -> Flights:
         """One controller on plants (plants, parameters), each with its own set-points."""
         loop, merits, travel = ClosedLoop(self.task.parameters.model, model), [], []
-        width = np.array([max(self.settings[f"{u}_max"] - self.settings[f"{u}_min"], 1e-9) for u in ("omega", "beta")])
+        width = np.array([max(self.settings[f"{u}_max"] - self.settings[f"{u}_min"], 1e-9) for u in CHANNELS])
         for k, own in enumerate(plants):
             found, rows = loop.rows((own, self.chain, values), self.course(np.random.default_rng((*seed, k))))
             merits.append(found)
@@ -183,7 +178,7 @@ def learn(
     generations: int,
     judged: int,
     progress: Callable[[float], None] = lambda share: None,
-) -> Learned:
+) -> LearnedLaw:
     """Learn a policy of `hidden` units in so many generations; compare it with the controller of these `settings` on `judged`
     plants.
 
@@ -192,7 +187,7 @@ def learn(
     """
     began, trial, model = time.monotonic(), Trial(task, settings), task.parameters.model
     network = _Network(hidden, trial.span, settings)
-    law, values = network.model(settings, task.parameters.rig.scales)
+    law, values = network.model(task.parameters.rig.scales)
     loop, pool = ClosedLoop(model, law), task.plants(POOL, 11)
     rng = np.random.default_rng([task.seed, 12])
 
@@ -216,28 +211,24 @@ def learn(
         search.tell(list(candidates), found.tolist())
         evaluations.append(search.countevals)
         curve.append(float(np.median(found)))
-    weights = np.asarray(search.mean)
-    policy = _guarded(network, weights, trial, pool[:FLOWN])
+    policy = _guarded(network, np.asarray(search.mean), trial, pool[:FLOWN])
     own = policy.parameters(settings, task.parameters.rig.scales)
-    final = replace(own.model, outputs=own.model.outputs[:2])
-    plants = task.plants(judged, 13)
-    others = {"policy": (final, own.values), "PID": (task.controller, settings)}
+    plants, nominal = task.plants(judged, 13), np.array([list(task.parameters.values.values())])
+    course = trial.course(np.random.default_rng([task.seed, 15]))
+    compared = {"policy": (replace(own.model, outputs=own.model.outputs[:2]), own.values), "PID": (task.controller, settings)}
     flights, example = {}, {}
-    for name, (which, chosen) in others.items():
-        vector = np.array(list(which.values({n: chosen[n] for n in which.values()}).values()))
+    for name, (which, chosen) in compared.items():
+        vector = np.array([chosen[n] for n in which.values()])
         flights[name] = trial.flights(which, vector, plants, (task.seed, 14))
-        nominal = np.array(list(task.parameters.values.values()))
-        course = trial.course(np.random.default_rng([task.seed, 15]))
-        example[name] = ClosedLoop(model, which).run((nominal[None], trial.chain[None], vector[None]), course)
+        example[name] = ClosedLoop(model, which).run((nominal, trial.chain, vector), course)
     fallback = _seen(policy, trial, plants[: min(judged, 20)], (task.seed, 14))[1]
-    seconds = time.monotonic() - began
-    return Learned(policy, np.array(evaluations), np.array(curve), flights, example, fallback, seconds)
+    curves = np.array(evaluations), np.array(curve)
+    return LearnedLaw(policy, *curves, flights, example, fallback, time.monotonic() - began)
 
 
 def _guarded(network: _Network, weights: np.ndarray, trial: Trial, plants: np.ndarray) -> Policy:
     """The policy with the box and the distance of its observations on `plants` (n, parameters)."""
-    free = network.policy(weights, trial.settings)
-    seen, _ = _seen(free, trial, plants, (trial.task.seed, 16))
+    seen, _ = _seen(network.policy(weights), trial, plants, (trial.task.seed, 16))
     low, high, mean = seen.min(axis=0), seen.max(axis=0), seen.mean(axis=0)
     room, scale = WIDER * (high - low) + 1e-6 * network.scale, np.maximum(seen.std(axis=0), 1e-3 * network.scale)
     z = (seen - mean) / scale
@@ -245,7 +236,7 @@ def _guarded(network: _Network, weights: np.ndarray, trial: Trial, plants: np.nd
     precision = 0.5 * (precision + precision.T)
     distance = FARTHER * float(np.sqrt(np.einsum("ni,ij,nj->n", z, precision, z).max()))
     box = {"low": low - room, "high": high + room, "precision": precision, "distance": distance}
-    return network.policy(weights, trial.settings, mean=mean, scale=scale, **box)
+    return network.policy(weights, mean=mean, scale=scale, **box)
 
 
 def _seen(policy: Policy, trial: Trial, plants: np.ndarray, seed: tuple[int, ...]) -> tuple[np.ndarray, float]:

@@ -51,17 +51,6 @@ def test_thrust_is_counts_from_the_tare_on(calibration):
     assert replace(calibration, newton_per_count=-0.002).thrust(5000.0, 6000.0) == pytest.approx(2.0)
 
 
-def test_throttle_spans_idle_to_maximum(calibration):
-    for throttle, pulse in ((0.0, 0.001), (0.25, 0.00125), (1.0, 0.002)):
-        assert calibration.esc_pulse(throttle) == pytest.approx(pulse)
-        assert calibration.throttle(pulse) == pytest.approx(throttle, abs=1e-12)
-    assert calibration.throttle(0.0009) == 0.0
-    assert calibration.throttle(0.0021) == 1.0
-    for throttle in (-1e-9, 1.0 + 1e-9, float("nan")):
-        with pytest.raises(ValueError, match="not within 0 to 1"):
-            calibration.esc_pulse(throttle)
-
-
 @pytest.mark.parametrize("falling", [False, True])
 def test_pitch_is_straight_between_the_tables_points_both_ways(tmp_path, content, falling):
     pitches = [-12.0, -2.0, 0.0, 12.0]
@@ -187,23 +176,3 @@ def test_what_is_missing_is_named(tmp_path, content, missing):
     with pytest.raises(BadInput, match="found nothing") as raised:
         read(tmp_path, content)
     assert raised.value.field == ", ".join(missing)
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("", "line 1: found no JSON"),
-        ("[]", "an object in braces"),
-        ('{"format": 1, "format": 2}', "more than once"),
-        ('{"format": NaN}', "finite numbers"),
-        pytest.param("[" * 100_000, "50 deep", id="nested"),
-    ],
-)
-def test_what_is_no_calibration_at_all(tmp_path, text, says):
-    with pytest.raises(BadInput, match=says):
-        read(tmp_path, text)
-
-
-def test_a_file_that_is_not_there(tmp_path):
-    with pytest.raises(BadInput, match="no such file"):
-        read_calibration(tmp_path / "none.json")

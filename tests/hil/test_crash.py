@@ -7,17 +7,14 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 from rigs import begun
 
-from hil.runs import run_folder
 from hil.session import found_log, read_log
 from tests.hil.stubborn import stubborn
 from vpp_fmu.app.cli import main
-from vpp_fmu.errors import BadInput
-from vpp_fmu.files import read_table
 from vpp_fmu.plants import KernelController
+from vpp_fmu.table import read_table
 
 ROOT = Path(__file__).parents[2]
 
@@ -64,27 +61,6 @@ def test_an_fmu_that_fails_during_a_run_leaves_a_rig_at_idle_and_all_files(tmp_p
     assert summary["tares"]
 
 
-def test_a_killed_loop_leaves_all_files(tmp_path):
-    out = tmp_path / "out"
-
-    def running():
-        return any('"polarity"' in events.read_text() for events in (out / "runs").glob("*/log.events.jsonl"))
-
-    process = begun(tmp_path, 4.0)
-    try:
-        wait_for(lambda: running() or process.poll() is not None)
-        assert process.poll() is None, process.communicate()[1]
-        assert json.loads((out / "hil.json").read_text())["status"] == "running"  # written before anything turns
-        time.sleep(4.0)  # the loop begins after about two of them
-        assert process.poll() is None, process.communicate()[1]
-    finally:
-        process.kill()
-        process.communicate()
-    summary = ended(out)
-    assert "the loop is " in summary["ended"]
-    assert summary["made_from"] == "the log"
-
-
 def test_a_log_whose_writer_died_too_is_cut_behind_its_last_whole_row(tmp_path, profile, printed, refused):
     out = tmp_path / "out"
     printed("hil", "run", "--virtual", "--profile", profile, "-o", out)
@@ -113,20 +89,6 @@ def test_a_log_whose_writer_died_too_is_cut_behind_its_last_whole_row(tmp_path, 
     printed("hil", "report", folder)  # its log and its events are there
 
 
-def test_a_report_of_nothing_or_of_a_log_that_grows_is_refused(tmp_path):
-    with pytest.raises(BadInput, match="no such file"):
-        found_log(tmp_path)
-    text = "import fcntl,sys; f = open(sys.argv[1], 'w'); fcntl.flock(f, 2); print(flush=True); input()"
-    command = [sys.executable, "-c", text, tmp_path / ".log.csv.part"]
-    held = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    held.stdout.readline()
-    try:
-        with pytest.raises(BadInput, match="being written"):
-            found_log(tmp_path)
-    finally:
-        held.communicate(b"\n")
-
-
 @pytest.mark.parametrize(("size", "rows"), [(0, 0), (300_000, 1000)], ids=["from the start", "at the end"])
 def test_a_full_disk_loses_no_row_that_was_written(tmp_path, profile, size, rows):
     words = ["hil", "run", "--virtual", "--profile", str(profile), "-o", str(tmp_path / "out")]
@@ -147,37 +109,6 @@ def test_a_full_disk_loses_no_row_that_was_written(tmp_path, profile, size, rows
         assert json.loads((folder / "hil.json").read_text())["status"] != "running"
     else:
         assert not list(folder.iterdir())
-
-
-def test_a_packed_log_that_was_cut_off_is_mended_once_there_is_room(tmp_path):
-    log = tmp_path / "log_steps.csv.gz"
-    text = f"""
-import resource
-from hil.log import MemoryLog
-from hil.columns import COLUMNS
-made = MemoryLog({str(log)!r}, COLUMNS)
-for k in range(20000):
-    made.put(0.004 * k, 2.0, *[0.1 * k + j for j in range(len(COLUMNS) - 2)])
-resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
-print(made.close().failure)
-"""
-    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, cwd=ROOT, check=True)
-    assert "file too large" in done.stdout
-    assert not log.exists()
-    before = (tmp_path / ".log_steps.csv.gz.part").read_bytes()
-    assert len(before) == 100_000
-    rows = read_log(found_log(log))
-    assert len(rows) > 500
-    np.testing.assert_allclose(rows.time, 0.004 * np.arange(len(rows)))
-
-
-def test_every_run_has_its_own_folder(tmp_path):
-    (tmp_path / "run.csv").write_text("an older version's")
-    first, second = (run_folder(tmp_path, "2026-03-07T14:15:00+00:00") for _ in range(2))
-    assert (first.name, second.name) == ("20260307T141500", "20260307T141500-2")
-    assert (tmp_path / "runs" / "earlier" / "run.csv").read_text() == "an older version's"
-    (second / "run.csv").write_text("new")
-    assert (tmp_path / "run.csv").read_text() == "new"
 
 
 def test_an_error_that_nobody_foresaw_keeps_what_was_measured(tmp_path, profile, monkeypatch):

@@ -8,7 +8,7 @@ from rigs import LIMITS
 
 from hil.campaign import PARTS, Plan, measure, plan_for, recorded, same_commands, seconds, steep, step_responses
 from hil.campaign_folder import measured_so_far, partial
-from hil.commands import PAPERS, Step, grid, open_loop, resampled, steps, validation
+from hil.commands import Step, grid, open_loop, steps, validation
 from hil.cycle import PERIOD
 from hil.physics.rig_model import FULL_RIG
 from hil.rig import Rig
@@ -17,7 +17,7 @@ from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.simulation import Simulation
-from vpp_fmu.record import Record, read_record, write_record
+from vpp_fmu.record import Record, write_record
 
 pytestmark = pytest.mark.usefixtures("short_waits")
 
@@ -117,13 +117,6 @@ def test_a_missed_slot_leaves_its_row_empty(rig):
     assert (found["omega_ref"] == 3000.0).all()
 
 
-def test_any_commands_are_brought_to_the_loops_own_times():
-    given = Record({"time": np.array([0.0, 0.1, 0.2]), "omega_ref": np.array([3.0, 4.0, 5.0]), "beta_ref": np.zeros(3)}, "r")
-    found = resampled(given, PERIOD)
-    assert len(found) == 51
-    assert [found["omega_ref"][k] for k in (0, 24, 25, 49, 50)] == [3.0, 3.0, 4.0, 4.0, 5.0]
-
-
 @pytest.fixture
 def short_steps(monkeypatch):
     """Record half a second after a step instead of five."""
@@ -152,20 +145,6 @@ def test_the_command_writes_a_campaign_that_reads_back(tmp_path, capsys):
     assert capsys.readouterr().err == ""  # quiet in a pipe
 
 
-def test_parts_can_be_chosen_and_any_commands_followed(tmp_path):
-    out = tmp_path / "one"
-    assert main(["hil", "campaign", "--virtual", *SMALL, "--parts", "validation", "-o", str(out)]) == 0
-    logs = ["log_validation.csv.gz", "log_validation.events.jsonl"]
-    assert sorted(os.listdir(out)) == ["hil.json", *logs, "report.html", "rig.json", "validation.csv"]
-    given = {"time": np.array([0.0, 1.0, 2.0]), "omega_ref": np.array([3e3, 4e3, 4e3]), "beta_ref": np.array([0.0, 5.0, 5.0])}
-    write_record(OutputFolder(tmp_path), "orders.csv", Record(given, ""))
-    out = tmp_path / "own"
-    assert main(["hil", "campaign", "--virtual", "--commands", str(tmp_path / "orders.csv"), "-o", str(out)]) == 0
-    record = read_record(out / "record.csv")
-    assert len(record) == 501
-    assert record["thrust"][-50:].mean() > record["thrust"][:50].mean() + 1.0
-
-
 def declared(path, **entries):
     path.write_text(json.dumps({"format": "vpp-rig/1", **entries}))
     return path
@@ -192,14 +171,6 @@ def test_a_campaign_stays_within_what_the_rig_json_declares_and_says_so(tmp_path
     assert json.loads((out / "hil.json").read_text())["parts"]["steps"]["allowed"]["speed"]["max"] == 4000.0
 
 
-def test_limits_narrow_the_commands_of_a_campaign(tmp_path):
-    limits = {"format": "vpp-limits/1", "limits": {"omega_max": {"value": 3000, "unit": "rpm"}}}
-    (tmp_path / "limits.json").write_text(json.dumps(limits))
-    words = ["--limits", str(tmp_path / "limits.json"), "--parts", "static", "--points", "2", "--samples", "5"]
-    assert main(["hil", "campaign", "--virtual", "--settle", "0.2", *words, "-o", str(tmp_path)]) == 0
-    assert set(read_campaign(tmp_path).static.omega_ref) == {2000.0, 3000.0}
-
-
 def test_commands_beyond_the_limits_are_not_begun(tmp_path, refused):
     given = {"time": np.array([0.0, 1.0]), "omega_ref": np.array([3e3, 6500.0]), "beta_ref": np.zeros(2)}
     write_record(OutputFolder(tmp_path), "orders.csv", Record(given, ""))
@@ -208,12 +179,6 @@ def test_commands_beyond_the_limits_are_not_begun(tmp_path, refused):
     assert "omega_ref, row 2 of the data: found 6500, expected 2000 to 6000 rpm" in said
     far = declared(tmp_path / "far.json", pitch={"min": 12.0, "max": 25.0})
     assert "for a rig of 2000 to 6000 rpm, 12 to 25 deg" in refused(*words, "--rig", far)  # beyond the rod's range
-
-
-def test_a_slow_rig_gets_longer_times():
-    slow = plan_for(PAPERS.timed(5.0))
-    assert (slow.settle, slow.after, slow.section, slow.points) == (30.0, 50.0, 300.0, 10)
-    assert plan_for(PAPERS.timed(0.05)) == Plan()
 
 
 @pytest.mark.parametrize(

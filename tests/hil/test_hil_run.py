@@ -12,20 +12,18 @@ from hil.calibration import to_json
 from hil.columns import COLUMNS
 from hil.commands import PAPERS
 from hil.emulator.rig import Rig as Emulated
-from hil.outcome import SPAN, judged_steps, reach
-from hil.run import ON_ALARM, LimitedPlant, loop_part, run_on_rig, write_run
+from hil.outcome import judged_steps
+from hil.run import ON_ALARM, LimitedPlant, run_on_rig
 from hil.runs import sha256_of
-from hil.session import Setup, read_log
+from hil.session import read_log
 from hil.twin.band import Band
 from hil.twin.twin import Twin
 from vpp_fmu.app.cli import main
 from vpp_fmu.commands import idle
-from vpp_fmu.comparison import compare
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.loop import run as run_loop
 from vpp_fmu.plants import KernelController, KernelPlant
 from vpp_fmu.record import Record, write_record
-from vpp_fmu.response import smoothed
 
 pytestmark = pytest.mark.usefixtures("short_waits")
 
@@ -49,14 +47,6 @@ def test_the_papers_controller_settles_the_papers_step_on_the_rig(done):
     assert last.mean() == pytest.approx(12.0, abs=0.1)
 
 
-def test_a_command_reaches_as_far_as_every_limit_allows():
-    rig = {"omega_min": 2000.0, "omega_max": 6000.0, "beta_min": -10.0, "beta_max": 10.0, "omega_trip": 6900.0}
-    own = {"omega_min": 0.0, "omega_max": 5519.0, "beta_min": 4.0, "beta_max": 4.0}
-    assert reach(rig, own) == {"omega_ref": (2000.0, 5519.0), "beta_ref": (4.0, 4.0)}
-    assert reach(rig, {}) == {"omega_ref": (2000.0, 6000.0), "beta_ref": (-10.0, 10.0)}
-    assert reach({}, {}) == {}
-
-
 def test_a_set_point_beyond_the_limits_is_said_to_be_out_of_reach(tmp_path, printed):
     """By the run and the report of its log; at its controller's limits the paper's rig has less thrust than the set-point."""
     (tmp_path / "far.csv").write_text("time,thrust_set\n0,2\n2,22\n5,22\n")
@@ -69,38 +59,12 @@ def test_a_set_point_beyond_the_limits_is_said_to_be_out_of_reach(tmp_path, prin
     assert "out of reach" in (folder / "report.html").read_text()
 
 
-def test_rig_and_model_answer_the_same_step_alike(done):
-    both = compare(smoothed(on_the_model(), SPAN), smoothed(done.record, SPAN))
-    difference = both.second["thrust"] - both.first["thrust"]
-    assert np.sqrt(np.mean(difference[both.time > 0.5] ** 2)) < 0.6  # N, of a step of 10.5 N
-    still = (both.time > 3.5) & (both.time < 4.0)
-    assert abs(difference[still].mean()) < 0.15
-
-
 def test_nothing_is_lost_from_the_log(done):
     assert done.session.logged.lost == 0
     assert len(done.log) == done.session.logged.rows == done.session.rig.ticks.ticks
     np.testing.assert_allclose(np.diff(done.log.time), 0.004, atol=1e-9)
     assert not done.log["missed"].any()
     assert tuple(done.log.columns) == ("time", *(c.name for c in COLUMNS if c.name not in ("time", "state")), "state")
-
-
-def test_the_record_is_the_loops_part_of_the_log(done):
-    record, log = done.record, done.log
-    assert record.time[0] == 0.0
-    assert len(record) == round(6.0 / 0.004)
-    first = int(np.flatnonzero(np.isfinite(log["omega_wanted"]))[0])
-    assert record["thrust"][0] == log["thrust"][first]
-    assert set(log["state"][first : first + len(record)]) == {"run"}
-    wanted = step_profile()["thrust_set"]
-    assert (record["thrust_set"] == np.repeat(wanted[:3], 500)).all()
-
-
-def test_a_run_reads_back_to_the_bit(done, tmp_path):
-    write_run(tmp_path / "run.csv", done.record)
-    again = columns_of(tmp_path / "run.csv")
-    for name, column in done.record.columns.items():
-        np.testing.assert_array_equal(again[name], column)
 
 
 def columns_of(path):
@@ -120,12 +84,6 @@ def test_a_run_that_a_fault_ends_keeps_what_was_measured(tmp_path):
     assert found.log["throttle"][-1] < 0.01
     facts = found.session.summary()
     assert [t["state"] for t in facts["transitions"]][-2:] == ["ramp down", "fault"]
-
-
-def test_a_run_that_never_began_has_no_record(tmp_path):
-    with pytest.raises(Exception, match="not ready"):
-        run_on_rig(Setup(CALIBRATION, LIMITS), KernelController(), step_profile(), tmp_path)  # no such hardware here
-    assert loop_part(Record({c.name: np.empty(0) for c in COLUMNS}, "empty")).time.size == 0
 
 
 def twinned(emulated, steady, folder, **more):

@@ -5,7 +5,6 @@ import http.client
 import json
 import os
 import re
-import signal
 import subprocess
 import sys
 import time
@@ -14,7 +13,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
-from rigs import CALIBRATION, begun, step_profile
+from rigs import CALIBRATION, begun
 
 from hil.calibration import to_json
 from hil.columns import COLUMNS, LEARNED
@@ -23,16 +22,13 @@ from hil.log import Column, ProcessLog
 from hil.page.operator_page import OperatorPage
 from hil.page.story import Story
 from hil.safety.faults import FaultKind
-from hil.safety.states import SafetyState
 from hil.safety.stop import StopSignals
 from hil.session import read_log
 from tests.browser import browser
 from tests.hil.disk import esc_of
 from tests.hil.faults import CUT, RAMP
-from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.parameters import ParameterSet
-from vpp_fmu.record import write_record
 
 ROOT = Path(__file__).parents[2]
 PATIENCE = 60.0
@@ -114,19 +110,6 @@ def test_view_and_stop_need_the_token_and_the_loopback_name(page):
     assert set(refused.values()) == {403, 404, 405}
 
 
-def test_it_listens_on_the_loopback_address_alone(page):
-    port = f"{urlsplit(page.address).port:04X}"
-    listening = [line.split() for file in ("tcp", "tcp6") for line in Path(f"/proc/net/{file}").read_text().splitlines()[1:]]
-    assert [cells[1] for cells in listening if cells[3] == "0A" and cells[1].endswith(f":{port}")] == [f"0100007F:{port}"]
-
-
-def test_a_port_that_is_taken_is_refused_in_one_line(page, tmp_path, refused):
-    profile = write_record(OutputFolder(tmp_path), "step.csv", step_profile())
-    words = ["hil", "run", "--profile", profile, "-o", tmp_path / "out", "--watch"]
-    assert "expected a port of 127.0.0.1 that is free" in refused(*words, urlsplit(page.address).port)
-    assert "--watch: found --watch and --virtual" in refused(*words, "--virtual")
-
-
 def test_it_shows_means_of_the_logs_rows_and_the_events_beside_them(page, tmp_path):
     columns = [Column("time"), Column("state", words=("safe", "run"))]
     columns += [Column(name) for name in COLUMNS_SHOWN]
@@ -203,60 +186,7 @@ def test_the_story_includes_the_adaptive_twin(tmp_path):
     assert json.loads(json.dumps(found, allow_nan=False)) == json.loads(json.dumps(found))
 
 
-def test_a_browser_may_come_before_the_first_part():
-    assert Story().since(-1, 0, 0, 0)["now"]["done"] is None
-
-
-def test_a_story_without_an_adaptive_twin_has_no_column_of_one():
-    story = Story()
-    story.tell({"told": {"rig": "emulated"}}, [])
-    story.tell({"part": "run", "before": []}, [])
-    assert not any("twin" in name for name in story.since(-1, 0, 0, 0)["columns"])
-
-
-def test_the_page_describes_the_adaptive_twin_in_plain_words(tmp_path):
-    page = OperatorPage({"rig": "emulated", "calibration": {}, "adaptive_twin": TWIN})
-    try:
-        with browser(tmp_path / "browser") as seen:
-            page.part("run", rows=1000)
-            log = learned(tmp_path, 1000, range(250, 1000), 600)
-            page.follow(log)
-            seen.window(390, 800, dark=True)
-            seen.open(page.address)
-            seen.wait_for("document.getElementById('twin-says').className === 'alarm'")
-            said = seen.run("document.getElementById('twin-says').textContent")
-            assert said.startswith("ALARM: the rig does not do what the adapted model says.")
-            assert "Most like a change of sensor_gain.gain (thrust reading over thrust)" in said
-            cells = "[row.className, ...[...row.cells].map((cell) => cell.innerText)]"
-            moved, stays = seen.run(f"[...document.querySelectorAll('#adapted tr')].map((row) => {cells})")
-            assert moved == ["moved", "sensor_gain.gain\nthrust reading over thrust", "1", "1.000", "↓ 0.800", "0.050"]
-            assert stays == ["", "tau_beta_1\ntime constant of a lag", "s", "0.160", "0.170", "0.010"]
-            curve = "document.getElementById('learned').data.find((line) => line.name === '{}').y"
-            seen.wait_for("document.getElementById('learned').data && " + curve.format("sensor_gain.gain") + ".at(-1) < 0")
-            assert seen.run(curve.format("sensor_gain.gain") + ".at(-1)") == pytest.approx(-0.8)  # in plausible changes
-            assert seen.run(curve.format("95 % expected") + ".at(-1)") == 0.5
-            assert seen.run("document.getElementById('learned').layout.yaxis.title.text") == "residual [N]"
-            assert "ALARM: most like sensor_gain.gain" in seen.run("document.querySelector('.tile.alarm').textContent")
-            assert seen.run("document.documentElement.scrollWidth <= innerWidth")
-            (tmp_path / "twin.png").write_bytes(seen.picture())
-            log.close()
-    finally:
-        page.close("as planned")
-
-
 COLUMNS_SHOWN = [column.name for column in COLUMNS if column.name not in ("time", "state", "alarm")] + ["alarm"]
-
-
-def test_a_run_goes_on_without_its_page_and_says_so(page, new_rig):
-    rig, _ = new_rig(page=page)
-    rig.start(3000.0, 2.0)
-    os.kill(page.pid, signal.SIGKILL)
-    for _ in range(2000):
-        rig.step(3000.0, 2.0)
-        time.sleep(0.0 if page._broken else 0.0005)
-    assert rig.states.state is SafetyState.RUN
-    (noted,) = [why for _, _, why in rig.transitions if why.startswith("page: ")]
-    assert f"process {page.pid} has died (exit code -9); the run goes on without it" in noted
 
 
 def test_the_page_ends_with_its_parent_process():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vpp_fmu.campaign import read_campaign
-from vpp_fmu.files import read_table
+from vpp_fmu.table import read_table
 
 parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed (the extra 'import')")
 

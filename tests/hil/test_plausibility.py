@@ -9,12 +9,9 @@ from rig_readings import DT, NEWTON_PER_COUNT, Tachometer, run, steps
 from hil.physics.rig_model import library
 from hil.safety.faults import FaultKind, Reaction
 from hil.safety.limits import Limits, limits_of
-from hil.safety.pitch_effect import PitchEffect
 from hil.safety.plausibility import Plausibility, Reading, Thresholds, thresholds_of
 from hil.safety.rotor_bounds import RotorBounds, RotorPhysics
-from vpp_fmu.kernel.plant import plant
-from vpp_fmu.kernel.scales import PAPER, Scales
-from vpp_fmu.kernel.simulation import Simulation
+from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.rig import Rig
 
 AT = 1.0
@@ -34,10 +31,6 @@ def test_no_alarm_while_speed_and_pitch_step_over_their_whole_range(seed):
 @pytest.mark.parametrize("effect", HIDDEN)
 def test_an_effect_the_model_lacks_is_no_fault(effect):
     assert run(steps(1), 12.0, hidden=(effect,))[0] is None
-
-
-def test_a_ramp_down_to_standstill_is_no_fault():
-    assert run(lambda t: (4000.0 if t < 1.0 else 0.0, 5.0), 6.0)[0] is None
 
 
 @pytest.mark.parametrize("omega", [2000.0, 4000.0, 6000.0])
@@ -107,46 +100,9 @@ def test_no_revolutions_with_an_open_throttle(omega):
     assert t - AT <= 0.2
 
 
-def test_a_rotor_that_does_not_start():
-    def spoil(t, reading):
-        return reading._replace(pulses=0, omega=0.0, mark_age=10.0)
-
-    fault, t = run(constant(3000.0), 3.0, spoil)
-    assert fault.kind is FaultKind.NO_ROTATION
-    assert t < 0.0
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_a_stuck_actuator_is_detected_from_the_thrust(seed):
     assert run(steps(seed), 30.0, stuck_at=AT, seed=seed)[0].kind is FaultKind.STUCK_ACTUATOR
-
-
-def test_the_effect_of_pitch_is_one_share_of_its_thrust():
-    """Commands through the kernel's plant give 1; blades that move by a share of the command give that share."""
-    for share in (1.0, 0.5, 0.0):
-        effect, simulation = PitchEffect(DT), Simulation(plant())
-        simulation.start({"omega_ref": 4000.0, "beta_ref": 5.0 - 4.0 * share})
-        for k in range(5000):
-            move = 4.0 * (1.0 if k // 500 % 2 else -1.0)
-            shown = simulation.advance({"omega_ref": 4000.0, "beta_ref": 5.0 + share * move}, DT)
-            effect.update(shown["thrust"], shown["omega"], 5.0 + move)
-        # The map is slightly curved, so a share of the move is not that share of the thrust.
-        assert effect.effect == pytest.approx(share, abs=0.03 if share == 0.5 else 0.005)
-        assert effect.moved > 1.0
-
-
-def test_the_first_comparison_is_exact():
-    """If the blades settle within the span, thrust changes as in the map, and the effect is 1 up to rounding."""
-    fast = {"tau_beta_1": 0.02, "tau_beta_2": 0.01}
-    effect, simulation = PitchEffect(DT, fast), Simulation(plant(), fast)
-    shown = simulation.start({"omega_ref": 4000.0, "beta_ref": 2.0})
-    for k in range(1000):
-        if effect.moved:
-            break
-        effect.update(shown["thrust"], shown["omega"], beta := 2.0 if k < 50 else 6.0)
-        shown = simulation.advance({"omega_ref": 4000.0, "beta_ref": beta}, DT)
-    assert effect.moved > 0.0
-    assert effect.effect == pytest.approx(1.0, abs=1e-9)
 
 
 def quiet(k):
@@ -191,32 +147,6 @@ def test_each_reading_has_its_fault_and_its_number_of_ticks(change, device, kind
     assert (fault.device, fault.kind, after) == (device, kind, ticks)
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda r, k: r._replace(counts=77) if k < 11 else r,
-        lambda r, k: r._replace(counts=77, thrust_age=0.002 + DT * (k % 12)),  # held by its driver, not read
-        lambda r, k: r._replace(saturated=k < 2),
-        lambda r, k: r._replace(thrust=25.1 if k < 2 else 0.0),
-        lambda r, k: r._replace(thrust_age=0.05),
-    ],
-)
-def test_just_within_its_threshold_is_no_fault(change):
-    assert first_fault(change) == (None, None)
-
-
-@pytest.mark.parametrize("omega", [1500.0, 5000.0])
-def test_a_rotor_that_turns_at_the_first_reading_is_believed(omega):
-    """A rotor that turns at the first reading has no history, so the bounds start at that speed."""
-    checks = Plausibility(Limits(), DT)
-    for k in range(100):
-        turned = omega / 60.0 * k * DT
-        mark = {"pulses": 1 + math.floor(turned), "mark_age": math.fmod(turned, 1.0) * 60.0 / omega}
-        reading = quiet(k)._replace(omega=omega, throttle=omega / 13200.0, **mark)
-        assert checks.check(reading) is None
-        assert checks.speed_trusted
-
-
 def opened(checks, free, slope, throttle_max=1.0):
     """(first fault or None, speed shown, speed) of a motor of `free` rpm whose throttle opens by `slope` a second."""
     mark, omega, angle = Tachometer(), 0.0, 0.0
@@ -248,27 +178,6 @@ def test_a_rig_of_another_size_starts_under_its_own_bounds_but_not_the_papers():
     assert papers.kind is FaultKind.SPEED_JUMP
 
 
-def test_the_effect_of_pitch_is_the_same_on_a_rig_of_another_size():
-    """At twelve times the thrust and four times the time scale, the effect and the move over its threshold are the same."""
-    large = Scales(2500.0, 20.0, -6.0, 180.0, 2.0)
-    seen = []
-    for scales in (PAPER, large):
-        longer, model = scales.time_scale / PAPER.time_scale, plant().sized(scales)
-        lags = {name: longer * model.values()[name] for name in ("tau_omega_1", "tau_omega_2", "tau_beta_1", "tau_beta_2")}
-        values, dt = {**model.values(), **lags}, longer * DT
-        effect, simulation = PitchEffect(dt, values, scales.time_scale), Simulation(model, values)
-        omega = 0.7 * scales.omega_scale
-        simulation.start({"omega_ref": omega, "beta_ref": scales.absolute(0.5, "position")})
-        for k in range(3000):
-            share = 0.5 + 0.2 * (1.0 if k // 500 % 2 else -1.0)
-            shown = simulation.advance({"omega_ref": omega, "beta_ref": scales.absolute(0.5, "position")}, dt)
-            effect.update(shown["thrust"], shown["omega"], scales.absolute(share, "position"))
-        rig = Rig(scales=scales)
-        seen.append((effect.effect, effect.moved / thresholds_of(rig).moved))
-    assert seen[1] == pytest.approx(seen[0], abs=1e-6)
-    assert seen[0][1] > 1.0
-
-
 def test_the_bounds_hold_any_motor_within_the_stated_physics():
     """Random throttles on motors of any allowed time constant and gain: the speed never leaves the bounds."""
     physics = RotorPhysics()
@@ -288,12 +197,3 @@ def test_the_bounds_hold_any_motor_within_the_stated_physics():
             if k % 10 == 9:
                 assert bounds.allows(omega)
                 bounds.believe(omega, throttle, 0.0)
-
-
-def test_twelve_equal_readings_are_once_in_a_hundred_days_at_two_counts_of_noise():
-    """Two adjacent counts with Gaussian noise s are equal with probability 1/(2 sqrt(pi) s); simulated here for s = 2."""
-    counts = np.round(np.random.default_rng(0).normal(0.3, 2.0, 400000))
-    equal = float(np.mean(counts[1:] == counts[:-1]))
-    assert equal == pytest.approx(1.0 / (2.0 * math.sqrt(math.pi) * 2.0), rel=0.02)
-    runs = Thresholds().frozen - 1
-    assert 1.0 / (equal**runs / DT) / 86400.0 == pytest.approx(100.0, rel=0.3)

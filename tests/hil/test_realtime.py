@@ -1,8 +1,6 @@
 import gc
 import os
 
-import pytest
-
 from hil import realtime
 from hil.realtime import real_time
 
@@ -60,10 +58,3 @@ def test_a_refusal_is_reported(monkeypatch):
         assert any("SCHED_FIFO" in text for text in granted.refusals)
         assert "no SCHED_FIFO" in str(granted)
         assert granted.hurried == ("serial lines not hurried" not in str(granted))
-
-
-def test_tests_in_real_time_share_one_worker(request):
-    """Two rigs at once starve each other; some versions of pytest and pytest-xdist silently lose the groups."""
-    if not request.config.getoption("loadgroup", False):
-        pytest.skip("not run side by side")
-    assert request.node.nodeid.endswith("@real time")

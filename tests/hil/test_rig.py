@@ -61,14 +61,6 @@ def test_the_limits_act_between_commands_and_outputs(new_rig):
     assert moves.max() <= LIMITS.omega_slew * rig.dt + 1e-9
 
 
-def test_the_first_tick_of_a_run_starts_from_the_idle_throttle(new_rig):
-    rig, log = new_rig()
-    rig.start(3000.0, 2.0)
-    first = states(log).index("run")
-    assert not log["throttle"][:first].any()
-    assert log["throttle"][first] < 0.01
-
-
 def test_a_controller_that_says_nan_ends_the_run_by_a_ramp(new_rig):
     rig, log = new_rig()
     rig.start(4000.0, 2.0)
@@ -107,37 +99,6 @@ def test_the_operator_ends_a_run_in_order(new_rig):
         steps(rig, 2)
     assert rig.states.state is SafetyState.SAFE
     assert duties(rig) == IDLE
-
-
-def test_the_operator_may_stop_before_anything_turns(new_rig):
-    rig, log = new_rig(signals=asked(Fault("operator", FaultKind.INTERRUPTED, "Ctrl-C")))
-    with pytest.raises(RunEnded, match="Ctrl-C"):
-        rig.start(3000.0, 2.0)
-    rig.close()
-    assert set(states(log)) == {"safe"}
-
-
-def test_the_same_seed_gives_the_same_run_to_the_bit(new_rig):
-    def rows(seed):
-        rig, log = new_rig(emulated=Emulated(seed=seed))
-        rig.start(3000.0, 2.0)
-        for k in range(200):
-            rig.step(3000.0 + 5.0 * k, 2.0)
-        return np.array(log.rows, float)
-
-    np.testing.assert_array_equal(rows(3), rows(3))
-    assert not np.array_equal(rows(3), rows(4), equal_nan=True)
-
-
-@pytest.mark.parametrize(("lost", "tolerated"), [(6, True), (1000, False)])
-def test_a_late_answer_after_a_break_gets_the_patience_of_a_run(new_rig, lost, tolerated):
-    rig, _ = new_rig()
-    clock, faults = rig.bench.clock, serial_faults(rig)
-    clock.wait_until(clock.now() + 1.0)  # the last answer is as old as the break is long
-    faults["silent"] = lost
-    faults.close()
-    rig.idle(5)
-    assert [fault.kind for fault in rig.states.faults][:1] == ([] if tolerated else [FaultKind.SILENT])
 
 
 def test_in_real_time_the_same_rig_runs_in_a_separate_process():

@@ -1,6 +1,5 @@
 import json
 
-import numpy as np
 import pytest
 from rigs import setup
 
@@ -9,7 +8,6 @@ from hil.emulator import i2c
 from hil.emulator.rig import BUS
 from hil.selftest import selftest
 from hil.session import Setup
-from hil.timing import EDGES, timing
 from vpp_fmu.app.cli import main
 
 
@@ -51,18 +49,6 @@ def test_an_output_that_is_not_idle_is_found():
     outputs = module._outputs([("/sys/pwmchip0/pwm0/duty_cycle", 1_000_000, "1500000")])
     assert not outputs[0].good
     assert "1500000 ns" in outputs[0].found
-
-
-def test_the_histogram_counts_every_tick():
-    late = np.array([0.0, 3e-6, 40e-6, 41e-6, 0.3e-3, 12e-3])
-    found = timing(late, np.full(6, 1e-4), np.array([0, 0, 0, 0, 0, 2]))
-    assert sum(found.counts) == 6
-    assert found.missed == 2
-    counted = {EDGES[k]: n for k, n in enumerate(found.counts) if n}
-    assert counted == {0.0: 1, 2e-6: 1, 20e-6: 2, 0.2e-3: 1, 10e-3: 1}
-    assert found.late == pytest.approx((40.5e-6, *np.percentile(late, (99.0, 99.9)), 12e-3))
-    assert found.summary()["late_us"]["max"] == 12000.0
-    assert "p99.9" in found.text()
 
 
 def test_the_command_in_real_time(tmp_path, capsys):

@@ -103,12 +103,6 @@ def supervisor(tmp_path, duty):
     supervisor.close()
 
 
-def test_it_starts_with_the_idle_pulse_and_waits_for_the_first_beat(supervisor, duty):
-    assert duty.read_bytes() == IDLE
-    time.sleep(2.0 * SILENCE)
-    assert supervisor.beat() is None
-
-
 def test_signals_of_the_terminal_and_the_shell_leave_it_alone(supervisor):
     assert os.getsid(supervisor.pid) != os.getsid(0)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
@@ -248,14 +242,6 @@ def test_workers_that_a_killed_loop_has_hurried_are_put_back(tmp_path, worker):
         while os.sched_getscheduler(worker) != os.SCHED_OTHER and time.monotonic() < end:
             time.sleep(0.01)
         assert os.sched_getscheduler(worker) == os.SCHED_OTHER
-
-
-def test_a_process_that_reuses_a_workers_number_is_left_alone(worker):
-    os.sched_setscheduler(worker, os.SCHED_FIFO, os.sched_param(1))
-    watchdog.put_back([worker], "kworker/x")
-    assert os.sched_getscheduler(worker) == os.SCHED_FIFO
-    watchdog.put_back([2**22 + 1, worker], "kworker/u")
-    assert os.sched_getscheduler(worker) == os.SCHED_OTHER
 
 
 @pytest.mark.parametrize("broken", ["missing", "/dev/full"])

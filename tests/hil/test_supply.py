@@ -14,11 +14,11 @@ from hil.emulator.rig import Rig as Emulated
 from hil.emulator.world import AMBIENT, HEATS, WARMS, LoadCell, World
 from hil.outcome import energy
 from hil.physics.rig_model import POWERTRAIN
-from hil.run import loop_part, run_on_rig
+from hil.run import run_on_rig
 from hil.safety.faults import FaultKind
 from hil.safety.limits import Limits
 from hil.safety.plausibility import SupplyLimits
-from hil.session import Setup, read_log
+from hil.session import Setup
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
@@ -79,18 +79,6 @@ def test_readings_come_one_after_the_other_and_are_held(tmp_path):
     assert set(np.diff(changes) % (len(WIRED) * EVERY)) == {0}
 
 
-def test_the_supplys_readings_do_not_change_the_thrust(tmp_path):
-    """They have a separate chip: the load cell's readings are all fresh, and their age is unchanged."""
-    with_supply, without = run(tmp_path / "a", RIG), run(tmp_path / "b", CALIBRATION)
-    assert with_supply.session.summary()["counters"]["adc"]["held"] == 0
-    assert with_supply.record["thrust"][-250:].mean() == pytest.approx(without.record["thrust"][-250:].mean(), abs=0.1)
-    np.testing.assert_allclose(np.ptp(with_supply.log["thrust_age"]), np.ptp(without.log["thrust_age"]), atol=1e-6)
-    assert {"voltage", "current", "temperature"} <= set(with_supply.record.columns)
-    assert "voltage" not in without.record.columns
-    assert "supply" not in without.session.summary()
-    assert with_supply.session.summary()["supply"] == list(WIRED)
-
-
 @pytest.mark.parametrize(
     ("limits", "words"),
     [
@@ -126,14 +114,6 @@ def test_a_second_adc_that_is_not_there_is_found_before_arming(tmp_path, monkeyp
         run(tmp_path)
 
 
-def test_the_calibration_keeps_its_hash_without_and_reads_back_with(tmp_path):
-    path = tmp_path / "c.json"
-    path.write_text(to_json(RIG))
-    assert read_calibration(path) == RIG
-    assert read_calibration(path).sha256 != CALIBRATION.sha256
-    assert "supply" not in json.loads(to_json(CALIBRATION))
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -154,30 +134,6 @@ def test_a_wrong_wiring_is_named(tmp_path, change, words):
     path.write_text(json.dumps(content))
     with pytest.raises(BadInput, match=words):
         read_calibration(path)
-
-
-def test_an_old_log_is_read_as_before(tmp_path):
-    """A log from before these columns existed."""
-    done = run(tmp_path / "new", CALIBRATION)
-    old = [column for column in done.log.columns if column not in WIRED]
-    path = tmp_path / "log.csv"
-    lines = [",".join(old)]
-    for row in zip(*(done.log[name].tolist() for name in old), strict=True):
-        lines.append(",".join("" if str(value) == "nan" else str(value) for value in row))
-    path.write_text("\n".join(lines) + "\n")
-    np.testing.assert_array_equal(loop_part(read_log(path))["thrust"], done.record["thrust"])
-
-
-def test_the_command_says_what_it_reads(tmp_path, refused):
-    calibration, limits = tmp_path / "wired.json", tmp_path / "limits.json"
-    calibration.write_text(to_json(RIG))
-    limits.write_text(json.dumps({"format": "vpp-limits/1", "limits": {"voltage_max": {"value": 20.0, "unit": "V"}}}))
-    profile = write_record(OutputFolder(tmp_path), "p.csv", PROFILE)
-    words = ["hil", "run", "--virtual", "--profile", profile, "--calibration", calibration, "--limits", limits]
-    assert "supply: supply beyond its limit: voltage" in refused(*words, "-o", tmp_path / "out")
-    facts = json.loads((tmp_path / "out" / "hil.json").read_text())
-    assert facts["supply"] == list(WIRED)
-    assert facts["limits"]["voltage_max"] == 20.0
 
 
 def test_energy_is_the_integral_of_voltage_times_current_held_until_the_next_reading():

@@ -36,27 +36,3 @@ def test_a_tick_in_time_or_a_little_late_keeps_its_slot(done, late):
     assert (tick.slot, tick.missed) == (1, 0)
     assert tick.late == pytest.approx(late)
     assert clock.now() == max(done, 0.004)
-
-
-def test_the_share_of_missed_slots_is_that_of_the_last_second():
-    clock = VirtualClock()
-    ticks = Ticks(clock, 0.004)
-    clock.wait_until(0.1001)
-    ticks.wait()
-    assert ticks.missed_share == pytest.approx(24 / 250)
-    while clock.now() < 1.095:
-        ticks.wait()
-    assert ticks.missed_share == pytest.approx(24 / 250)
-    ticks.wait()
-    assert ticks.missed_share == 0.0
-
-
-def test_an_intended_break_is_no_miss():
-    clock = VirtualClock()
-    ticks = Ticks(clock, 0.004)
-    ticks.wait()
-    clock.wait_until(5.0)
-    ticks.resume()
-    assert ticks.wait().missed == 0
-    assert ticks.missed == 0
-    assert ticks.missed_share == 0.0

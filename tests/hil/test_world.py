@@ -34,16 +34,6 @@ def test_it_steps_the_physics_and_nothing_else():
         assert (one.thrust, one.omega, one.beta) == (expected["thrust"], expected["omega"], expected["beta"])
 
 
-def test_without_a_compiler_it_is_the_same_world(no_compiler):
-    slow = settled(jitter=0.0)
-    assert not slow._stepper.is_compiled
-    reference = Simulation(POWERTRAIN)
-    reference.start({"throttle": 0.0, "beta_ref": 4.0})
-    for _ in range(3000):
-        expected = reference.advance({"throttle": 0.35, "beta_ref": 4.0}, STEP)
-    assert slow.thrust == expected["thrust"]
-
-
 def test_hidden_effects_change_it():
     hidden = World(powertrain(["load_cell_gain"]), {"load_cell_gain.gain": 1.1}, lambda: (0.35, 4.0), QUIET)
     plain = world()
@@ -85,25 +75,6 @@ def test_the_mark_passes_once_a_revolution():
     assert 3.0 - period - STEP <= last <= 3.0
     one.advance(4.0)
     assert one.pulses(4.0)[0] - count == pytest.approx(one.omega / 60.0, abs=1.0)
-
-
-def test_passes_are_seen_early_or_late_by_their_jitter():
-    periods = {}
-    for jitter in (0.0, 25e-6):
-        one, found = settled(jitter=jitter), []
-        for k in range(1, 500):
-            one.advance(3.0 + 0.004 * k)
-            found.append(one.pulses(3.0 + 0.004 * k)[2])
-        periods[jitter] = np.std(sorted(set(found)))
-    assert periods[0.0] < 1e-6
-    assert periods[25e-6] == pytest.approx(25e-6 * np.sqrt(2.0), rel=0.2)
-
-
-def test_at_a_past_time_only_the_pulses_until_then_count():
-    one = settled(jitter=0.0)
-    count, last, period = one.pulses(3.0)
-    assert one.pulses(last - 1e-9)[0] == count - 1
-    assert one.pulses(last - 1e-9)[1] == pytest.approx(last - period)
 
 
 def test_the_same_seed_gives_the_same_world_and_another_another():

@@ -174,11 +174,11 @@ def main():
         folder = Path(name)
         flavours = ["python", "native"]
         try:
-            files = exported(parts, flavours)
+            files = exported(parts, flavours, flat=True)
         except CompilerMissing as missing:
             print(f"native flavour skipped: {missing}\n")
             flavours = ["python"]
-            files = exported(parts, flavours)
+            files = exported(parts, flavours, flat=True)
         for path, content in files.items():
             (folder / path).write_bytes(content if isinstance(content, bytes) else content.encode())
         print("| importer | flavour | plant alone | loop | loop twice in a process | flavours |\n|---|---|---|---|---|---|")

@@ -1,22 +1,16 @@
 """python -m tests.interop exporter: the models of the tutorial as FMUs, in every host, beside pythonfmu.
 
-Prints tables: hosts and checkers; errors and bits; lines and speed beside the pythonfmu twin; seconds of export against size;
-memory of instances; each fault that it had, before and now. A host that is not installed is listed as such
-(`make interop` installs them).
+Prints tables: hosts and checkers; errors and bits; lines and speed beside the pythonfmu twin. A host that is not
+installed is listed as such (`make interop` installs them).
 """
 
 import contextlib
-import io
 import json
 import os
-import re
 import subprocess
 import sys
 import tempfile
-import time
-import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -26,16 +20,11 @@ import numpy as np
 from fmpy.validation import validate_fmu
 
 from tests.interop import hosts
-from vpp_fmu import export_fmu
-from vpp_fmu.errors import CompilerMissing, VppError
+from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.export import native_fmu, python_fmu
-from vpp_fmu.export.checks import check_model
-from vpp_fmu.export.description import Experiment
-from vpp_fmu.export.own_model import find_model
-from vpp_fmu.export.trial import try_fmu
 from vpp_fmu.fmu import Fmu, FmuInstance, steps_in_fmi_3
 from vpp_fmu.kernel.simulation import Simulation
-from vpp_fmu.kernel.types import Effect, Model, Parameter, Signal, State
+from vpp_fmu.kernel.types import Model
 
 sys.path.append(str(Path(__file__).parents[1]))
 from six_models import CASES, Case
@@ -214,180 +203,6 @@ def beside_pythonfmu(folder: Path, host: Path | None, fmus: Mapping[tuple[str, s
 FLAVOURS = ("Python", "native")
 
 
-def table_of(n: int) -> Model:
-    """A table of n points."""
-    xs = np.linspace(0.0, 100.0, n)
-    ys = np.sin(xs)
-    effect = Effect("table", "a sine", output=lambda ops, s, x, p: {"y": ops.table(s.u, xs, ys, "cubic")})
-    return Model("Table", "a sine", (Signal("u", "1", "u", nominal=100.0),), (Signal("y", "1", "y"),), (effect,))
-
-
-def network_of(n: int) -> Model:
-    """A rod of n nodes."""
-
-    def derivative(ops, s, x, p):
-        T = [s.hot, *x.T, s.hot]
-        return {"T": [p.g * (T[k - 1] - 2.0 * T[k] + T[k + 1]) for k in range(1, n + 1)]}
-
-    rate, state = Parameter("g", "Hz", 0.2, 0.0, 1.0, "rate"), State("T", "degC", "temperatures", 20.0, size=n)
-    effect = Effect("rod", "conducts", derivative=derivative, parameters=(rate,), states=(state,), largest_step=0.5)
-    outputs = (Signal("T", "degC", "temperatures", nominal=100.0, size=n),)
-    return Model("Rod", "a rod", (Signal("hot", "degC", "ends", nominal=100.0, start=20.0),), outputs, (effect,))
-
-
-def seconds_of_export(host: Path | None) -> None:
-    print("\n| model | size | export, s: Python | native | FMI 3.0 | native step, us |\n|---|---|---|---|---|---|")
-    with tempfile.TemporaryDirectory() as folder:
-        for make, sizes in ((table_of, (100, 1000, 10_000)), (network_of, (10, 50, 100, 200, 500))):
-            for n in sizes:
-                cells, model = [], make(n)
-                for maker in (python_fmu, native_fmu, partial(native_fmu, version="3.0")):
-                    began = time.perf_counter()
-                    content = maker(model)
-                    cells.append(f"{time.perf_counter() - began:.1f}")
-                    if maker is native_fmu:
-                        path = Path(folder, f"{model.name}{n}.fmu")
-                        path.write_bytes(content)
-                cells.append(f"{microseconds(host, path, 0.5, 2000, False):.2f}" if host else "")
-                print(f"| {model.name} | {n} | {' | '.join(cells)} |", flush=True)
-
-
-CYCLES = """
-import sys
-from contextlib import closing
-from pathlib import Path
-from vpp_fmu.fmu import Fmu
-from fmpy.fmi2 import FMU2Slave
-def kib():
-    return int(next(x for x in Path("/proc/self/status").read_text().splitlines() if x.startswith("VmRSS")).split()[1])
-with closing(Fmu(sys.argv[1])) as fmu:
-    slave = fmu.slave()
-    def cycle(n):
-        for _ in range(n):
-            slave.instantiate()
-            slave.setupExperiment()
-            slave.enterInitializationMode()
-            slave.exitInitializationMode()
-            slave.terminate()
-            slave.fmi2FreeInstance(slave.component)
-    cycle(200)
-    before = kib()
-    cycle(1000)
-    print(kib() - before)
-"""
-
-
-def memory(fmus: Mapping[tuple[str, str, str], Path]) -> None:
-    print("\n| FMU | growth over 1000 cycles of instantiate and free |\n|---|---|")
-    for (name, flavour, version), path in fmus.items():
-        if name == "ODE" and version == "2.0":
-            done = subprocess.run([sys.executable, "-c", CYCLES, str(path)], check=False, capture_output=True, text=True)
-            said = f"{done.stdout.strip()} KiB" if done.returncode == 0 else (done.stderr.strip() or "died").splitlines()[-1]
-            print(f"| {name}, {flavour} | {said} |", flush=True)
-
-
-def _model(step, unit="V", minimum=-1e9, **more) -> Model:
-    effect = Effect("part", "a part", step, **more)
-    return Model("Part", "a part", (Signal("u", unit, "in"),), (Signal("y", "V", "out", minimum, 1e9),), (effect,))
-
-
-def _counted(ops, s, x, p, dt):
-    return {"y": x.y + 1.0}
-
-
-def _chained(n: int) -> Model:
-    def step(ops, s, x, p, dt):
-        y = 0.0
-        for k in range(n):
-            y = ops.where(s.u > float(k), 0.5 * k + 0.1 * s.u, y)
-        return {"y": y}, {}
-
-    return _model(step)
-
-
-def _said(doing) -> str:
-    """What a call returns, or its message."""
-    try:
-        return str(doing())
-    except VppError as error:
-        return f"refused: {error}"
-    except Exception as error:
-        return f"TRACEBACK: {type(error).__name__}: {error}"
-
-
-def _tried(model: Model, make=python_fmu, fmi: str = "2.0") -> str:
-    check_model("model", model)
-    try_fmu("model", model, model.values(), Experiment(), make(model), fmi)
-    return "exported, tried"
-
-
-def _read(model: Model, pattern: str) -> str:
-    """What of its description has this pattern."""
-    with zipfile.ZipFile(io.BytesIO(python_fmu(model))) as packed:
-        return " ".join(re.findall(pattern, packed.read("modelDescription.xml").decode()))
-
-
-def faults() -> None:
-    """Each fault that the exporter had, in commit ffeb0d7 and now."""
-    double = _model(lambda ops, s, x, p, dt: ({"y": 2.0 * s.u}, {}))
-    cell = _model(lambda ops, s, x, p, dt: {"y": x.y}, states=(State("y", "V", "y", 80.0),), minimum=1.0, largest_step=1.0)
-    counter = _model(_counted, states=(State("y", "V", "y", 0.0),), largest_step=1.0)
-    text = _model(lambda ops, s, x, p, dt: ({"y": s.u}, {}), parameters=(Parameter("a", "1", "left", 0.0, 1.0, "a"),))
-    unknown = _model(lambda ops, s, x, p, dt: ({"y": ops.cosh(s.u)}, {}))
-    rows = (
-        (
-            "1",
-            'refused: The unit "s" of variable "time" is not defined',
-            lambda: _tried(double, partial(native_fmu, version="3.0"), "3.0"),
-        ),
-        ("2, 200 choices", "SyntaxError: too many nested parentheses", lambda: _tried(_chained(200))),
-        ("2, 1000 choices", "77 s", lambda: _timed(partial(_tried, _chained(1000)))),
-        ("2, 500 nodes", "over 150 s", lambda: _timed(partial(native_fmu, network_of(500)))),
-        ("3, a state", "min and max of a signal in its unit", lambda: _read(cell, '<.*start="80.0".*>')),
-        ("3, an output", "refused: signal y, start: found 0.0, expected 1.0", lambda: _tried(cell)),
-        ("4, a counter at 0, 1, 2 s", "1, 1, 2", lambda: [_run_to(counter, k) for k in range(3)]),
-        (
-            "5",
-            'author="vpp-fmu" version="0.2.0" license="MIT"',
-            lambda: _read(replace(double, license="0BSD", author="A. Body"), ' (?:author|version|license)="[^"]*"'),
-        ),
-        ("6, a text", "TypeError: must be real number, not str", lambda: _tried(text)),
-        ("6, the unit -", "AssertionError", lambda: _tried(_model(lambda ops, s, x, p, dt: ({"y": s.u}, {}), unit="-"))),
-        ("6, an operation", "AttributeError: 'Numbers' object has no attribute", lambda: _tried(unknown)),
-        ("6, a file", "No module named", lambda: find_model(f"{CASES['event'].source}:MODEL").name),
-        ("7", "refused: found a Model, expected a ParameterSet", lambda: list(_exported(double))),
-    )
-    print("\n| fault | before | now |\n|---|---|---|")
-    for what, before, now in rows:
-        print(f"| {what} | {before} | {_said(now).replace('|', ' ')[:220]} |", flush=True)
-    with tempfile.TemporaryDirectory() as folder:
-        for version in ("2.0", "3.0"):
-            words = ["export", "--model", f"{CASES['event'].source}:MODEL", "--flavour", "native", "--fmi", version]
-            command = [sys.executable, "-m", "vpp_fmu", *words, "-o", folder]
-            subprocess.run(command, check=True, capture_output=True)
-        there = ", ".join(sorted(path.name for path in Path(folder).glob("*.fmu")))
-    print(f"| 6, FMI 2.0, then 3.0 in one folder | the second removes the first | {there} |")
-
-
-def _timed(doing) -> str:
-    began = time.perf_counter()
-    doing()
-    return f"{time.perf_counter() - began:.1f} s"
-
-
-def _run_to(model: Model, steps: int) -> float:
-    simulation = Simulation(model)
-    shown = simulation.start({"u": 1.0})
-    for _ in range(steps):
-        shown = simulation.advance({"u": 1.0}, 1.0)
-    return shown["y"]
-
-
-def _exported(model: Model) -> list[str]:
-    with tempfile.TemporaryDirectory() as folder:
-        return list(export_fmu(model, folder))
-
-
 def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder, fmus = Path(name), {}
@@ -406,9 +221,6 @@ def main() -> None:
         checked_and_hosted(folder, host, fmus)
         errors()
         beside_pythonfmu(folder, host, fmus)
-        memory(fmus)
-        seconds_of_export(host)
-    faults()
     print(f"\nfmpy {fmpy.__version__}; the Python flavour has no FMI 3.0: pythonfmu's binary has none")
 
 

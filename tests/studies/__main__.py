@@ -7,9 +7,8 @@ import argparse
 from importlib import import_module
 
 STUDIES = (
-    *("adaptive", "api", "commands", "days", "degenerate", "diagnosis", "energy", "exits", "fleet", "fmus", "fuzz", "gate"),
-    *("hidden", "identification", "imports", "learned", "loggers", "long", "measured", "mutations", "paper", "policy", "power"),
-    *("power_residual", "readings", "refusals", "rigs", "rules", "size", "tuning", "twin", "variation"),
+    *("adaptive", "days", "diagnosis", "fuzz", "hidden", "identification", "learned", "loggers", "measured", "paper", "size"),
+    *("twin", "variation"),
 )
 
 

@@ -38,7 +38,8 @@ from vpp_fmu.campaign import read_campaign
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.record import write_record
 
-from .degenerate import NOTE_OR_STAGE, valid
+NOTE_OR_STAGE = re.compile(r"vpp: note: .*|vpp \w+: .* \(\d+ s\)")
+"""Lines that a verb prints although it succeeds: notes, and stages in a pipe."""
 
 LIMIT, LONGEST = 60, 300.0
 """s that a case may take: CPU time, and wall-clock time on a shared machine."""
@@ -600,6 +601,15 @@ def _faults(verb: str, words: Sequence[str], code: int | None, said: str, out: P
     for path in files:
         if path.suffix == ".json" and not valid(path):
             yield "NaN in JSON"
+
+
+def valid(path: Path) -> bool:
+    """Whether a file is JSON without NaN and Infinity, which Python's reader accepts."""
+    try:
+        json.loads(path.read_text(), parse_constant=int)  # ValueError
+    except ValueError:
+        return False
+    return True
 
 
 def cases(first: int, runs: int, verbs: Sequence[str] = tuple(COMMANDS), minutes: float = 1e9) -> Iterator[Case]:

@@ -57,15 +57,14 @@ The inputs are discrete: each row's values hold from its time to the next row's,
 
 
 def cross_check_folder(
-    model: Model, values: Mapping[str, float], experiment: Experiment, fmu: bytes, tool: str, platform: str
+    name: str, experiment: Experiment, references: Mapping[str, str], fmu: bytes, tool: str, platform: str
 ) -> dict[str, bytes]:
-    """The files that the FMI project's cross-check requires of an exporting tool, by path in its repository: the FMU, its
-    reference files, and how to check them. `tool`: name and version as folders; `platform`: FMI 2.0's name."""
+    """The files that the FMI project's cross-check requires of an exporting tool, by path in its repository: a model's FMU,
+    its reference files, and how to check them. `tool`: name and version as folders; `platform`: FMI 2.0's name."""
     stop = round(min(experiment.stop, LONGEST) / experiment.step) * experiment.step
-    read_me = READ_ME.format(name=model.name, command=COMMAND.format(name=model.name, stop=stop, step=experiment.step))
-    files = {f"{model.name}.fmu": fmu, "README.md": read_me.encode()}
-    files |= {name: text.encode() for name, text in reference_files(model, values, experiment).items()}
-    return {f"fmus/2.0/cs/{platform}/{tool}/{model.name}/{name}": content for name, content in files.items()}
+    read_me = READ_ME.format(name=name, command=COMMAND.format(name=name, stop=stop, step=experiment.step))
+    files = {f"{name}.fmu": fmu, "README.md": read_me.encode()} | {file: text.encode() for file, text in references.items()}
+    return {f"fmus/2.0/cs/{platform}/{tool}/{name}/{file}": content for file, content in files.items()}
 
 
 def course(model: Model, count: int) -> list[dict[str, float]]:

@@ -2,14 +2,10 @@
 
 import importlib
 import inspect
-import struct
-import zlib
 from collections.abc import Iterable, Mapping
-from functools import cache
 from html import escape
 from importlib.metadata import distribution
 from importlib.util import find_spec
-from math import cos, hypot, pi, sin
 from pathlib import Path
 from textwrap import dedent
 
@@ -17,11 +13,6 @@ from vpp_fmu.files import as_bytes
 from vpp_fmu.kernel.types import REAL, Effect, Model, Parameter, Signal, no_step
 
 EFFECTS = "vpp_fmu.kernel.effects"
-
-SIZE = 96  # pixels of the icon
-BLADE, HUB = (31, 86, 140), (20, 24, 32)  # red, green, blue
-LENGTH, WIDTH, BOSS = 0.46, 0.105, 0.09  # of the picture's side
-TILT = 0.6  # rad
 
 STYLE = (
     "body{font:15px/1.5 system-ui,sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"
@@ -60,7 +51,8 @@ def documents(
     at the export. `packages`: other packages whose code is in the FMU beside this one's, with their licences.
     """
     licences = {f"documentation/licenses/{name}.txt": _licence(name).encode() for name in ("vpp-fmu", *packages)}
-    pictures = {"model.png": icon() if model.icon == "propeller" else Path(model.icon).read_bytes()} if model.icon else {}
+    icon = Path(__file__).with_name("propeller.png") if model.icon == "propeller" else model.icon
+    pictures = {"model.png": Path(icon).read_bytes()} if icon else {}
     said = "\n\n".join(filter(None, (model.copyright, model.license and f"Licence: {model.license}")))
     return {
         "documentation/index.html": as_bytes(_page(model, values, origins or {})),
@@ -158,31 +150,3 @@ def _licence(package: str) -> str:
         if file.name == "LICENSE":
             return file.read_text(encoding="utf-8")
     raise LookupError(f"{package} was installed without its licence")
-
-
-def _covered(distance: float) -> float:
-    """Share of a pixel inside an outline, from its distance [side] to it; positive is inside."""
-    return min(1.0, max(0.0, 0.5 + distance * SIZE))
-
-
-def _pixel(x: float, y: float) -> tuple[int, int, int, int]:
-    """Red, green, blue, opacity at (x, y), both within +-0.5 of the middle."""
-    along, across = x * cos(TILT) + y * sin(TILT), y * cos(TILT) - x * sin(TILT)
-    reach = abs(along) / LENGTH
-    half = WIDTH * sin(pi * min(1.0, reach) ** 0.7) if reach < 1.0 else 0.0
-    blade, hub = _covered(half - abs(across)) if half > 0.0 else 0.0, _covered(BOSS - hypot(x, y))
-    shade = [round(b + (h - b) * hub) for b, h in zip(BLADE, HUB, strict=True)]
-    return shade[0], shade[1], shade[2], round(255 * max(blade, hub))
-
-
-@cache
-def icon() -> bytes:
-    """A propeller as a PNG with transparent ground, drawn here so that no picture need be kept."""
-    middle = [(i + 0.5) / SIZE - 0.5 for i in range(SIZE)]
-    rows = b"".join(b"\0" + bytes(v for x in middle for v in _pixel(x, y)) for y in middle)
-    header = struct.pack(">2I5B", SIZE, SIZE, 8, 6, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + _chunk(b"IHDR", header) + _chunk(b"IDAT", zlib.compress(rows, 9)) + _chunk(b"IEND", b"")
-
-
-def _chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))

@@ -1,4 +1,4 @@
-"""The identified rig as Gymnasium environments: `VppThrust-v0`, single and vectorised, and any plant FMU as `VppFmuEnv`.
+"""The identified rig as Gymnasium environments, single and vectorised.
 
 Importing this package registers `VppThrust-v0`. ExtraMissing without gymnasium.
 """
@@ -10,15 +10,13 @@ try:
 except ImportError as error:
     raise ExtraMissing("gymnasium: found no library, expected one. Try: pip install 'vpp-fmu[gym]'") from error
 
-from vpp_fmu.gym.envs import VppFmuEnv, VppThrustEnv, VppThrustVectorEnv
+from vpp_fmu.gym.envs import VppThrustEnv, VppThrustVectorEnv
 from vpp_fmu.gym.reward import Moment, Reward
 from vpp_fmu.gym.task import Task
 
-__all__ = ["Moment", "Reward", "Task", "VppFmuEnv", "VppThrustEnv", "VppThrustVectorEnv"]
+__all__ = ["Moment", "Reward", "Task", "VppThrustEnv", "VppThrustVectorEnv"]
 
-NAME = "VppThrust-v0"
+NAME, ENTRY = "VppThrust-v0", "vpp_fmu.gym.envs:VppThrust"
 
 if NAME not in gymnasium.registry:
-    gymnasium.register(
-        NAME, entry_point="vpp_fmu.gym.envs:VppThrustEnv", vector_entry_point="vpp_fmu.gym.envs:VppThrustVectorEnv"
-    )
+    gymnasium.register(NAME, entry_point=f"{ENTRY}Env", vector_entry_point=f"{ENTRY}VectorEnv")

@@ -1,39 +1,23 @@
 """The dynamics of n environments, in arrays: commands from actions, plants, readings, rewards and ends of episodes."""
 
-from collections.abc import Sequence
-from typing import Protocol
-
 import numpy as np
 
 from vpp_fmu.gym.reward import Moment
 from vpp_fmu.gym.task import RATE, Task
 from vpp_fmu.kernel.effects.policy import LARGEST_INTEGRAL
+from vpp_fmu.native.many import ManyPlants
 
 BOUNDS = {"thrust_set": 1e5, "thrust": 1e5, "omega": 4e5, "omega_ref": 4e5, "beta_ref": 180.0, "integral": LARGEST_INTEGRAL}
 """Largest absolute value of an observation, in its unit."""
-
-
-class Plants(Protocol):
-    """Plants that are moved together: those of `vpp_fmu.native.many`, or one FMU."""
-
-    outputs: Sequence[str]
-
-    def begin(self, which: np.ndarray, parameters: np.ndarray, commands: np.ndarray) -> np.ndarray:
-        """Start some at rest."""
-
-    def advance(self, commands: np.ndarray, hold: int) -> np.ndarray:
-        """Hold commands for some steps."""
-
-    def close(self) -> None:
-        """Release all resources."""
 
 
 class Core:
     """n environments of a task. Each draws parameters, set-points and noise of an episode from its own generator at the
     episode's start, so that its numbers do not depend on its neighbours."""
 
-    def __init__(self, task: Task, plants: Plants, count: int):
-        self.task, self.plants, self.count, self._pays = task, plants, count, task.pays
+    def __init__(self, task: Task, count: int):
+        self.task, self.count, self._pays = task, count, task.pays
+        self.plants = plants = ManyPlants(task.plant.model, count, task.step)
         self.generators = [np.random.default_rng() for _ in range(count)]
         self.parameters = np.zeros((count, len(task.plant.model.parameters)))
         self._columns, self._at = task.actions + 1, np.zeros(count, int)

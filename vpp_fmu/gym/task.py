@@ -11,11 +11,12 @@ from hil.safety.limits import Limits, limits_of
 from identification.assessment.information import read_knowledge, read_noise
 from identification.power.model import PowerModel
 from identification.tune.draws import Posterior
+from identification.tune.profile import common_reach
 from vpp_fmu.errors import BadInput
 from vpp_fmu.gym.reward import Moment, Reward
+from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.effects.policy import OBSERVABLE
 from vpp_fmu.kernel.plant import plant
-from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, read_parameters
 from vpp_fmu.record import Record, held, read_profile
 from vpp_fmu.rig import Rig
@@ -53,12 +54,10 @@ class Task:
     history: int = 0
     action: str = ABSOLUTE
     reward: Callable[[Moment], np.ndarray] = field(default_factory=Reward)
-    limits: Rig | None = None
 
     def __post_init__(self):
-        unknown = [name for name in self.observe if name not in OBSERVABLE]
-        allowed = f"names of {', '.join(OBSERVABLE)}"
-        _check("observe", self.observe, bool(self.observe) and not unknown, allowed)
+        known = bool(self.observe) and set(self.observe) <= set(OBSERVABLE)
+        _check("observe", self.observe, known, f"names of {', '.join(OBSERVABLE)}")
         _check("action", self.action, self.action in (RATE, ABSOLUTE), f"{ABSOLUTE!r} or {RATE!r}")
         for name, low, high in (("hold", 1, 10_000), ("history", 0, 1000)):
             value = getattr(self, name)
@@ -71,13 +70,11 @@ class Task:
 
     @cached_property
     def _given(self) -> tuple[ParameterSet, str | None]:
-        if self.parameters is None:
-            return ParameterSet(plant()), None
-        if isinstance(self.parameters, ParameterSet):
-            return self.parameters, None
+        """The parameters, and the path of the identification.json beside their file."""
+        if self.parameters is None or isinstance(self.parameters, ParameterSet):
+            return self.parameters or ParameterSet(plant()), None
         file = parameters_file(self.parameters)
-        found = read_parameters(file, plant)
-        knowledge = beside(file)
+        found, knowledge = read_parameters(file, plant), beside(file)
         if not knowledge.is_file():
             return found, None
         check_same_model(knowledge, found.without_power, file)
@@ -87,6 +84,11 @@ class Task:
     def plant(self) -> ParameterSet:
         """The plant and its parameters, without torque and power."""
         return self._given[0].without_power
+
+    @property
+    def rig(self) -> Rig:
+        """The rig, with its ranges."""
+        return self.plant.rig
 
     @cached_property
     def pays(self) -> Callable[[Moment], np.ndarray]:
@@ -99,8 +101,8 @@ class Task:
     @cached_property
     def posterior(self) -> Posterior:
         """Distribution of the parameters."""
-        parameters, known_in = self.plant, self._given[1]
-        found = Posterior(parameters, read_knowledge(known_in)[0] if known_in else None)
+        known_in = self._given[1]
+        found = Posterior(self.plant, read_knowledge(known_in)[0] if known_in else None)
         allowed = "parameters with standard deviations, as vpp identify writes them"
         _check("randomise", "no standard deviation in the parameters", bool(found.names), allowed)
         return found
@@ -108,16 +110,8 @@ class Task:
     @cached_property
     def noise_std(self) -> tuple[float, float]:
         """Standard deviations of a reading of thrust [N] and of speed [rpm]."""
-        if self.noise is not None:
-            return self.noise
         known_in = self._given[1]
-        found = read_noise(known_in) if known_in else None
-        return (found[0] if found else 0.0), 0.0
-
-    @cached_property
-    def rig(self) -> Rig:
-        """Limits of the rig."""
-        return self.limits or self.plant.rig
+        return self.noise or (((known_in and read_noise(known_in)) or (0.0,))[0], 0.0)
 
     @cached_property
     def step(self) -> float:
@@ -146,18 +140,7 @@ class Task:
         return np.where(np.isfinite(slew), slew, QUICK * (self.high - self.low)) if self.action == RATE else slew
 
     @cached_property
-    def reach(self) -> tuple[float, float]:
-        """Thrust [N] at rest on the lowest and on the highest commands, within the rig's range. BadInput if it is empty."""
-        model, ends = self.plant.model, []
-        for commands in (self.low, self.high):
-            inputs = dict(zip(("omega_ref", "beta_ref"), commands.tolist(), strict=True))
-            ends.append(Simulation(model, self.plant.values).start(model.measured_inputs | inputs)["thrust"])
-        low, high = max(ends[0], self.rig.thrust[0]), min(ends[1], self.rig.thrust[1])
-        _check("thrust in reach", f"{low:.4g} to {high:.4g} N", low < high, "thrust that grows with the commands")
-        return low, high
-
-    @cached_property
-    def _wanted(self) -> np.ndarray | None:
+    def _profile(self) -> np.ndarray | None:
         """Set-points (actions + 1,) of the profile."""
         if self.profile is None:
             return None
@@ -173,16 +156,23 @@ class Task:
     @cached_property
     def actions(self) -> int:
         """Actions of an episode."""
-        return self._count(self.seconds or 10.0) if self._wanted is None else len(self._wanted) - 1
+        return self._count(self.seconds or 10.0) if self._profile is None else len(self._profile) - 1
+
+    @cached_property
+    def _reach(self) -> tuple[float, float]:
+        """Thrust [N] at rest on the lowest and on the highest commands, within the rig's range. BadInput if it is empty."""
+        names = ("omega_min", "beta_min", "omega_max", "beta_max")
+        ends = dict(zip(names, (*self.low.tolist(), *self.high.tolist()), strict=True))
+        return common_reach(self.plant, {"": {**CONTROLLER.values(), **ends}})
 
     def set_points(self, rng: np.random.Generator) -> np.ndarray:
         """Set-points of an episode (actions + 1,) N."""
-        if self._wanted is not None:
-            return self._wanted
+        if self._profile is not None:
+            return self._profile
         scale = self.rig.scales.time_scale
         most = math.ceil((self.actions + 1) * self.period / (HOLDS[0] * scale)) + 1
         ends = np.cumsum(rng.uniform(*HOLDS, most) * scale)
-        levels = rng.uniform(*self.reach, most)
+        levels = rng.uniform(*self._reach, most)
         return levels[np.searchsorted(ends, self.period * np.arange(self.actions + 1), side="right")]
 
     def exceeded(self, thrust: np.ndarray, omega: np.ndarray) -> np.ndarray:

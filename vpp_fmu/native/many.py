@@ -77,6 +77,3 @@ class ManyPlants:
             except DelayFull as full:
                 raise SimulationFailed(f"{self.model.name} {n}: {full}") from full
         return self._shown
-
-    def close(self) -> None:
-        """Do nothing: there are no resources to release."""

@@ -16,7 +16,7 @@ from identification.identify import Identification
 from identification.plan.plan import Plan
 from identification.power.allocation import COLUMNS, Allocation, allocated_controller, table
 from identification.tune import summary as tuned
-from identification.tune.learn import Learned
+from identification.tune.learn import LearnedLaw
 from identification.tune.tune import Tuning
 from vpp_fmu.app.api.linear import Linearisable
 from vpp_fmu.app.api.objects import PathLike
@@ -278,9 +278,9 @@ class LearnResult(Found):
 
     verb = "learn"
     _functions = Functions(learning.key_figures, learn.summary, learning.learning_page, learn.write_learning)
-    found: Learned
+    found: LearnedLaw
 
-    def __init__(self, found: Learned, parameters: ParameterSet):
+    def __init__(self, found: LearnedLaw, parameters: ParameterSet):
         super().__init__(found, parameters, parameters.label)
 
     @property

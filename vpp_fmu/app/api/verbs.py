@@ -71,14 +71,12 @@ def identify(
     records: Mapping[str, Any] | None = None,
     starts: int = 8,
     seed: int = 0,
-    bootstrap: int = 0,
-    workers: int = 1,
     accept: Iterable[str] = (),
 ) -> IdentifyResult:
     """Identify the parameters: lags in s, coefficients of the map in normalised units, each with its standard deviation.
 
-    `records`: further ones to fit, by name (paths, Records or frames). `starts` of the search; `bootstrap`: resamples of a
-    block bootstrap by `workers` processes. BadInput: data that the quality gate refuses, or no identifiable parameter.
+    `records`: further ones to fit, by name (paths, Records or frames). `starts` of the search. BadInput: data that
+    the quality gate refuses, or no identifiable parameter.
 
     >>> found = vpp.identify(vpp.example_campaign(), starts=1)
     >>> found.parameters.values["tau_beta_1"] > found.parameters.values["tau_beta_2"]
@@ -91,7 +89,7 @@ def identify(
     needed = ("time", "omega_ref", "beta_ref", "thrust")
     named = {name: as_record(record, needed) for name, record in (records or {}).items()}
     whole = as_campaign(campaign)
-    found = identified(whole, starts=starts, seed=seed, resamples=bootstrap, workers=workers, records=named, accept=accept)
+    found = identified(whole, starts=starts, seed=seed, records=named, accept=accept)
     return IdentifyResult(found, found.parameters)
 
 
@@ -323,8 +321,8 @@ def export_fmu(
     values: Mapping[str, float] | None = None,
     **fields: Any,
 ) -> dict[str, Path]:
-    """Write VppPlant and VppController as FMUs, with parameter values (.ssv), reference files and their loop (.ssp); or a
-    model of your own.
+    """Write VppPlant and VppController as FMUs, with parameter values (.ssv) and their loop (.ssp); or a model of your
+    own.
 
     `parameters`: a file, a set or a result; or a Model or Slave, with `values` of its parameters by name. `author`, and
     `fields` (version, license, copyright, description, stop_time, step_size, tolerance) replace what the model declares.

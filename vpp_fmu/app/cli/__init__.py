@@ -13,10 +13,8 @@ from typing import TextIO
 
 from vpp_fmu import __version__
 from vpp_fmu.app.cli.answer import LEVELS, SCHEMAS, add_levels, level
-from vpp_fmu.app.cli.next_command import next_step
-from vpp_fmu.errors import BadInput, VppError, near
+from vpp_fmu.errors import BadInput, RecordWarning, VppError, near
 from vpp_fmu.files import reason
-from vpp_fmu.record import RecordWarning
 from vpp_fmu.stopping import Stopped, said, stoppable
 from vpp_fmu.structured import as_json
 
@@ -36,7 +34,6 @@ VERBS = {
     "import": "convert a log to a file of a campaign",
     "effects": "the effects that the model may have, and a page of their theory",
     "check-effect": "check a user-defined effect",
-    "paper": "the paper's study on the emulated rig, every number beside the paper's",
     "twin": "a rig's day: model and controller improve each other, round by round",
     "completion": "a script with which bash, zsh or fish completes verbs and options",
     "cache": "show or delete the cached compiled models",
@@ -139,6 +136,8 @@ def _run(arguments: list[str]) -> VppError | None:
     parser.add_argument("--version", action="version", version=f"vpp {__version__}")
     parser.add_argument("verb", choices=verbs, metavar="VERB")
     if not arguments:
+        from vpp_fmu.app.cli.next_command import next_step  # noqa: PLC0415 it imports numpy, which --help does not need
+
         command, why = next_step(Path())
         raise BadCall("vpp", f"no verb. Next: {command} ({why})", "vpp --help")
     count = next((k for k, word in enumerate(arguments, 1) if not word.startswith("-")), len(arguments))

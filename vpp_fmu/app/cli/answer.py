@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any, TextIO
 
-from vpp_fmu.errors import VppError
-from vpp_fmu.record import RecordWarning
+from vpp_fmu.errors import RecordWarning, VppError
 from vpp_fmu.structured import as_json
 
 SCHEMAS = files("vpp_fmu.app.cli") / "schemas"

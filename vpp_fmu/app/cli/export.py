@@ -1,7 +1,7 @@
 """Export plant, controller and adaptive twin as FMI 2.0 (or 3.0) co-simulation FMUs, and their closed loop as SSP.
 
 The Python flavour runs wherever pythonfmu does; the native one is compiled C and needs no Python. Written beside each FMU: its
-parameters (.ssv), and inputs with their reference outputs (_in.csv, _ref.csv, _ref.opt)."""
+parameters (.ssv)."""
 
 import io
 import zipfile
@@ -56,7 +56,7 @@ ABOUT: Mapping[str, tuple[Callable, str]] = {
 def configure(parser):
     add_plant(parser, " (default: the paper's fine-tuned set)")
     add_gains(parser, GAINS)
-    text = "a learned law in the controller's place: a .json or .npz of arrays (vpp_fmu/policy.py); --gains are its fallback's"
+    text = "a learned law as the controller: a policy.json (vpp_fmu/policy.py) or its folder; --gains are its fallback's"
     parser.add_argument("--policy", type=policy_file, metavar="FILE", help=text)
     text = "also the adaptive twin of the parameters' rig; I: identification.json of --parameters (default: the one beside F)"
     parser.add_argument("--twin", nargs="?", const="", type=knowledge_file, metavar="I", help=text)
@@ -70,8 +70,11 @@ def configure(parser):
     for field, (kind, text) in ABOUT.items():
         name = "--model-version" if field == "version" else f"--{field.replace('_', '-')}"
         parser.add_argument(name, dest=f"about_{field}", metavar="TEXT" if kind is str else "X", type=kind, help=text)
-    text = "also write cross_check.zip: FMUs, references and how to check, in the folders of the FMI project's cross-check"
+    text = "also write inputs with reference outputs (_in.csv, _ref.csv, _ref.opt), and cross_check.zip: they and the FMUs, in "
+    text += "the folders of the FMI project's cross-check"
     parser.add_argument("--cross-check", action="store_true", help=text)
+    text = "also write the loop as VppLoop.flat.ssp, without connectors of the system, which libcosim and Ecos do not support"
+    parser.add_argument("--flat", action="store_true", help=text)
     add_output(parser)
 
 
@@ -84,7 +87,7 @@ def run(options):
     )
     folder = OutputSet(options.output, f"export{kind}")
     flavours = ("python", "native") if options.flavour == "both" else (options.flavour,)
-    files = exported(parts, flavours, options.platforms, options.fmi)
+    files = exported(parts, flavours, options.platforms, options.fmi, options.flat)
     lines = []
     if not options.model:
         lines.append(said_of(parts[1], options.gains))
@@ -94,7 +97,7 @@ def run(options):
             text = f"note: {options.model} depends on the communication step: {found}. Give its effects a largest_step [s]"
             lines.append(text)
     if options.cross_check:
-        files["cross_check.zip"] = _cross_check(parts, files)
+        files |= _cross_check(parts, files)
     for name, content in files.items():
         folder.write(name, content)
     place = written(options, folder, parts[0])
@@ -118,15 +121,18 @@ def tried(
     return files
 
 
-def _cross_check(parts: Sequence[ParameterSet], files: Mapping[str, bytes | str]) -> bytes:
-    folders = {}
-    for flavour, suffix in SUFFIX.items():
-        for part in parts:
+def _cross_check(parts: Sequence[ParameterSet], files: Mapping[str, bytes | str]) -> dict[str, bytes | str]:
+    """Reference files of each FMU, and the archive of the cross-check."""
+    experiment, found, folders = _experiment(parts), {}, {}
+    for part in parts:
+        references = reference_files(part.model, part.values, experiment)
+        found |= references
+        for flavour, suffix in SUFFIX.items():
             fmu = files.get(f"{part.model.name}{suffix}.fmu")
             if fmu is not None:
                 tool = f"vpp-fmu-{flavour}/{__version__}"
-                folders |= cross_check_folder(part.model, part.values, _experiment(parts), fmu, tool, host())
-    return archive(folders)
+                folders |= cross_check_folder(part.model.name, experiment, references, fmu, tool, host())
+    return {**found, "cross_check.zip": archive(folders)}
 
 
 def oldest_glibc(files: Mapping[str, bytes | str]) -> str | None:
@@ -152,6 +158,11 @@ def _check(options) -> None:
         raise BadInput("command line", "--adapt", "--adapt without --twin", "both: the twin adapts these parameters")
     if options.platforms != "host" and not native:
         raise BadInput("command line", "--platforms", f"{options.platforms} with --flavour python", "--flavour native or both")
+    if options.flat and (options.model or options.fmi == "3.0"):
+        given = "--model" if options.model else "--fmi 3.0"
+        raise BadInput(
+            "command line", "--flat", f"--flat and {given}", "--flat with plant and controller of FMI 2.0: their loop"
+        )
     if options.fmi == "3.0" and options.cross_check:
         raise BadInput("command line", "--cross-check", "--fmi 3.0", "--fmi 2.0, the only version of the cross-check")
     if options.fmi == "3.0" and options.flavour != "native":
@@ -213,8 +224,10 @@ def exported(
     flavours: Iterable[str],
     platforms: str = "host",
     fmi: str = "2.0",
+    flat: bool = False,
 ) -> dict[str, bytes | str]:
-    """All files by name, made before any is written. With two parts or more, the loop of the first two is one of them."""
+    """All files by name, made before any is written. With two parts or more, the loop of the first two is one of them; `flat`:
+    a second time, without connectors of the system."""
     experiment = _experiment(parts)
     make: dict[str, Callable[..., bytes]] = {"python": python_fmu, "native": native_fmu}
     found: dict[str, bytes | str] = {}
@@ -225,13 +238,10 @@ def exported(
         if len(parts) > 1 and fmi == "2.0":  # SSP 1.0 supports no other
             loop = {p.model.name: (p, fmus[p.model.name]) for p in parts[:2]}  # a twin monitors the loop and is no part of it
             wanted = {"thrust_set": float(f"{0.5 * sum(reach(parts[0], parts[1].values)):.2g}")}  # the middle of the reach
-            for flat in (False, True):
-                ssp = loop_ssp(loop, wanted, experiment.stop, connectors=not flat)
-                found[f"{NAME}{SUFFIX[flavour]}{FLAT * flat}.ssp"] = ssp
-    for part in parts:
-        name = part.model.name
-        found |= {f"{name}.ssv": to_ssv(part, name), **reference_files(part.model, part.values, experiment)}
-    return found
+            for end in ("", FLAT)[: 1 + flat]:
+                ssp = loop_ssp(loop, wanted, experiment.stop, connectors=not end)
+                found[f"{NAME}{SUFFIX[flavour]}{end}.ssp"] = ssp
+    return found | {f"{part.model.name}.ssv": to_ssv(part, part.model.name) for part in parts}
 
 
 def _origins(parameters: ParameterSet) -> dict[str, str]:

@@ -71,14 +71,14 @@ from vpp_fmu.app.cli.prompts import Prompts
 from vpp_fmu.app.report.pages.loop import headline
 from vpp_fmu.app.report.pages.rig import calibration_page, campaign_page, fmu_page, replay_page, run_page, selftest_page
 from vpp_fmu.date import now
-from vpp_fmu.errors import BadInput, VppError
+from vpp_fmu.errors import BadInput, RecordWarning, VppError
 from vpp_fmu.files import OutputFolder, read_text
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
 from vpp_fmu.parameters import ParameterSet, beside, check_same_model, knowledge_file, parameters_file
 from vpp_fmu.parquet import check_parquet
 from vpp_fmu.plants import COMMANDS, Controller, FmuController, FmuPlant, KernelController, KernelPlant
 from vpp_fmu.reach import warn_beyond_reach
-from vpp_fmu.record import Record, RecordWarning, read_profile, read_record
+from vpp_fmu.record import Record, read_profile, read_record
 from vpp_fmu.rig import FILE, Rig, declared_rig, rig_file
 from vpp_fmu.structured import as_json
 

@@ -7,7 +7,7 @@ from tqdm import tqdm
 from identification.fit.refine import METHODS
 from identification.identify import Identification, identify
 from vpp_fmu.app.cli.answer import Answer
-from vpp_fmu.app.cli.options import SEED, WORKERS, whole
+from vpp_fmu.app.cli.options import SEED, whole
 from vpp_fmu.app.cli.output import add_accept, add_output, dated, written
 from vpp_fmu.app.report.pages.identification import headline, identification_page, key_figures, not_identifiable, remarks
 from vpp_fmu.campaign import NAMES, NEED, read_campaign
@@ -28,11 +28,6 @@ def configure(parser):
         "--starts", type=whole(1, 1000), default=8, metavar="N", help="starts of the search (default: %(default)s)"
     )
     parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="of the random starts (default: %(default)s)")
-    text = "resamples of a block bootstrap (default: none)"
-    parser.add_argument("--bootstrap", type=whole(2, 10**6, also=(0,)), default=0, metavar="N", help=text)
-    text = "processes for the bootstrap (default: %(default)s)"
-    parser.add_argument("--workers", type=WORKERS, default=1, metavar="N", help=text)
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler to run the bootstrap on instead")
     add_accept(parser)
     add_output(parser)
 
@@ -47,9 +42,6 @@ def run(options):
             method=options.method,
             starts=options.starts,
             seed=options.seed,
-            resamples=options.bootstrap,
-            workers=options.workers,
-            scheduler=options.scheduler,
             records=records,
             accept=options.accept,
             stage=bar.set_description,

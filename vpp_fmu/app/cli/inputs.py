@@ -5,7 +5,7 @@ import warnings
 from identification.assessment.information import read_knowledge, read_noise
 from identification.fit.problem import Prior
 from vpp_fmu.app.cli.output import add_effects_from
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, RecordWarning
 from vpp_fmu.files import InFolder
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
@@ -19,7 +19,6 @@ from vpp_fmu.parameters import (
     parameters_file,
     read_parameters,
 )
-from vpp_fmu.record import RecordWarning
 
 GAINS = "the controller's parameters (default: the published gains, within the limits and at the pace of the parameters' rig)"
 

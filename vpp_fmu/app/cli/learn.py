@@ -11,7 +11,7 @@ import numpy as np
 from tqdm import tqdm
 
 from identification.tune.controllers import controllers
-from identification.tune.learn import Learned, learn, random_steps
+from identification.tune.learn import LearnedLaw, learn, random_steps
 from identification.tune.profile import rig_profile
 from identification.tune.tune import Task, chain_of, tune
 from vpp_fmu.app.cli.answer import Answer
@@ -67,19 +67,13 @@ def run(options):
     )
     folder = OutputSet(options.output, "learn")
     with tqdm(total=100, unit="%", disable=None, leave=False) as bar:
-        found = learn(
-            task,
-            settings,
-            options.hidden,
-            options.generations,
-            options.plants,
-            lambda share: bar.update(round(100 * share) - bar.n),
-        )
+        size = options.hidden, options.generations, options.plants
+        found = learn(task, settings, *size, lambda share: bar.update(round(100 * share) - bar.n))
     write_learning(folder, found, parameters.label)
     return Answer(headline(found), summary(found), figures=key_figures(found), written=written(options, folder, parameters))
 
 
-def write_learning(folder: OutputFolder, found: Learned, source: str) -> None:
+def write_learning(folder: OutputFolder, found: LearnedLaw, source: str) -> None:
     """All files of a learned law; `source`: of the parameters."""
     folder.write(FILE, as_json(found.policy.to_dict()))
     rows = [f"{n},{c:.7g}" for n, c in zip(found.evaluations, found.cost, strict=True)]
@@ -110,7 +104,7 @@ def task_of(
     return task, tuned.objective.with_gains(tuned.final)
 
 
-def summary(found: Learned) -> dict:
+def summary(found: LearnedLaw) -> dict:
     """The content of learning.json."""
     compared = {
         name: {

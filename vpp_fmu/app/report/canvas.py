@@ -133,9 +133,9 @@ def add_ground(fig: go.Figure, half_width: float, name: str) -> None:
     fig.add_hrect(-half_width, half_width, name=name, **shape)
 
 
-def add_level(fig: go.Figure, y: float, name: str, width: float = 1.6) -> None:
+def add_level(fig: go.Figure, y: float, name: str) -> None:
     """A dashed line at a level, such as that of the noise alone."""
-    fig.add_hline(y=y, line={"color": style.MEASURED, "width": width, "dash": "dash"}, name=name, showlegend=True)
+    fig.add_hline(y=y, line={"color": style.MEASURED, "width": 1.6, "dash": "dash"}, name=name, showlegend=True)
 
 
 def heatmap(

@@ -208,7 +208,6 @@ def add_found(page: Page, found: Identification) -> None:
             f"The cost is not quadratic in {', '.join(map(words, uncertainty.profiled))}: their 95 % intervals are from the "
             "profile likelihood."
         )
-    _add_bootstrap(page, found)
     _add_forms(page, uncertainty)
     if found.refinement is not None:
         _add_curve(page, found.refinement)
@@ -252,16 +251,6 @@ def _add_values(page: Page, found: Identification) -> None:
     else:
         columns = ("parameter", "unit", "value", "std", "95 % interval")
         page.table(columns, [(*row[:2], *row[3:6]) for row in rows], "Unit 1: normalised.")
-
-
-def _add_bootstrap(page: Page, found: Identification) -> None:
-    if found.bootstrap is not None:
-        b = found.bootstrap
-        ends = [interval(*each) for each in b.intervals.tolist()]
-        std, ratio = ([number(v, 3) for v in each] for each in (b.std, b.ratio))
-        rows = list(zip(b.names, std, ends, ratio, strict=True))
-        columns = ("parameter", "std", "95 % interval", "over the covariance's std")
-        page.table(columns, rows, f"Block bootstrap, {len(b.samples)} resamples: without the assumption of a quadratic cost.")
 
 
 def _add_forms(page: Page, uncertainty: Uncertainty) -> None:

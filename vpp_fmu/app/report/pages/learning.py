@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from identification.tune.learn import Learned
+from identification.tune.learn import LearnedLaw
 from vpp_fmu.app.report.figures.loop import cost_ranks
 from vpp_fmu.app.report.figures.parameters import learning_curve
 from vpp_fmu.app.report.figures.time import closed_loop
@@ -13,13 +13,13 @@ from vpp_fmu.digits import number
 NAMES = {"policy": "learned law", "PID": "tuned PID"}
 
 
-def key_figures(found: Learned) -> list[tuple[str, str, str]]:
+def key_figures(found: LearnedLaw) -> list[tuple[str, str, str]]:
     """(label, value, note) of the figures of the first screen."""
     policy, pid = found.flights["policy"], found.flights["PID"]
-    change, count = np.mean(policy.errors) / np.mean(pid.errors) - 1.0, len(policy.errors)
+    more, count = np.mean(policy.errors) / np.mean(pid.errors) - 1.0, len(policy.errors)
     worst = number(float(np.max(pid.errors)), 3), number(float(np.max(policy.errors)), 3)
     return [
-        ("squared error", f"{100.0 * change:+.0f} %", f"mean of {count} held-out plants, tuned PID → learned law"),
+        ("squared error", f"{100.0 * more:+.0f} %", f"mean of {count} held-out plants, tuned PID → learned law"),
         ("less error", f"{100.0 * found.better:.0f} %", "share of the held-out plants"),
         ("worst plant", f"{worst[0]} → {worst[1]} s", "integral of the squared normalised error, PID → law"),
         ("commands", f"{pid.travel:.3g} → {policy.travel:.3g} 1/s", "ranges that the commands travel a second, PID → law"),
@@ -28,7 +28,7 @@ def key_figures(found: Learned) -> list[tuple[str, str, str]]:
     ]
 
 
-def headline(found: Learned) -> str:
+def headline(found: LearnedLaw) -> str:
     """The comparison in a sentence."""
     policy, pid = (float(np.mean(found.flights[name].errors)) for name in ("policy", "PID"))
     word = "less" if policy < pid else "more"
@@ -38,7 +38,7 @@ def headline(found: Learned) -> str:
     )
 
 
-def learning_page(found: Learned, source: str = "") -> Page:
+def learning_page(found: LearnedLaw, source: str = "") -> Page:
     """The page of one learned law; `source`: of the parameters."""
     size = " x ".join(map(str, found.policy.size))
     text = f"A network of {size} units in the controller's place. Its weights were searched on plants drawn from the "
@@ -56,10 +56,4 @@ def learning_page(found: Learned, source: str = "") -> Page:
     title = f"The median cost of a generation ends at {number(float(found.cost[-1]), 3)}"
     caption = "Each generation flies other plants and set-points, so that its cost varies."
     page.figure(learning_curve(found.evaluations, found.cost, title), caption)
-    rows = [
-        (NAMES[n], *(number(float(v), 4) for v in (np.mean(f.errors), np.max(f.errors), np.median(f.overshoots), f.travel)))
-        for n, f in found.flights.items()
-    ]
-    columns = ("controller", "mean squared error [s]", "worst [s]", "median overshoot of a step [-]", "travel [1/s]")
-    page.table(columns, rows, "Held-out plants. Travel: of the commands, in their ranges, a second.")
     return page

@@ -1,13 +1,10 @@
-"""python -m tests.studies power_residual [--rigs 60] [--first-seed 0]: hidden effects of power on synthetic rigs.
+"""Synthetic rigs with hidden effects of power, with their own equations, for the tests of the diagnosis of power.
 
-Each rig has its own equations: lags of speed and pitch, torque, a motor with a winding that heats, a servo and a supply. Its
-map and motor are fitted from steady points as in the study `power`; the lags that the diagnosis gets are wrong by up to 1 %.
-Noise is white, and half of the rigs also have slow noise. A rig has no hidden effect, one, or a power that depends on the rate
-of speed by a curve that no effect has. Printed are the false names, the share named of those with an expected evidence of
-EXPECTED nats or more and of the others, and the share of the 95 % intervals that contain the true size.
+Each rig has lags of speed and pitch, torque, a motor with a winding that heats, a servo and a supply. Its map and motor are
+fitted from steady points; the lags that the diagnosis gets are wrong by up to 1 %. Noise is white, on half of
+the rigs also slow.
 """
 
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,20 +13,13 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from identification.power.diagnose import PowerDiagnosis, diagnose_power
-from identification.power.fit import electrical, fit_power, steady_readings
-from identification.power.model import PowerModel
-from identification.power.records import power_part, respond
-from identification.power.regression import Regression
+from identification.power.fit import fit_power, steady_readings
 from vpp_fmu.campaign import StaticMap
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.kernel.power import RAD_PER_S
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 
-KINDS = ("none", "resistance_heating", "servo_load rate", "servo_load rate and thrust", "supply_sag", "power_drift", "curve")
-EXPECTED = 20.0
-WITHOUT_TORQUE = "resistance_heating, no torque"
-"""Rigs that heat and whose steady points have no torque, which makes the size uncertain."""
 BLOCK = 0.5 / 30.0
 LAGS = {"tau_omega_1": 0.12, "tau_omega_2": 0.05, "tau_beta_1": 0.1, "tau_beta_2": 0.06}
 
@@ -44,7 +34,7 @@ class Rig:
     @cached_property
     def drawn(self) -> dict:
         rng = np.random.default_rng([self.seed, 77])
-        found = {
+        return {
             "map": rng.uniform([0.05, 0.05, 0.1], [0.15, 0.15, 0.4]),  # N.m: w^2, w^2 b, w^2 b^2
             "constant": rng.uniform(0.012, 0.022),  # N.m/A
             "resistance": rng.uniform(0.03, 0.12),
@@ -62,7 +52,6 @@ class Rig:
             "torque": bool(rng.random() < 0.7),
             "scatter": rng.uniform(-0.01, 0.01, 4),
         }
-        return found | {"rng": rng}
 
     def commands(self, rng):
         """(time, speed [rpm], pitch [deg]): independent holds."""
@@ -95,8 +84,6 @@ class Rig:
             power = power + self.size * np.abs(rate)
         if hidden == "servo_load rate and thrust":
             power = power + self.size * np.abs(rate * thrust)
-        if hidden == "curve":  # in no list: the power depends on the rate of speed
-            power = power * (1.0 + 0.02 * d["strength"] * np.tanh(faster / 2000.0))
         return power * (1.0 + self.size * time) if hidden == "power_drift" else power
 
     @property
@@ -113,7 +100,7 @@ class Rig:
         scales = {"servo_load rate": 0.3, "servo_load rate and thrust": 0.05, "supply_sag": 0.1, "power_drift": 5e-4}
         return scales.get(self.kind, 0.0) * d["strength"]
 
-    def record(self, rng, hidden):
+    def record(self, rng):
         """The record of the rig's logger."""
         d = self.drawn
         time, omega_ref, beta_ref = self.commands(rng)
@@ -121,7 +108,7 @@ class Rig:
         omega, faster = two_lags(omega_ref, *tau[:2], time[1])
         beta, rate = two_lags(beta_ref, *tau[2:], time[1])
         thrust = thrust_of(omega, beta)
-        power = self.electrical(time, omega, beta, faster, rate, thrust, hidden)
+        power = self.electrical(time, omega, beta, faster, rate, thrust, self.kind)
         mean, n = float(power.mean()), len(time)
         noise = d["noise"] * mean * rng.standard_normal(n)
         if d["slow"]:
@@ -129,7 +116,7 @@ class Rig:
             noise += lfilter([np.sqrt(1.0 - kept**2) * 0.5 * d["noise"] * mean], [1.0, -kept], rng.standard_normal(n))
         power = power + noise
         columns = {"time": time, "omega_ref": omega_ref, "beta_ref": beta_ref, "thrust": thrust + 0.1 * rng.standard_normal(n)}
-        inner = self.size if hidden == "supply_sag" else 0.0
+        inner = self.size if self.kind == "supply_sag" else 0.0
         half = 0.5 * d["volts"]
         volts = half + np.sqrt(half**2 - inner * power)  # V = E - R I, P = V I
         read = rng.standard_normal((2, n)) * [[0.002 * d["volts"]], [0.01 * mean / d["volts"]]]
@@ -156,28 +143,10 @@ class Rig:
         base = ParameterSet(BASE).replaced(values)
         return fit_power(steady_readings(self.points, base.values)).added_to(base)
 
-    def open_loop(self, hidden: str) -> Record:
-        """The same commands and noise for each `hidden` effect."""
-        return self.record(np.random.default_rng([self.seed, 79]), hidden)
-
-    def diagnosed(self, hidden: str) -> PowerDiagnosis:
+    def diagnosed(self) -> PowerDiagnosis:
         """The diagnosis, with a validation record of its own commands."""
-        unseen = self.record(np.random.default_rng([self.seed, 80]), hidden)
-        return diagnose_power({"open_loop": self.open_loop(hidden)}, unseen, self.parameters, BLOCK)
-
-    def expected(self, found: PowerDiagnosis) -> float:
-        """Evidence of the hidden effect if its size were known, under the noise of the same record without it. A voltage's
-        noise is that of the final fit."""
-        clean, full = self.open_loop("none"), self.open_loop(self.kind)
-        if self.kind == "supply_sag":
-            problem, signal = found.voltage[1].problem, full["voltage"] - clean["voltage"]
-        else:
-            response, model = respond(self.parameters, clean), PowerModel.of(self.parameters)
-            problem = Regression.of([power_part("clean", response, model, BLOCK, 1.0)])
-            signal = electrical(full.columns) - electrical(clean.columns)
-        white = problem.orthogonal(problem.whitened([problem.parts[0].at.mean(signal)]))
-        sizes = 2 if self.kind == "resistance_heating" else 1
-        return 0.5 * float(white @ white) - 0.5 * sizes * np.log(len(white))
+        fitted, unseen = (self.record(np.random.default_rng([self.seed, k])) for k in (79, 80))
+        return diagnose_power({"open_loop": fitted}, unseen, self.parameters, BLOCK)
 
 
 def thrust_of(omega, beta):
@@ -198,40 +167,6 @@ def two_lags(command, slow, fast, step):
     return states, rate
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Result of a rig: names, expected evidence of the hidden effect, and for each size whether its interval has the truth."""
-
-    kind: str
-    names: tuple[str, ...]
-    verdict: str
-    expected: float
-    covered: tuple[bool, ...]
-    errors: tuple[float, float]
-    line: str
-
-
-def diagnosed(seed: int, kind: str | None = None) -> Outcome:
-    """Draw a rig and diagnose it."""
-    kind = kind or KINDS[seed % len(KINDS)]
-    rig = Rig(seed, kind)
-    found = rig.diagnosed(kind)
-    names = tuple(f"{e.name} {e.form}".removesuffix(" only") for e in found.effects)
-    expected = rig.expected(found) if kind not in ("none", "curve") else 0.0
-    sizes = truth(rig, found) if kind in names else {}
-    covered, shown = [], []
-    for (name, p), value in sizes.items():
-        own = found.parameters[name][p]
-        covered.append(own["interval"][0] <= value <= own["interval"][1])
-        shown.append(f"{p} {value:.4g} in {own['interval'][0]:.4g} .. {own['interval'][1]:.4g}")
-    d = rig.drawn
-    line = f"{seed:4d} {kind:27s} {found.verdict:12s} {', '.join(names) or '-':30s} expected {expected:7.1f}  "
-    line += f"{d['columns']} torque {d['torque']} noise {d['noise']:.3f} rate {d['rate']:.0f}  {'; '.join(shown)}"
-    line += f" lack p {found.lack[1].p:.2g} {found.lack[1].size:.3g} W"
-    rough = kind == "resistance_heating" and not d["torque"]
-    return Outcome(WITHOUT_TORQUE if rough else kind, names, found.verdict, expected, tuple(covered), found.errors, line)
-
-
 def truth(rig: Rig, found: PowerDiagnosis) -> dict:
     """True sizes by (effect, parameter)."""
     if rig.kind == "supply_sag":
@@ -250,37 +185,3 @@ def truth(rig: Rig, found: PowerDiagnosis) -> dict:
         ("resistance_heating", "gain"): rig.rise * loss**2,
         ("resistance_heating", "time_constant"): d["time_constant"],
     }
-
-
-def main(parser, arguments):
-    parser.add_argument("--rigs", type=int, default=60, metavar="N")
-    parser.add_argument("--first-seed", type=int, default=0, metavar="N")
-    parser.add_argument("--workers", type=int, default=1, metavar="N")
-    parser.add_argument("--verbose", action="store_true", help="a line for each rig")
-    parsed = parser.parse_args(arguments)
-    seeds = range(parsed.first_seed, parsed.first_seed + parsed.rigs)
-    with ProcessPoolExecutor(parsed.workers) as pool:
-        found = []
-        for one in pool.map(diagnosed, seeds):
-            found.append(one)
-            if parsed.verbose:
-                print(one.line, flush=True)
-    print(table(found))
-
-
-def table(found: list[Outcome]) -> str:
-    lines = [f"{'hidden':30s} {'rigs':>4s} {'named, expected >= 20':>22s} {'named, weaker':>14s} {'other names':>12s} "]
-    lines[0] += f"{'lack of fit':>12s} {'sizes covered':>14s}"
-    for label in (*KINDS, WITHOUT_TORQUE):
-        own, kind = [o for o in found if o.kind == label], label.partition(",")[0]
-        clear = [o for o in own if o.expected >= EXPECTED]
-        weak = [o for o in own if o.expected < EXPECTED]
-        others = sum(any(n != kind for n in o.names) for o in own)
-        lack = sum(o.verdict in ("partly", "unexplained") for o in own)
-        covered = [c for o in own for c in o.covered]
-        named = [f"{sum(kind in o.names for o in group)} of {len(group)}" for group in (clear, weak)]
-        lines.append(
-            f"{label:30s} {len(own):4d} {named[0]:>22s} {named[1]:>14s} {others:12d} {lack:12d} "
-            f"{f'{sum(covered)} of {len(covered)}':>14s}"
-        )
-    return "\n".join(lines)
