@@ -271,8 +271,11 @@ class _Searched:
 
     @property
     def word(self) -> str:
-        """The verdict, of the base if validation refutes the selected set."""
-        return "unexplained" if self.refuted else verdict_of(self.stages)
+        """The verdict. If validation refutes the selected set: whether lack of fit was found, without or with it."""
+        if not self.refuted:
+            return verdict_of(self.stages)
+        lacks = [unnamed(lack) for s in self.stages for lack in (s.before, s.after)]
+        return "unexplained" if "unexplained" in lacks else "none"
 
     def selection(self, stages: Sequence[Stage] | None = None) -> Selection:
         return selection_of(self.judge.searcher, self.judge.base, self.stages if stages is None else stages)
