@@ -24,7 +24,6 @@ from hil.session import Session, Setup, found_log, read_log, session
 from vpp_fmu.date import now
 from vpp_fmu.errors import BadInput, RecordWarning
 from vpp_fmu.files import OutputFolder
-from vpp_fmu.parquet import as_parquet
 from vpp_fmu.record import Record, read_record, write_record
 from vpp_fmu.structured import as_json, read_object
 
@@ -56,7 +55,6 @@ class Measuring:
     plan: Plan
     parts: Sequence[str] = PARTS
     commands: Record | None = None
-    parquet: bool = False
 
     def begin(self, folder: Path, begun: dict, resume: bool, replace: bool = False) -> dict:
         """Content of hil.json before the first part; with `resume` the previous one, if the campaign is the same. BadInput; a
@@ -123,7 +121,7 @@ class Measuring:
         """One part on the rig: (session, record, None), or (session, None, why it ended early)."""
         setup, record, ended = self._again(part), None, None
         have = measured_so_far(folder, part) if part in ("static", "steps") else []
-        in_view = sys.stderr.isatty() and not setup.virtual  # the live view shows the progress
+        in_view = sys.stderr.isatty() and not setup.virtual  # the terminal's line shows the progress
         with (
             tqdm(total=100, unit="%", desc=part, disable=True if in_view else None, leave=False) as bar,
             session(setup, folder, log_name(folder, part), self._seconds(part), page=page) as one,
@@ -166,8 +164,6 @@ class Measuring:
             say("repeat: a slot was missed where a command changed, so the commands differ: kept as open_loop_again.csv")
             name = "open_loop_again"
         write_record(folder, f"{name}.csv", record)
-        if self.parquet:
-            folder.write(f"{name}.parquet", as_parquet(record))
         (folder.path / f"{part}{PARTIAL}").unlink(missing_ok=True)
 
 
@@ -222,7 +218,7 @@ def forget(folder: Path) -> None:
         for log in attempts(folder, part):
             log.unlink(missing_ok=True)
             events_of(log).unlink()
-        for suffix in (".csv", ".parquet", PARTIAL):
+        for suffix in (".csv", PARTIAL):
             (folder / f"{part}{suffix}").unlink(missing_ok=True)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from hil.bench import Bench
 from hil.columns import STATES
-from hil.live import View
+from hil.live import EVERY, StatusLine, text_of
 from hil.log import Log
 from hil.page.operator_page import OperatorPage
 from hil.safety.faults import DeviceFault, Fault, FaultKind
@@ -27,9 +27,6 @@ COUNTED = 250
 NOBODY = (math.nan, math.nan)
 """Values of a controller while there is none."""
 
-UNLEARNED = (math.nan, math.nan)
-"""Values of an adaptive twin in the live view while there is none."""
-
 
 class Cycle:
     """The rig's ticks, with their devices, log, checks and safety states.
@@ -37,7 +34,7 @@ class Cycle:
     `wanted`: the controller's set-point [N]. `throttle` [1] and `commands` [rpm, deg] are on the outputs. `residual` [N] and
     `alarm` are the twin's, for the log. `asked`: why the operator ends the run. `transitions`: (time [s], state, why). `page`:
     the operator's page; its failure is logged and the run continues. `adapted`: the adaptive twin's `beside` outputs for the
-    log; `learned`: those in the live view (`Adaptive.shown`).
+    log. `line`: the terminal's, if there is one.
     """
 
     def __init__(
@@ -46,7 +43,7 @@ class Cycle:
         limits: Limits,
         log: Log,
         signals: StopSignals | None,
-        view: View,
+        line: StatusLine | None,
         plausibility: Callable[[], Plausibility],
         page: OperatorPage | None = None,
         beside: int = 0,
@@ -54,9 +51,9 @@ class Cycle:
         self.dt, self.bench, self.limits, self.states = PERIOD, bench, limits, StateMachine()
         self.ticks, self._tick = Ticks(bench.clock, self.dt), Tick(0, 0.0, 0)
         self.transitions: list[tuple[float, str, str]] = [(0.0, STATES[0], "start")]
-        self.done = math.nan  # % of a record or a campaign's part, for the view
+        self.done = math.nan  # % of a record or a campaign's part, for the terminal's line
         self.wanted, self.zero = math.nan, bench.calibration.zero
-        self._log, self._signals, self._view, self._judgement = log, signals, view, plausibility
+        self._log, self._signals, self._line, self._judgement = log, signals, line, plausibility
         self._page, self._page_gone, self._counted, self._short = page, False, {}, False
         self._known: set[tuple[str, FaultKind]] = set()
         self._nothing = (math.nan,) * beside
@@ -75,7 +72,6 @@ class Cycle:
     def forget(self) -> None:
         """Clear the adaptive twin's outputs."""
         self.adapted: Sequence[float] = self._nothing
-        self.learned = UNLEARNED
 
     def wake(self) -> None:
         """Request and read the sensors before the first tick after a break."""
@@ -168,16 +164,30 @@ class Cycle:
             *sensors.supply.values(),
             *self.adapted,
         )
-        self._view.show(
-            *(state, sensors.thrust, self.wanted, sensors.omega, self.commands[1]),
-            *(self.throttle, self.residual, self.alarm, *self.learned, *sensors.supply.values()),
-            *(self.ticks.missed, self.done, self._page_gone, self._short),
-        )
+        if self._line and self.ticks.ticks % EVERY == 0:
+            self._line.show(self._status())
         if self.ticks.ticks % COUNTED == 0:
             self._keep_counters()
             if not self._short and self._log.warning:
                 self._short = True
                 self.note(f"log: {self._log.warning}")
+
+    def _status(self) -> str:
+        """The text of the terminal's line."""
+        numbers = (
+            ("thrust", "6.2f", self.sensors.thrust, "N"),
+            ("set-point", "6.2f", self.wanted, "N"),
+            ("speed", "5.0f", self.sensors.omega, "rpm"),
+            ("pitch command", "5.1f", self.commands[1], "deg"),
+            ("missed", "3.0f", self.ticks.missed, ""),
+            ("done", "3.0f", self.done, "%"),
+        )
+        warnings = {
+            "ALARM: not as its model": self.alarm,
+            "the page is gone": self._page_gone,
+            "THE DISK IS NEARLY FULL": self._short,
+        }
+        return text_of(self.states.state.value, numbers, [text for text, on in warnings.items() if on])
 
     def _keep_counters(self) -> None:
         """Write the counters of recovered errors to the log's events, if they changed."""

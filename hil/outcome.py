@@ -28,7 +28,6 @@ from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.loop import run as run_loop
-from vpp_fmu.parquet import as_parquet
 from vpp_fmu.plants import Controller, FmuPlant
 from vpp_fmu.record import Record
 from vpp_fmu.response import UNITS, Step, smoothed, steps
@@ -83,7 +82,6 @@ class Task:
     twin: tuple[Twin, Band, Adaptive] | None = None
     beside: tuple[str, Record] | None = None
     on_alarm: FaultKind | None = None
-    parquet: bool = False
     inject: tuple[str, float] | None = None
 
     def summary(self) -> dict:
@@ -151,8 +149,6 @@ def carry_out(
         content["adaptive_twin"] |= {"alarms": [{"time": at, "points_to": what} for at, what in adaptive.alarms]}
     try:
         found = finish(folder, content, done.log, report, task.beside)
-        if task.parquet:
-            folder.write("run.parquet", as_parquet(done.record))
     except BadInput as refused:
         if not done.ended:
             raise
@@ -198,14 +194,10 @@ def fmu_loop(plant: str, controller: Controller, profile: Record, start: tuple[f
     return record
 
 
-def finish_fmu(
-    folder: OutputFolder, plant: str, record: Record, limits: Mapping[str, tuple[float, float]], parquet: bool
-) -> dict:
+def finish_fmu(folder: OutputFolder, plant: str, record: Record, limits: Mapping[str, tuple[float, float]]) -> dict:
     """Write the files of a run with a plant FMU instead of the rig, except its page; returns the content of hil.json. `limits`:
     as of `judged_steps`."""
     write_run(folder.path / "run.csv", record)
-    if parquet:
-        folder.write("run.parquet", as_parquet(record))
     content = {"format": "vpp-hil/1", "rig": "fmu", "plant": Path(plant).name, **_settling({"plant FMU": record}, limits)}
     folder.write("hil.json", as_json(content))
     return content

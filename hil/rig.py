@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from hil.bench import Bench
 from hil.cycle import NOBODY, PERIOD, Cycle
-from hil.live import NoView, View
+from hil.live import StatusLine
 from hil.log import Log
 from hil.page.operator_page import OperatorPage
 from hil.physics.speed_pi import SpeedPi
@@ -77,7 +77,7 @@ class Rig:
         supervise: Callable[[], Supervisor] | None = None,
         signals: StopSignals | None = None,
         twin: Twin | None = None,
-        view: View | None = None,
+        line: StatusLine | None = None,
         plausibility: Callable[[], Plausibility] | None = None,
         gate: TareGate | None = None,
         polarity: Polarity | None = None,
@@ -87,9 +87,7 @@ class Rig:
     ):
         self.dt, self.bench, self.limits, self._gate = PERIOD, bench, limits, gate
         plausibility = plausibility or (lambda: Plausibility(limits, PERIOD))
-        self._cycle = Cycle(
-            bench, limits, log, signals, view or NoView(), plausibility, page, len(adaptive.outputs) if adaptive else 0
-        )
+        self._cycle = Cycle(bench, limits, log, signals, line, plausibility, page, len(adaptive.outputs) if adaptive else 0)
         self.states, self.ticks, self.transitions = self._cycle.states, self._cycle.ticks, self._cycle.transitions
         self._supervise, self._twin, self._adaptive, self._polarity = supervise, twin, adaptive, polarity
         self._pi, self._limiter = SpeedPi(), Limiter(limits)
@@ -137,10 +135,9 @@ class Rig:
         return self.last
 
     def _adapt(self, adaptive: Adaptive, omega_ref: float, beta_ref: float) -> None:
-        """Update the adaptive twin with the last readings, for log and view; its alarms are noted and do not end the run."""
+        """Update the adaptive twin with the last readings, for the log; its alarms are noted and do not end the run."""
         known, cycle = len(adaptive.alarms), self._cycle
         cycle.adapted = adaptive.update(self.ticks.time, omega_ref, beta_ref, self.last.thrust, self.last.omega)
-        cycle.learned = adaptive.shown(cycle.adapted)
         for _, points in adaptive.alarms[known:]:
             cycle.note(f"adaptive twin: alarm, most like {points}")
 
@@ -204,7 +201,7 @@ class Rig:
         self._end()
 
     def show_done(self, share: float) -> None:
-        """Set the progress in the live view; `share`: 0 to 1."""
+        """Set the progress in the terminal's line; `share`: 0 to 1."""
         self._cycle.done = 100.0 * share
 
     def keep(self, **event) -> None:

@@ -1,4 +1,4 @@
-"""A session with a rig: real time, log, supervisor, signals and live view; and its results."""
+"""A session with a rig: real time, log, supervisor, signals and terminal; and its results."""
 
 import contextlib
 import fcntl
@@ -17,13 +17,13 @@ import numpy as np
 from hil.bench import Bench, Wiring, real_bench
 from hil.calibration import Calibration
 from hil.clock import VirtualClock
-from hil.columns import COLUMNS, LEARNED, SHOWN, WORDS, shown_beside
+from hil.columns import COLUMNS, LEARNED
 from hil.commands import PAPERS
 from hil.cycle import PERIOD
 from hil.emulator.process import real_time_bench
 from hil.emulator.rig import Rig as Emulated
 from hil.emulator.rig import virtual_bench
-from hil.live import NoView, view
+from hil.live import status_line
 from hil.log import Column, Logged, MemoryLog, ProcessLog
 from hil.page.operator_page import OperatorPage
 from hil.realtime import real_time
@@ -141,7 +141,8 @@ def session(
     """A rig to use within the context. After it the idle pulse is on the outputs, and the log and the session are complete.
 
     `log_name`: the full-rate log in `folder`. `seconds`: the length of the run, for which the disk must have room (BadInput).
-    `watch`: show a live view if there is a terminal. `after`: the command that makes a report of the log if this process can't.
+    `watch`: show a line in the terminal, if there is one. `after`: the command that makes a report of the log if this process
+    can't.
     `on_alarm`, `adaptive` as in `Rig`. `page`: the operator's page, in real time only.
     """
     columns = (*COLUMNS, *(Column(LEARNED + name) for name in (adaptive.outputs if adaptive else ())))
@@ -156,9 +157,9 @@ def session(
         log = MemoryLog(at, columns) if in_virtual_time else ProcessLog(at, columns, after, rows_of(seconds))
         if page:
             page.follow(log)
-        labels = shown_beside({name: one.unit for name, one in adaptive.adapted.items()}) if adaptive else (SHOWN, WORDS)
-        shown = NoView() if in_virtual_time or not watch else view(*labels)
-        ends.callback(shown.close)
+        line = None if in_virtual_time or not watch else status_line()
+        if line:
+            ends.callback(line.close)
         report = folder / REPORT
         report.unlink(missing_ok=True)
         pressed = (lambda: page.pressed) if page else (lambda: False)
@@ -175,7 +176,7 @@ def session(
                 None if in_virtual_time else supervise,
                 signals,
                 twin,
-                shown,
+                line,
                 setup.plausibility,
                 gate_of(setup.allowed),
                 setup.polarity(),

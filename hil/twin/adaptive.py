@@ -101,7 +101,6 @@ class Adaptive:
         self.outputs = tuple(y.name for y in twin.model.outputs)
         self.units = {y.name: y.unit for y in twin.model.outputs}
         values, parts = twin.values, {p.name: p for p in twin.model.parameters}
-        self._first = next(k for k, name in enumerate(self.outputs) if name.startswith("adapted."))
         self.adapted = {
             name: Adapted(values[name], values[f"change.{name}"], parts[name].unit, parts[name].description)
             for name in (y.removeprefix("adapted.") for y in self.outputs if y.startswith("adapted."))
@@ -131,11 +130,6 @@ class Adaptive:
             self.alarms.append((t, self._causes[int(outputs[self._points])]))
         self._alarmed = outputs[self._alarm] > 0.5
         return outputs
-
-    def shown(self, outputs: Sequence[float]) -> tuple[float, float]:
-        """Values of the live view (`hil.columns.shown_beside`) from the outputs of `update`: 0, or during an alarm 1 plus the
-        index of its cause; and the first adapted parameter."""
-        return outputs[self._alarm] * (1.0 + outputs[self._points]), outputs[self._first]
 
     def _given(self, *values: float) -> list[float]:
         given = list(self._inputs)

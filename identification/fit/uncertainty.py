@@ -210,24 +210,6 @@ def _remaining_share(j, inverse, m):
     return np.maximum(1.0 - banded(absorbed), 1.0 / ORDINATES)
 
 
-def restored(problem: Problem, found: Solution) -> np.ndarray:
-    """The residual (rows,), scaled at each frequency to the noise power before the fit; rows of a prior are unchanged.
-
-    A bootstrap draws from it, because a fit of steady levels absorbs much of the slow noise. The fit absorbs part of the mean
-    of records of the same commands, and nothing of their differences.
-    """
-    free, inverse, *_ = _free(problem, found, found.jacobian.T @ found.jacobian)
-    residual = found.residual.copy()
-    for group in problem.groups:
-        first, count = group[0], len(group)
-        mean, m = summed(group, found.residual) / count, len(first.time)
-        j = rfft(np.ascontiguousarray(found.jacobian[first.at][:, free].T))
-        taken = irfft(rfft(mean) / np.sqrt(_remaining_share(j, inverse * count, m)), m) - mean
-        for block in group:
-            residual[block.at] += np.interp(block.time, first.time, taken)
-    return residual
-
-
 def _free(problem, found, normal):
     """(free coordinates, inverse of their part of the `normal` matrix, directions (n, k) that the records do not identify, in
     units of the coordinates' influence `size`, size (n,)).

@@ -22,7 +22,7 @@ from vpp_fmu.fmu import simulate_in_fmpy
 from vpp_fmu.record import Record, read_record, write_record
 
 STEPS = {"time": np.array([0.0, 3.0, 6.0, 9.0, 12.0, 15.0]), "thrust_set": np.array([1.5, 12.0, 1.5, 6.0, 8.0, 8.0])}
-LESS = ["--samples", "1000", "--levels", "3"]
+LESS = ["--samples", "1000"]
 """A fifth of the paper's readings per point and three levels: the static map then takes 12 minutes, 20 s in virtual time."""
 
 

@@ -7,9 +7,6 @@ import numpy as np
 import pytest
 from scipy.stats import t
 
-from hil.columns import COLUMNS, LEARNED, SHOWN
-from hil.live import NoView
-from hil.log import Column
 from hil.twin.adaptive import CERTAIN, Adaptive, adaptable, adaptive
 from hil.twin.band import Band
 from vpp_fmu.app.cli import main
@@ -67,39 +64,6 @@ def test_missed_ticks_are_simulated_with_the_last_inputs(identified):
     for k in range(2, 8):
         one.update(k * DT, 5000.0, 4.0, 2.0, 3000.0)
     assert one.update(8 * DT, 4000.0, 2.0, 3.0, 3500.0) == other.update(8 * DT, 4000.0, 2.0, 3.0, 3500.0)
-
-
-class Seen(NoView):
-    """A live view that keeps its values by label."""
-
-    def __init__(self):
-        self.rows = []
-
-    def show(self, *values):
-        self.rows.append(dict(zip((name for name, *_ in SHOWN), values, strict=True)))
-
-
-def test_the_live_view_gets_the_twins_values_in_a_closed_loop(identified, new_rig):
-    twin, seen = Adaptive(adaptive(adaptable(identified, "here"), BAND), DT), Seen()
-    columns = (*COLUMNS, *(Column(LEARNED + name) for name in twin.outputs))
-    rig, log = new_rig(columns=columns, adaptive=twin, view=seen)
-    rig.start(3000.0, 2.0)
-    before = len(seen.rows)
-    for _ in range(5):
-        rig.step(3000.0, 2.0)
-    rig.stop()
-    shown = np.array([[row["adaptive twin"], row["adapted"]] for row in seen.rows])
-    assert np.isfinite(shown).all(axis=1).nonzero()[0].tolist() == list(range(before, before + 5))
-    assert shown[:, 1].tolist() == pytest.approx(log["twin.adapted.sensor_gain.gain"].tolist(), nan_ok=True)
-    assert shown[before : before + 5, 0].tolist() == [0.0] * 5
-
-
-def test_the_live_view_shows_the_parameter_of_an_alarm(identified):
-    twin = Adaptive(adaptive(adaptable(identified, "here"), BAND), DT)
-    outputs = dict.fromkeys(twin.outputs, 0.0) | {"adapted.sensor_gain.gain": 0.9, "direction": 2.0}
-    assert twin.shown(list(outputs.values())) == (0.0, 0.9)  # of an alarm that is over
-    assert twin.shown(list((outputs | {"alarm": 1.0}).values())) == (3.0, 0.9)
-    assert twin.shown(list((outputs | {"alarm": 1.0, "direction": 0.0}).values())) == (1.0, 0.9)  # no parameter
 
 
 def test_export_and_cosim(results, tmp_path, printed):

@@ -117,13 +117,14 @@ def test_a_missed_slot_leaves_its_row_empty(rig):
     assert (found["omega_ref"] == 3000.0).all()
 
 
-@pytest.fixture
-def short_steps(monkeypatch):
-    """Record half a second after a step instead of five."""
-    monkeypatch.setattr("vpp_fmu.app.cli.hil.plan_for", lambda rig: replace(plan_for(rig), after=0.5))
+@pytest.fixture(autouse=True)
+def small_plan(monkeypatch):
+    """One level of steps, half a second after each, and sections of 5 s, which no option sets."""
+    small = {"levels": 1, "after": 0.5, "section": 5.0}
+    monkeypatch.setattr("vpp_fmu.app.cli.hil.plan_for", lambda rig: replace(plan_for(rig), **small))
 
 
-SMALL = ["--points", "2", "--samples", "50", "--settle", "1", "--levels", "1", "--section", "5", "--validation-seconds", "5"]
+SMALL = ["--points", "2", "--samples", "50", "--settle", "1", "--validation-seconds", "5"]
 
 
 def test_the_command_writes_a_campaign_that_reads_back(tmp_path, capsys):
@@ -153,10 +154,10 @@ def declared(path, **entries):
 NARROW = {"speed": {"min": 2513.37, "max": 4000.0}, "pitch": {"min": 4.0, "max": 4.0}, "slew": {"speed": 3000.0}}
 
 
-def test_a_campaign_stays_within_what_the_rig_json_declares_and_says_so(tmp_path, printed, short_steps):
+def test_a_campaign_stays_within_what_the_rig_json_declares_and_says_so(tmp_path, printed):
     file, out = declared(tmp_path / "rig.json", **NARROW), tmp_path / "campaign"
-    short = ["--points", "3", "--samples", "10", "--settle", "0.2", "--section", "5", "--validation-seconds", "5"]
-    said = printed("hil", "campaign", "--virtual", "--rig", file, *short, "--levels", "1", "-o", out)
+    short = ["--points", "3", "--samples", "10", "--settle", "0.2", "--validation-seconds", "5"]
+    said = printed("hil", "campaign", "--virtual", "--rig", file, *short, "-o", out)
     assert "speed 2513.37 to 4000 rpm (rig.json), pitch 4 deg, fixed (rig.json)" in said
     found = read_campaign(out)
     assert found.static.omega_ref.tolist() == [2513.4, 3256.7, 4000.0]
@@ -181,9 +182,7 @@ def test_commands_beyond_the_limits_are_not_begun(tmp_path, refused):
     assert "for a rig of 2000 to 6000 rpm, 12 to 25 deg" in refused(*words, "--rig", far)  # beyond the rod's range
 
 
-@pytest.mark.parametrize(
-    "words", [["--points", "1"], ["--samples", "0"], ["--settle", "0"], ["--section", "1"], ["--levels", "99"]]
-)
+@pytest.mark.parametrize("words", [["--points", "1"], ["--samples", "0"], ["--settle", "0"]])
 def test_sizes_that_make_no_sense_are_refused(refused, words, tmp_path):
     assert words[0] in refused("hil", "campaign", "--virtual", *words, "-o", tmp_path)
 
@@ -200,7 +199,7 @@ def test_a_part_ended_by_a_fault_is_reported_and_its_log_kept(tmp_path, refused)
     assert sorted(set(os.listdir(out)) - {"validation.partial.csv"}) == names
 
 
-def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_not(tmp_path, refused, monkeypatch, short_steps):
+def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_not(tmp_path, refused, monkeypatch):
     small = ["hil", "campaign", "--virtual", *SMALL, "--parts", "static", "steps", "validation"]
     whole, out = tmp_path / "whole", tmp_path / "out"
     assert main([*small, "-o", str(whole)]) == 0
@@ -256,7 +255,7 @@ def test_a_campaign_is_not_overwritten_unless_that_is_asked_for(tmp_path, refuse
     assert "found open_loop.csv" in refused(*small[:-1], str(tmp_path / "imported"))
 
 
-def test_the_log_gives_the_record_of_the_loop(tmp_path, short_steps):
+def test_the_log_gives_the_record_of_the_loop(tmp_path):
     out = tmp_path / "out"
     assert main(["hil", "campaign", "--virtual", *SMALL, "--parts", "steps", "-o", str(out)]) == 0
     write_record(OutputFolder(tmp_path), "again.csv", partial("steps", measured_so_far(out, "steps")))

@@ -48,7 +48,7 @@ def least(log, seconds):
 
 def test_a_campaign_too_long_for_its_disk_is_refused_before_its_first_part(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(room, "free_bytes", lambda folder: 20_000_000)  # enough for each part, not for five
-    small = ["--points", "2", "--samples", "250", "--settle", "0.5", "--section", "60", "--validation-seconds", "60"]
+    small = ["--points", "2", "--samples", "250", "--settle", "0.5", "--validation-seconds", "120"]
     assert main(["hil", "campaign", "--virtual", *small, "-o", str(tmp_path)]) == 2
     assert "free space" in capsys.readouterr().err
     assert not list(tmp_path.glob("*.csv*"))

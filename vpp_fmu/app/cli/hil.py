@@ -75,7 +75,6 @@ from vpp_fmu.errors import BadInput, RecordWarning, VppError
 from vpp_fmu.files import OutputFolder, read_text
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
 from vpp_fmu.parameters import ParameterSet, beside, check_same_model, knowledge_file, parameters_file
-from vpp_fmu.parquet import check_parquet
 from vpp_fmu.plants import COMMANDS, Controller, FmuController, FmuPlant, KernelController, KernelPlant
 from vpp_fmu.reach import warn_beyond_reach
 from vpp_fmu.record import Record, read_profile, read_record
@@ -94,7 +93,8 @@ def configure(parser):
         parser.error(f"platform: found {sys.platform}, expected Linux: a rig needs its clock, PWM files, I2C and terminals")
     parts = parser.add_subparsers(dest="what", required=True, metavar="WHAT", parser_class=type(parser))
     for name, (text, example, add_options, do) in VERBS.items():
-        own = parts.add_parser(name, help=text, description=inspect.getdoc(do), formatter_class=parser.formatter_class)
+        listed = {"help": text} if text else {}
+        own = parts.add_parser(name, **listed, description=inspect.getdoc(do), formatter_class=parser.formatter_class)
         own.epilog = f"example:\n  {example}"
         add_options(own)
         own.set_defaults(run=do)
@@ -137,8 +137,6 @@ def _add_measurements(parser) -> None:
     parser.add_argument(
         "--watch", nargs="?", type=whole(1024, 65535), const=0, metavar="PORT", help=f"{text} (default: a free port)"
     )
-    text = "csv (default), or parquet: the same beside it, with units, exact to the bit; needs the extra 'import'"
-    parser.add_argument("--records", choices=("csv", "parquet"), default="csv", metavar="FORMAT", help=text)
 
 
 def _add_run(parser) -> None:
@@ -170,10 +168,7 @@ PLAN = (
     ("points", "points", whole(2, 100), "a side of the static grid"),
     ("samples", "samples", whole(2, 10**6), "readings a point of the grid"),
     ("settle", "settle", real(0.1, 60.0, "s"), "before a point or a step counts"),
-    ("levels", "levels", whole(1, 20), "of the other command for the steps"),
-    ("section", "section", real(5.0, 3600.0, "s"), "each of the three of the open loop"),
     ("validation-seconds", "validation", real(5.0, 3600.0, "s"), "of the validation record"),
-    ("commands-seed", "seed", SEED, "of the open-loop and validation commands"),
 )
 """Options of a campaign's plan: name, field of `Plan`, kind, help."""
 
@@ -230,7 +225,6 @@ def _run(options) -> Answer:
     """Close the loop on the rig over a profile of set-points (CSV with time, thrust_set).
 
     Tares, arms, spins up, settles, runs, ramps down. Ctrl-C ramps down, a second one stops at once; measured data are kept."""
-    parquet = _parquet(options)
     profile = read_profile(options.profile)
     lines = [] if options.controller else [said_of(gains_of(options), options.gains)]
     rig = which(options, fmu=True)
@@ -241,7 +235,7 @@ def _run(options) -> Answer:
             raise BadInput("command line", "--watch", "--rig fmu", "an emulated or real rig: a loop of FMUs ends in seconds")
         folder = OutputFolder(options.output)
         record, limits = _fmu_loop(rig.plant, options, profile)
-        content = finish_fmu(folder, rig.plant, record, limits, parquet)
+        content = finish_fmu(folder, rig.plant, record, limits)
         folder.write("report.html", fmu_page(rig.plant, record, options.profile, limits).html())
         lines += step_lines({"plant FMU": record}, limits)
         return Answer(headline(judged_steps(record, limits)), content, lines, written=written(options, folder))
@@ -257,7 +251,7 @@ def _run(options) -> Answer:
     twin = _twin(options, setup.allowed)
     other = (Path(options.beside).name, _fmu_loop(options.beside, options, profile)[0]) if options.beside else None
     inject = _injected(options, setup, float(profile.time[-1] - profile.time[0]))
-    task = Task(setup, controller, profile, start, twin, other, ON_ALARM[options.on_alarm], parquet, inject)
+    task = Task(setup, controller, profile, start, twin, other, ON_ALARM[options.on_alarm], inject)
     parent = OutputFolder(options.output)
     lines.append(allowed_words(setup.allowed))
     content = _begun(options, setup) | task.summary()
@@ -296,12 +290,11 @@ def _campaign(options) -> Answer:
 
     Each part is a separate run: tare, arm, run, ramp down. With the paper's plan the static map takes 40 minutes, steps 15.
     Commands stay within the ranges of the rig's rig.json, those of the earlier campaign of --parameters, and the limits."""
-    parquet = _parquet(options)
     setup = replace(setup_of(options, steps=True), map_is_known=False)
     given = {field: getattr(options, name.replace("-", "_")) for name, field, *_ in PLAN}
     plan = replace(plan_for(setup.allowed), **{field: value for field, value in given.items() if value is not None})
     commands = commands_of(options.commands, setup.limits) if options.commands else None
-    folder, measuring = OutputFolder(options.output), Measuring(setup, plan, options.parts, commands, parquet)
+    folder, measuring = OutputFolder(options.output), Measuring(setup, plan, options.parts, commands)
     content = measuring.begin(folder.path, _begun(options, setup), options.resume, options.replace)
     lines = [allowed_words(setup.allowed)]
     with watched(options, content) as page, Lines(options) as shown:
@@ -485,13 +478,6 @@ def _wiring(options) -> Wiring:
     return Wiring(options.bus, port=options.port, pwm=options.pwm, channels=channels)
 
 
-def _parquet(options) -> bool:
-    """Whether records are written as Parquet, too. BadInput without a library for it."""
-    if options.records == "parquet":
-        check_parquet()
-    return options.records == "parquet"
-
-
 def gains_of(options) -> ParameterSet:
     """The kernel's controller for the rig of the options; it samples once per tick, unless its file has another sample time.
     BadInput if its limits exceed the rig's."""
@@ -636,7 +622,7 @@ VERBS = {
         _selftest,
     ),
     "report": (
-        "report and record of a run from its log, where the run could not make them itself",
+        "",
         "vpp hil report out/runs/20260307T141500",
         _add_report,
         _report,
@@ -648,4 +634,5 @@ VERBS = {
         _replay,
     ),
 }
-"""The sub-verbs: a line for `vpp hil --help`, an example, the options, and the run, whose docstring is its help."""
+"""The sub-verbs: a line for `vpp hil --help` (none: not listed, as the log's writer calls it), an example, the options, and the
+run, whose docstring is its help."""
