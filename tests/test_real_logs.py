@@ -1,0 +1,96 @@
+"""Logs of a user, from the folder to the table: which are accepted, fits in both directions, and effects of the logger."""
+
+import csv
+from argparse import ArgumentParser
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from studies import measured
+from studies.readings import NAMES, Logged, outcome
+
+from identification.logs.mapping import FILE
+from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.plant import LIBRARY
+
+SECONDS, NOISE = 20.0, 0.05
+LEFT = np.exp(-0.001 / 0.1)
+"""Remainder of a lag of 0.1 s after 1 ms."""
+
+G = 9.80665e-3
+"""N per gf."""
+
+
+def stand(path, day: int, columns=("Zeit [ms]", "Soll [rpm]", "Ist [rpm]", "Schub [gf]"), every: int = 20):
+    """A day's log of a fixed-pitch stand in its own table, a row `every` ms: one lag, one mark a revolution, and a steady map
+    that is 2 % larger the next day."""
+    rng = np.random.default_rng(day)
+    time = np.arange(0.0, SECONDS, 0.001)
+    command = rng.uniform(2500.0, 5800.0, 40)[(time / 0.5).astype(int)]
+    speed = lfilter([0.0, 1.0 - LEFT], [1.0, -LEFT], command, zi=command[:1])[0]
+    turn = 60.0 / speed  # the pulse came half a revolution ago on average, with the mean of the whole one before
+    covered = np.cumsum(speed) * 0.001
+    mean = (np.interp(time - 0.5 * turn, time, covered) - np.interp(time - 1.5 * turn, time, covered)) / turn
+    thrust = (1.0 + 0.02 * day) * 10.0 * (speed / 6000.0) ** 2 + rng.normal(0.0, NOISE, len(time))
+    mean[time < 0.1] = command[0]
+    rows = slice(None, None, every)
+    time, command, mean, thrust = time[rows], command[rows], mean[rows], thrust[rows]
+    values = 7000.0 + 1e3 * time, command, mean + rng.normal(0.0, 3.0, len(time)), thrust / G
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file, delimiter=";")
+        writer.writerow(columns)
+        writer.writerows([[f"{v:.4f}".replace(".", ",") for v in row] for row in zip(*values, strict=True)])
+
+
+MAPPING = """format = "vpp-mapping/1"
+[open_loop.columns]
+time = "Zeit [ms]:ms"
+omega_ref = "Soll [rpm]:rpm"
+omega = "Ist [rpm]:rpm"
+thrust = "Schub [gf]:gf"
+"""
+
+
+def test_two_logs_beside_a_mapping_are_fitted_one_way_and_the_other(tmp_path, capsys):
+    """A lag and the steady map describe each day. The other day's thrust is 2 % larger, which its own map absorbs, so that
+    noise remains."""
+    folder = tmp_path / "logs" / "stand"
+    folder.mkdir(parents=True)
+    for day in (0, 1):
+        stand(folder / f"day{day}.csv", day)
+    (folder / FILE).write_text(MAPPING)
+    rows = list(measured.found(tmp_path / "logs", look=False))
+    assert [r.name for r in rows] == ["day0 -> day1", "day1 -> day0"]
+    for r in rows:
+        assert 0.08 < r.identified < 0.25
+        assert r.floor == pytest.approx(NOISE, rel=0.1)
+    assert "day0 fitted" in capsys.readouterr().out
+
+
+def test_files_that_are_neither_campaign_nor_log_are_named(tmp_path, capsys):
+    stand(tmp_path / "day0.csv", 0)
+    (tmp_path / "notes.txt").write_text("a windy day")
+    with pytest.raises(BadInput, match=r"two logs of RCbenchmark, or two tables beside an import\.toml"):
+        list(measured.found(tmp_path, look=False))
+    printed = capsys.readouterr().out
+    assert "day0.csv: left out: column Time: found only Zeit" in printed
+    assert "notes.txt: left out: neither a log" in printed
+    with pytest.raises(SystemExit, match="no folder"):
+        measured.main(ArgumentParser(), [str(tmp_path / "none")])
+
+
+SOME = tuple(e for e in LIBRARY if e.off is None or e.name in NAMES)
+
+
+@pytest.mark.parametrize(
+    "case", [Logged(50.0, True), Logged(50.0, False, age=1.0), Logged(50.0, True, late=0.03)], ids=lambda case: case.name
+)
+def test_effects_of_the_logger_are_named(case):
+    """As `python -m tests.studies readings`, with fewer rivals and half the record; times to half a row. A delay and a lag of
+    the load cell of 1.5 rows may not be distinguished; the verdict then names both."""
+    found = outcome(replace(case, seconds=30.0), library=SOME)
+    assert found["word"] in ("right", "family")
+    assert all("not your rotor" in said for said in found["said"].values())
+    assert ("later than the readings of its row" in found["logger"][0]) == bool(case.age)
+    assert np.all(np.abs(found["off"]) < 0.5e3 / case.rate)
