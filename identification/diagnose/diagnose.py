@@ -33,7 +33,16 @@ from identification.diagnose.search.fits import Fit
 from identification.diagnose.search.refits import evidence_over
 from identification.diagnose.selection import Selection, nearest, without
 from identification.diagnose.stages import Stage, joined, lack_of, searched, selection_of, verdict_of
-from identification.diagnose.validation import CHANGED, NAMED, UNEXPLAINED, unnamed, validated, worse_than_noise
+from identification.diagnose.validation import (
+    CHANGED,
+    NAMED,
+    UNEXPLAINED,
+    Replacement,
+    at_supported_thresholds,
+    unnamed,
+    validated,
+    worse_than_noise,
+)
 from identification.fit.coordinates import CHANNELS, slowest
 from identification.fit.noise import Noise
 from identification.gate.finding import Finding
@@ -383,7 +392,12 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
         identified = final = with_slow_noise(found.groups, at, judge.searcher.experiments[0].noise, found.base)
     fitted = tuple(one for group in found.groups for one in group)
     if found.unseen and word not in UNEXPLAINED:
-        missed = worse_than_noise(found.unseen, fitted, judge.searcher.experiments[0].noise, final, judge.least())
+        worse = partial(worse_than_noise, found.unseen, fitted, judge.searcher.experiments[0].noise, least=judge.least())
+        missed = worse(final)
+        if missed and final.effects:
+            given = Replacement(judge, found.base, judge.base, selection.final, final, found.unseen, False)
+            if (narrowed_fit := at_supported_thresholds(given)) and not worse(narrowed_fit):
+                final, missed = narrowed_fit, ""
         word = word if not missed else "partly" if final.effects else "unexplained"
     experiment, guess = discriminating_experiment(_timed(at, final), task.seed, fitted[0].record.period), None
     if word in UNEXPLAINED:

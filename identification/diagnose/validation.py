@@ -6,6 +6,7 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
+from scipy.signal import detrend
 from scipy.stats import f as f_distribution
 
 from identification.assessment.prediction import predict
@@ -93,7 +94,7 @@ def validated(
     too_small = [name for name in final.effects if not judge.matters(name, final)]
     given = Replacement(judge, present, base, found, final, unseen, partly)
     why = NOTHING_LEFT.format(too_small[0]) if too_small else reason_against(given)
-    if why and not too_small and (narrowed := _at_supported_thresholds(given)):
+    if why and not too_small and (narrowed := at_supported_thresholds(given)):
         return narrowed, ""
     return (present, why) if why else (final, "")
 
@@ -102,7 +103,7 @@ POINTS = 9
 """Values of a threshold that are tried within its interval."""
 
 
-def _at_supported_thresholds(given: "Replacement") -> Fit | None:
+def at_supported_thresholds(given: "Replacement") -> Fit | None:
     """The set with thresholds that the unseen record supports, within the intervals that the fitted records leave open. None if
     held-out data refute it there, too, or if no threshold is open.
 
@@ -134,17 +135,17 @@ NOTHING_LEFT = "{} is below the minimum size when estimated for the best predict
 def worse_than_noise(unseen: Unseen, fitted: Sequence[Fitted], noise: Noise, fit: Fit, least: float) -> str:
     """Why the unseen record shows that a model without lack of fit on the `fitted` records misses something; empty if it does
     not. The whitened error below SLOW has more power than on those, by an F test, and the excess has the size `least` [N]. The
-    level of an error is not compared: the zero of a cell differs from record to record."""
+    level and the trend of an error are not compared: the zero of a cell differs from record to record, and drifts."""
 
     def slow(record: Record) -> tuple[float, int, float]:
         """(power of the whitened error below SLOW, degrees of freedom, power of the error itself [N^2])."""
         error = predict(fit.problem.model, fit.values, record).thrust - record["thrust"]
         white = noise.colour.whiten(blocks(record, noise.block).mean(error))
-        white = white[np.isfinite(white)] - np.nanmean(white)
+        white = detrend(white[np.isfinite(white)])
         frequency = np.fft.rfftfreq(len(white), max(noise.block, record.period))
         power = np.abs(np.fft.rfft(white)[(frequency > 0.0) & (frequency < SLOW)]) ** 2 / len(white)
         means = blocks(record, 0.5 / SLOW).mean(error)
-        return float(np.mean(power)), 2 * len(power), float(np.nanvar(means))
+        return float(np.mean(power)), 2 * len(power), float(np.var(detrend(means[np.isfinite(means)])))
 
     new, own, size = slow(unseen.record)
     others = [slow(one.record) for one in fitted]
