@@ -2,17 +2,14 @@
 
 import csv
 from argparse import ArgumentParser
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 from studies import measured
-from studies.readings import NAMES, Logged, outcome
 
 from identification.logs.mapping import FILE
 from vpp_fmu.errors import BadInput
-from vpp_fmu.kernel.plant import LIBRARY
 
 SECONDS, NOISE = 20.0, 0.05
 LEFT = np.exp(-0.001 / 0.1)
@@ -78,19 +75,3 @@ def test_files_that_are_neither_campaign_nor_log_are_named(tmp_path, capsys):
     assert "notes.txt: left out: neither a log" in printed
     with pytest.raises(SystemExit, match="no folder"):
         measured.main(ArgumentParser(), [str(tmp_path / "none")])
-
-
-SOME = tuple(e for e in LIBRARY if e.off is None or e.name in NAMES)
-
-
-@pytest.mark.parametrize(
-    "case", [Logged(50.0, True), Logged(50.0, False, age=1.0), Logged(50.0, True, late=0.03)], ids=lambda case: case.name
-)
-def test_effects_of_the_logger_are_named(case):
-    """As `python -m tests.studies readings`, with fewer rivals and half the record; times to half a row. A delay and a lag of
-    the load cell of 1.5 rows may not be distinguished; the verdict then names both."""
-    found = outcome(replace(case, seconds=30.0), library=SOME)
-    assert found["word"] in ("right", "family")
-    assert all("not your rotor" in said for said in found["said"].values())
-    assert ("later than the readings of its row" in found["logger"][0]) == bool(case.age)
-    assert np.all(np.abs(found["off"]) < 0.5e3 / case.rate)
