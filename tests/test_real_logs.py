@@ -1,4 +1,4 @@
-"""Logs of a user, from the folder to the table: which are accepted, fits in both directions, and effects of the logger."""
+"""Logs of a user, from the folder to the table: which are accepted, and fits in both directions."""
 
 import csv
 from argparse import ArgumentParser
