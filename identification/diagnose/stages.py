@@ -131,7 +131,8 @@ def searched(
 
     def by_thrust(speed: Stage) -> Stage:
         """The stage as the thrust prefers it. A late speed and a late reading of it are the same to the speed. The model of its
-        sensor is approximate: an effect that is smaller than the sensor's uncertainty must improve the thrust, too."""
+        sensor is approximate: an effect that is smaller than the sensor's uncertainty, where the speed shows no lack of fit,
+        must improve the thrust, too."""
         noise, judge = speed.judge.searcher.experiments[0].noise, speed.judge
         for effect, rivals in list(speed.selection.rivals.items()):
             fits = {effect: speed.selection.final, **rivals}
@@ -145,7 +146,8 @@ def searched(
         for effect, judged in list(speed.selection.judgements.items()):
             final = speed.selection.final
             rest = without(judge.searcher, speed.selection.base, final, effect)
-            if judge.within_sensor(judged) and misfit(rest, False, noise) < misfit(final, False, noise) + MIN_EVIDENCE:
+            small = judge.within_sensor(judged) and not speed.before.significant
+            if small and misfit(rest, False, noise) < misfit(final, False, noise) + MIN_EVIDENCE:
                 speed = speed.less(effect, "it is smaller than the speed sensor's uncertainty, and does not improve the thrust")
         return speed
 
