@@ -370,7 +370,8 @@ def test_no_guess_is_made_where_nothing_is_missing(nothing_missing, example):
 def test_a_spent_budget_ends_the_search_and_lists_the_steps_not_tried(banded):
     found = diagnose(rig(**BAND), FEW, budget=0.0)
     assert found.final.effects == banded.final.effects == ("pitch_command_deadband",)
-    steps = ["a further effect + pitch_command_deadband", "another logger beside pitch_command_deadband"]
+    name = "pitch_command_deadband"
+    steps = [f"a further effect + {name}", f"another logger beside {name}", f"a learned term in place of {name}"]
     assert summary(found)["not_tried"] == steps
     assert "a further effect + pitch_command_deadband" in diagnosis_page(found).html()
     assert summary(banded)["not_tried"] == []

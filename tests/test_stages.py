@@ -9,7 +9,7 @@ from studies.synthetic import TRUTH, commands
 
 from identification.demo import example_folder
 from identification.diagnose import given_speed
-from identification.diagnose.diagnose import diagnose
+from identification.diagnose.diagnose import _channels, diagnose
 from identification.diagnose.given_speed import with_given_speed
 from identification.diagnose.lack_of_fit import LackOfFit
 from identification.diagnose.score_test import ScoreTest
@@ -109,6 +109,23 @@ def test_a_fault_of_the_thrust_leaves_the_speed_alone():
 )
 def test_the_verdict_of_the_whole_is_the_weaker_one(words, whole):
     assert verdict_of([SimpleNamespace(word=word) for word in words]) == whole
+
+
+@pytest.mark.parametrize(
+    ("refuted", "doubted", "thrust"),
+    [
+        ("", (), ("attributed", ["lag"])),
+        ("", ("thrust",), ("partly", ["lag"])),  # a learned term fits better, or the unseen record shows it
+        ("rises", (), ("unexplained", [])),
+    ],
+)
+def test_each_channel_agrees_with_the_verdict(refuted, doubted, thrust):
+    """A refuted set leaves its channel unexplained if lack of fit was found without it or with it."""
+    base = {"lacks": False, "accepted": SimpleNamespace(effects=())}
+    stages = [SimpleNamespace(name="speed", word="none", **base)]
+    stages.append(SimpleNamespace(name="thrust", word="attributed", lacks=True, accepted=SimpleNamespace(effects=("lag",))))
+    shown = _channels(SimpleNamespace(stages=stages), None, refuted, doubted)
+    assert {name: (one["verdict"], one["effects"]) for name, one in shown.items()} == {"speed": ("none", []), "thrust": thrust}
 
 
 def test_a_stage_that_explains_less_than_half_gives_no_effect_to_the_model(monkeypatch):

@@ -39,7 +39,6 @@ from identification.diagnose.validation import (
     UNEXPLAINED,
     Replacement,
     at_supported_thresholds,
-    unnamed,
     validated,
     worse_than_noise,
 )
@@ -207,8 +206,8 @@ def diagnose(
 
     The model is identified from the campaign first, or it is `given`, its effects part of the base. The open-loop record, its
     repeat and further `records` are fitted; the validation record is used only after the model is final. `smallest` [N],
-    `smallest_speed` [rpm]: minimum sizes of interest. `thorough`: if lack of fit remains, more candidates are refitted, and a
-    term of unknown form is learned. `budget` [s]: no further step of the search begins after this time; the result then depends
+    `smallest_speed` [rpm]: minimum sizes of interest. `thorough`: terms of unknown form are learned if lack of fit remains, and
+    compared with the named effects. `budget` [s]: no further step of the search begins after this time; the result then depends
     on the machine's speed. BadInput if the campaign has no record to fit.
 
     The logger is estimated first, beside the base model, which a missing effect may bias; then again beside the effects that
@@ -283,8 +282,7 @@ class _Searched:
         """The verdict. If validation refutes the selected set: whether lack of fit was found, without or with it."""
         if not self.refuted:
             return verdict_of(self.stages)
-        lacks = [unnamed(lack) for s in self.stages for lack in (s.before, s.after)]
-        return "unexplained" if "unexplained" in lacks else "none"
+        return "unexplained" if any(s.lacks for s in self.stages) else "none"
 
     def selection(self, stages: Sequence[Stage] | None = None) -> Selection:
         return selection_of(self.judge.searcher, self.judge.base, self.stages if stages is None else stages)
@@ -398,7 +396,8 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
             given = Replacement(judge, found.base, judge.base, selection.final, final, found.unseen, False)
             if (narrowed_fit := at_supported_thresholds(given)) and not worse(narrowed_fit):
                 final, missed = narrowed_fit, ""
-        word = word if not missed else "partly" if final.effects else "unexplained"
+        if missed:
+            word, doubts = "partly" if final.effects else "unexplained", {found.stages[-1].name: missed}
     experiment, guess = discriminating_experiment(_timed(at, final), task.seed, fitted[0].record.period), None
     if word in UNEXPLAINED:
         guess = _guessed(task, found, open_stages, experiment)
@@ -431,7 +430,7 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
         attempt=attempt,
         best_guess=guess,
         not_tried=tuple(task.effort.not_tried),
-        channels=_channels(found, learned_in, refuted),
+        channels=_channels(found, learned_in, refuted, doubts if missed else ()),
         missed=missed,
     )
 
@@ -443,7 +442,10 @@ def _doubts(task: _Task, found: _Searched) -> dict[str, str]:
     for stage in found.stages:
         searcher, fit = stage.judge.searcher, stage.accepted
         for name in fit.effects:
-            task.effort.stage(f"a learned term in place of {name}")
+            step = f"a learned term in place of {name}"
+            if not task.effort.allows(step):
+                return doubts
+            task.effort.stage(step)
             rest = without(searcher, stage.selection.base, fit, name)
             if term := better_than(stage.judge, rest, fit, found.at.rig.scales, task.pool):
                 gain = number(evidence_over(term.fit, fit), 3)
@@ -451,11 +453,13 @@ def _doubts(task: _Task, found: _Searched) -> dict[str, str]:
     return doubts
 
 
-def _channels(found: _Searched, learned_in: Stage | None, refuted: str) -> dict[str, dict]:
-    """Verdict and names of effects of each stage."""
+def _channels(found: _Searched, learned_in: Stage | None, refuted: str, doubted: Iterable[str]) -> dict[str, dict]:
+    """Verdict and names of effects of each stage. `doubted`: the stages that miss something without a lack of fit."""
     shown = {s.name: {"verdict": s.word, "effects": list(s.accepted.effects)} for s in found.stages}
     if refuted:
-        shown = {s.name: {"verdict": unnamed(s.before), "effects": []} for s in found.stages}
+        shown = {s.name: {"verdict": "unexplained" if s.lacks else "none", "effects": []} for s in found.stages}
+    for name in doubted:
+        shown[name]["verdict"] = "partly" if shown[name]["effects"] else "unexplained"
     return shown | ({learned_in.name: {"verdict": "learned", "effects": [NAME]}} if learned_in else {})
 
 

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from identification.diagnose.initial_model import AlwaysOn
 from identification.diagnose.search.fits import Fit
 from identification.fit.tachometer import Tachometer
 from identification.roles import Fitted
@@ -31,35 +32,31 @@ def with_given_speed(library: Sequence[Effect]) -> tuple[Effect, ...]:
     return (*library[:at], measured_speed.EFFECT, *library[at:])
 
 
-def given_speed(records: Sequence[Record], first: Fit, readings: bool = True) -> list[Record]:
-    """Records of the same commands with the columns of the known speed. `first`: the fit of the speed; `readings`: add what
-    the readings show beyond it."""
-    simulator, shown_at = first.problem.simulator, {}
+def given_speed(records: Sequence[Record], first: Fit, readings: bool = True) -> tuple[list[Record], float]:
+    """(records of the same commands with the columns of the known speed; its standard error from the noise of the readings,
+    rpm). `first`: the fit of the speed; `readings`: add what the readings show beyond it."""
+    simulator, as_read = first.problem.simulator, {}
     for e in first.problem.model.effects:
-        if "speed" in e.reading and e.off:
-            shown_at |= e.switched_off
+        if "speed" in e.reading:
+            as_read |= (e.origin if isinstance(e, AlwaysOn) else e).switched_off
     shown = simulator.simulate(first.values, *records[0].run)[:, 1]
-    speed = simulator.simulate({**first.values, **shown_at}, *records[0].run)[:, 1] if shown_at else shown
-    beyond = [found[0] for record in records if readings and (found := _beyond(record, shown)) is not None]
-    speed = np.maximum(speed + np.mean(beyond, axis=0), 0.0) if beyond else speed
+    speed = simulator.simulate({**first.values, **as_read}, *records[0].run)[:, 1] if as_read else shown
+    beyond = [found for record in records if readings and (found := _beyond(record, shown)) is not None]
+    error = float(np.sqrt(sum(std**2 for _, std in beyond))) / max(len(beyond), 1)
+    if beyond:
+        speed = np.maximum(speed + np.mean([rows for rows, _ in beyond], axis=0), 0.0)
     columns = {"speed_at_row": speed, "speed_at_next_row": np.append(speed[1:], speed[-1:])}
-    return [record.with_columns(**columns) for record in records]
+    return [record.with_columns(**columns) for record in records], error
 
 
-def with_speed_of(groups: Sequence[Sequence[Fitted]], first: Fit, readings: bool = True) -> list[list[Fitted]]:
-    """The same for groups of fitted records."""
+def with_speed_of(groups: Sequence[Sequence[Fitted]], first: Fit, readings: bool = True) -> tuple[list[list[Fitted]], float]:
+    """The same for groups of fitted records; the largest standard error."""
     given = [given_speed([one.record for one in group], first, readings) for group in groups]
-    return [[Fitted(one.name, r) for one, r in zip(group, own, strict=True)] for group, own in zip(groups, given, strict=True)]
-
-
-def uncertainty(groups: Sequence[Sequence[Fitted]], first: Fit) -> float:
-    """rpm: standard error of the known speed, from the noise of its readings; the largest of all groups."""
-    found = [0.0]
-    for group in groups:
-        shown = first.problem.simulator.simulate(first.values, *group[0].record.run)[:, 1]
-        errors = [each[1] for one in group if (each := _beyond(one.record, shown)) is not None]
-        found.append(float(np.sqrt(np.sum(np.square(errors)))) / len(errors) if errors else 0.0)
-    return max(found)
+    known = [
+        [Fitted(one.name, record) for one, record in zip(group, records, strict=True)]
+        for group, (records, _) in zip(groups, given, strict=True)
+    ]
+    return known, max(error for _, error in given)
 
 
 def _beyond(record: Record, shown: np.ndarray) -> tuple[np.ndarray, float] | None:

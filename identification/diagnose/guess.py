@@ -93,7 +93,8 @@ def best_guess(
     if explains <= MAJORITY:  # else `most` is not shown
         most = max(explains, *(explained(other) for _, other, _ in others), 0.0)
     limit = f"a diagnosis accepts at most {MOST} effects"
-    against = judged().refused or ((limit,) if len(beside.effects) >= MOST else ("it makes an accepted effect superfluous",))
+    known = selection.refused[name].refused if name in selection.refused else ("it makes an accepted effect superfluous",)
+    against = judged().refused or ((limit,) if len(beside.effects) >= MOST else known)
     rival = next(((other, its) for other, its, _ in others if other != name), ("", beside))
     return _guess(beside, fit, (explains, most), against, rival, experiment)
 

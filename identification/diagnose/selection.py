@@ -101,7 +101,9 @@ def _first_accepted(found: Selection, tried: Sequence[CandidateFit], judge: Judg
         if not judged.refused and found.judgements:
             left, needed = judge.lack(fit), MAJORITY * before.missing
             if left.significant and left.missing > needed:
-                why = f"it removes {100.0 * (1.0 - left.missing / before.missing):.0f} % of the lack of fit that is left"
+                removed = 1.0 - left.missing / before.missing if before.missing else 0.0
+                least = f"the minimum is {100.0 * MAJORITY:.0f} %"
+                why = f"it removes {100.0 * removed:.0f} % of the lack of fit that remains, {least}"
                 judged = replace(judged, refused=(why,))
         if not judged.refused:
             return fit, small

@@ -5,23 +5,24 @@ Speed readings are precise: in one likelihood with the thrust they would pull it
 speed is not exact, and either channel could refuse what is plain in the other.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from identification.diagnose.acceptance import Judge
 from identification.diagnose.effort import Effort
-from identification.diagnose.given_speed import given_speed, uncertainty, with_given_speed, with_speed_of
+from identification.diagnose.given_speed import given_speed, with_given_speed, with_speed_of
 from identification.diagnose.initial_model import InitialModel, always_on, fitted_base, prepared, with_lower_noise
 from identification.diagnose.judgement import MIN_EVIDENCE, Judgement, Smallest
 from identification.diagnose.lack_of_fit import LackOfFit, with_rotor_order
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.selection import Selection, select, without
-from identification.diagnose.validation import CHANGED, UNEXPLAINED, verdict
+from identification.diagnose.validation import CHANGED, UNEXPLAINED, unnamed, verdict
 from identification.fit.noise import Noise
 from identification.roles import Fitted
+from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native import Simulator
 from vpp_fmu.native.memory import give_back
 from vpp_fmu.record import Record
@@ -58,6 +59,11 @@ class Stage:
         found = self.selection
         word = verdict(found.base, found.final, self.before, self.after, found.family)
         return "partly" if word == "unexplained" and found.final.effects and self.corroborated else word
+
+    @property
+    def lacks(self) -> bool:
+        """Whether lack of fit was found, without or with the selected set."""
+        return "unexplained" in (unnamed(self.before), unnamed(self.after))
 
     @property
     def accepted(self) -> Fit:
@@ -122,11 +128,13 @@ def searched(
         return _stage(groups, [], at, 0.0, own, smallest, effort, pool, " of the speed")
 
     def known_from(first: Fit) -> InitialModel:
-        return at.of_channels("thrust", library=with_given_speed(at.library), values=first.values)
+        """The start of the thrust's search. Effects that delay the readings of speed and of thrust are part of it."""
+        both = _keeping(at, first, lambda e: "thrust" in e.reading)
+        return both.of_channels("thrust", library=with_given_speed(both.library), values=first.values)
 
     def misfit(fit: Fit, readings: bool, noise: Noise, beside: Fit | None = None) -> float:
         """Half the deviance of the thrust, given the speed of a fit; without effects of its own, or with those of a fit."""
-        searcher, base = fitted_base(with_speed_of(groups, fit, readings), known_from(fit), noise, at.values)
+        searcher, base = fitted_base(with_speed_of(groups, fit, readings)[0], known_from(fit), noise, at.values)
         return 0.5 * (searcher.again(beside) if beside and beside.effects else base).deviance
 
     def by_thrust(speed: Stage) -> Stage:
@@ -164,15 +172,15 @@ def searched(
         first, noise = speed.selection.whole, speed.judge.searcher.experiments[0].noise
         # If the thrust does not follow what the readings show beyond the model, that is an error of the readings.
         readings = misfit(first, True, noise) <= misfit(first, False, noise) + MIN_EVIDENCE
-        given = [given_speed([record], first, readings)[0] for record in runs]
-        error = uncertainty(groups, first) if readings else 0.0
-        return with_speed_of(groups, first, readings), given, known_from(first), error
+        given = [record for run in runs for record in given_speed([run], first, readings)[0]]
+        known, error = with_speed_of(groups, first, readings)
+        return known, given, known_from(first), error
 
     speed = by_thrust(of_speed(at))
     thrust = of_thrust(speed)
     if not _takes_pitch(speed.selection.whole) or not effort.allows(AGAIN):
         return checked(speed, thrust)
-    again = by_thrust(of_speed(_with_pitch_of(at, thrust.selection.whole)))
+    again = by_thrust(of_speed(_keeping(at, thrust.selection.whole, lambda e: e.channels == ("beta",), PITCH)))
     if again.selection.final.effects != speed.selection.final.effects:
         return checked(again, of_thrust(again))
     known_thrust = thrust.on(*of_known(again))
@@ -202,11 +210,12 @@ def _takes_pitch(fit: Fit) -> bool:
     return any(simulator.sensitivities(fit.values, *e.record.run)[1][:, 1].any() for e in fit.problem.experiments)
 
 
-def _with_pitch_of(at: InitialModel, fit: Fit) -> InitialModel:
-    """The start of a search with the pitch of a fit; its effects of the pitch become part of the base."""
-    kept = {e.name for e in fit.problem.model.effects if e.name in fit.effects and e.channels == ("beta",)}
+def _keeping(at: InitialModel, fit: Fit, keep: Callable[[Effect], bool], names: Sequence[str] = ()) -> InitialModel:
+    """The start of a search with some effects of a fit as part of the base; with them, and with base parameters `names`, at the
+    values of the fit."""
+    kept = {e.name for e in fit.problem.model.effects if e.name in fit.effects and keep(e)}
     library = tuple(always_on(e) if e.name in kept else e for e in at.library)
-    own = {n: v for n, v in fit.values.items() if n in PITCH or n.split(".")[0] in kept}
+    own = {n: v for n, v in fit.values.items() if n in names or n.split(".")[0] in kept}
     return replace(at, library=library, refinement=replace(at.refinement, values={**at.values, **own}))
 
 

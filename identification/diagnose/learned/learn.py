@@ -138,7 +138,7 @@ def better_than(known: Judge, rest: Fit, with_it: Fit, scales: Scales, pool) -> 
     stands in for one that the library lacks. `rest`, `with_it`: the fits without and with it.
 
     The term must exceed the effect by MIN_EVIDENCE, and by what the form of a right effect may leave."""
-    name = with_it.effects[-1] if len(with_it.effects) == 1 else (set(with_it.effects) - set(rest.effects)).pop()
+    (name,) = set(with_it.effects) - set(rest.effects)
     effect = next(e for e in with_it.problem.model.effects if e.name == name)
     channel = "omega" if effect.in_speed and not effect.reading else "".join(effect.channels[:1])
     leads = short_list(screened(rest, spread=pool.map, channel=channel), (), AGAIN)
