@@ -390,7 +390,8 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
         identified = final = with_slow_noise(found.groups, at, judge.searcher.experiments[0].noise, found.base)
     fitted = tuple(one for group in found.groups for one in group)
     if found.unseen and word not in UNEXPLAINED:
-        worse = partial(worse_than_noise, found.unseen, fitted, judge.searcher.experiments[0].noise, least=judge.least())
+        noise = judge.searcher.experiments[0].noise
+        worse = partial(worse_than_noise, found.unseen, selection.final, noise, least=judge.least())
         missed = worse(final)
         if missed and final.effects:
             given = Replacement(judge, found.base, judge.base, selection.final, final, found.unseen, False)

@@ -203,7 +203,7 @@ def pure_error(fit: Fit) -> tuple[Band, ...]:
         step = float(np.median(np.diff(at.time)))
         # The test assumes a flat spectrum in a band: slow noise is flattened first.
         flat, level = spectra(e.noise.evened(errors.T, step).T)
-        for low, high, inside in _bands(np.fft.rfftfreq(errors.shape[1], step)):
+        for low, high, inside in bands_of(np.fft.rfftfreq(errors.shape[1], step)):
             count = len(errors)
             total = found.setdefault((low, high, count), np.zeros(5))
             total += *(power[inside].sum() for power in (between, within, flat, level)), 2.0 * inside.sum()
@@ -242,7 +242,7 @@ def spectra(errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return twice * count * np.abs(mean) ** 2 / n**2, twice * within / n**2
 
 
-def _bands(frequency: np.ndarray):
+def bands_of(frequency: np.ndarray):
     """(low, high, mask) of bands without frequency 0, the map's, each joined with the next until it has FEWEST ordinates."""
     found, low = [], EDGES[0]
     for high in EDGES[1:]:

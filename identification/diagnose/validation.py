@@ -20,14 +20,14 @@ from identification.diagnose.crossval import (
     held_out_gain,
 )
 from identification.diagnose.judgement import ALPHA_BASE, MAJORITY, MIN_EVIDENCE, SLOW
-from identification.diagnose.lack_of_fit import LackOfFit
+from identification.diagnose.lack_of_fit import LackOfFit, bands_of
+from identification.diagnose.score_test import channel_rows, mean_powers, noise_levels
 from identification.diagnose.search.fits import Fit
 from identification.diagnose.selection import without
 from identification.fit.noise import Noise, blocks
 from identification.fit.uncertainty import NORMAL_95
-from identification.roles import Fitted, Unseen
+from identification.roles import Unseen
 from identification.static.at_rest import Knowledge
-from vpp_fmu.record import Record
 
 
 def verdict(base: Fit, final: Fit, before: LackOfFit, after: LackOfFit, family: Mapping[str, Sequence[str]]) -> str:
@@ -132,29 +132,45 @@ def at_supported_thresholds(given: "Replacement") -> Fit | None:
 NOTHING_LEFT = "{} is below the minimum size when estimated for the best prediction of held-out data"
 
 
-def worse_than_noise(unseen: Unseen, fitted: Sequence[Fitted], noise: Noise, fit: Fit, least: float) -> str:
-    """Why the unseen record shows that a model without lack of fit on the `fitted` records misses something; empty if it does
-    not. The whitened error below SLOW has more power than on those, by an F test, and the excess has the size `least` [N]. The
-    level and the trend of an error are not compared: the zero of a cell differs from record to record, and drifts."""
+def worse_than_noise(unseen: Unseen, known: Fit, noise: Noise, final: Fit, least: float) -> str:
+    """Why the unseen record shows that a model without lack of fit on the fitted records misses something; empty if it does
+    not. In a band below SLOW its whitened error has more power than the noise, by an F test, and the excess has the size
+    `least` [N]. `known`: the fit by maximum likelihood, whose residual gives the noise; `final`: the model that predicts.
 
-    def slow(record: Record) -> tuple[float, int, float]:
-        """(power of the whitened error below SLOW, degrees of freedom, power of the error itself [N^2])."""
-        error = predict(fit.problem.model, fit.values, record).thrust - record["thrust"]
-        white = noise.colour.whiten(blocks(record, noise.block).mean(error))
-        white = detrend(white[np.isfinite(white)])
-        frequency = np.fft.rfftfreq(len(white), max(noise.block, record.period))
-        power = np.abs(np.fft.rfft(white)[(frequency > 0.0) & (frequency < SLOW)]) ** 2 / len(white)
-        means = blocks(record, 0.5 / SLOW).mean(error)
-        return float(np.mean(power)), 2 * len(power), float(np.var(detrend(means[np.isfinite(means)])))
-
-    new, own, size = slow(unseen.record)
-    others = [slow(one.record) for one in fitted]
-    known = sum(n for _, n, _ in others)
-    usual = sum(power * n for power, n, _ in others) / known
-    excess = float(np.sqrt(size * max(1.0 - usual / new, 0.0)))
-    if excess <= least or f_distribution.sf(new / usual, own, known) >= ALPHA_BASE:
+    The level and the trend of an error are not compared: the zero of a cell differs from record to record, and drifts."""
+    error = predict(final.problem.model, final.values, unseen.record).thrust - unseen.record["thrust"]
+    white = noise.colour.whiten(blocks(unseen.record, noise.block).mean(error))
+    white = detrend(white[np.isfinite(white)])
+    step = max(noise.block, unseen.record.period)
+    power, frequency = mean_powers(white[None]), np.fft.rfftfreq(len(white), step)
+    tests, excess, whole = [], 0.0, float(np.sum(power[frequency < SLOW]))
+    for low, high, inside in bands_of(frequency):
+        level, degrees = _noise_between(known, low, high, step)
+        own, count = float(np.mean(power[inside])), int(inside.sum())
+        tests.append(float(f_distribution.sf(own / level, 2 * count, degrees)))
+        excess += count * max(own - level, 0.0) if tests[-1] < ALPHA_BASE else 0.0
+    means = blocks(unseen.record, 0.5 / SLOW).mean(error)
+    size = float(np.sqrt(np.var(detrend(means[np.isfinite(means)])) * excess / whole)) if whole else 0.0
+    if size <= least or -np.expm1(len(tests) * np.log1p(-min(tests, default=1.0))) >= ALPHA_BASE:
         return ""
-    return f"{unseen.name}.csv is predicted worse than the noise allows, by {excess:.2g} N rms below {SLOW:g} Hz"
+    return f"{unseen.name}.csv is predicted worse than the noise allows, by {size:.2g} N rms below {SLOW:g} Hz"
+
+
+def _noise_between(fit: Fit, low: float, high: float, step: float) -> tuple[float, float]:
+    """(power of the whitened noise of the thrust between two frequencies [Hz], its degrees of freedom), from differences of
+    repeated records, else from the residual, corrected for what the fit absorbs. `step` [s]: of the whitened rows."""
+    about, scale, total, degrees = fit.linearised(), fit.problem.scale["thrust"], 0.0, 0.0
+    for e, rows in zip(fit.problem.experiments, channel_rows(fit, "thrust"), strict=True):
+        repeated = len(e.records) > 1
+        samples = e.differences() if repeated else scale * about.residual[None, rows]
+        gone = about.directions(rows)
+        level, free = noise_levels(mean_powers(samples) / len(samples), mean_powers(gone[:0] if repeated else gone))
+        frequency = np.fft.rfftfreq(samples.shape[1], step)
+        inside = (frequency >= low) & (frequency < high) & (frequency > 0.0)
+        own = 2.0 * len(samples) * free[inside]
+        total += float(own @ level[inside])
+        degrees += float(np.sum(own))
+    return total / degrees, degrees
 
 
 def _estimated(judge: Judge, knowledge: Knowledge | None, present: Fit, found: Fit, parts: Sequence[Fit] = ()) -> Fit:
