@@ -100,6 +100,18 @@ def test_off_is_the_model_without_it_to_the_bit(term, dt):
         np.testing.assert_array_equal(reference(model, values, inputs, steps), simulator(model).simulate(values, inputs, steps))
 
 
+@pytest.mark.parametrize(("port", "u", "output"), [("pitch_rate_share", "beta", 2), ("motor_acceleration_share", "omega", 1)])
+def test_a_lag_whose_rate_is_scaled_stays_within_its_commands(port, u, output):
+    """A first-order lag moves towards its target. With a factor of its rate below zero it would grow without limit."""
+    _, effect = curve(port, "time", size=0.9)  # the factor falls to 1 - 0.9 * 3 = -1.7
+    model = plant([effect.name], placed(LIBRARY, effect, PORTS[port]))
+    inputs = random_steps(5000, 150)
+    shown = simulator(model).simulate(named(effect, effect.probe), inputs, np.full(4999, STEP))[:, output]
+    commands = inputs[f"{u}_ref"]
+    span = np.ptp(commands)
+    assert commands.min() - 0.01 * span <= shown.min() <= shown.max() <= commands.max() + 0.01 * span
+
+
 @sampled
 @pytest.mark.parametrize("term", [t for t in TERMS if t not in JUMPS])
 def test_the_communication_step_does_not_matter(term):

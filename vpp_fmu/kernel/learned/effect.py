@@ -2,6 +2,8 @@
 
     term = times * shape(driver through its lag),   port <- port + term, or port * (1 + term)
 
+The factor of a rate is at least 0.
+
 `placed` puts it at its port in a library.
 """
 

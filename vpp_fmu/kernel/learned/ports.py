@@ -61,7 +61,8 @@ def _rate(u: str) -> Callable:
 
 def _rate_share(u: str) -> Callable:
     def adds(ops, s, p, f, dt):
-        return with_distance(ops, s, u, p.form, stage(ops, s, u, p.form).distance * (1.0 + f), dt)
+        factor = ops.maximum(1.0 + f, 0.0)  # below zero the lag would run away from its target
+        return with_distance(ops, s, u, p.form, stage(ops, s, u, p.form).distance * factor, dt)
 
     return adds
 
