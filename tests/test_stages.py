@@ -9,10 +9,11 @@ from studies.synthetic import TRUTH, commands
 
 from identification.demo import example_folder
 from identification.diagnose import given_speed
-from identification.diagnose.diagnose import _channels, diagnose
+from identification.diagnose.diagnose import _channels, _with, diagnose
 from identification.diagnose.given_speed import with_given_speed
 from identification.diagnose.lack_of_fit import LackOfFit
 from identification.diagnose.score_test import ScoreTest
+from identification.diagnose.selection import Selection
 from identification.diagnose.stages import Stage, lack_of, verdict_of
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.kernel.plant import LIBRARY, plant
@@ -37,6 +38,16 @@ def test_a_known_speed_replaces_that_of_the_model_between_rows():
     plain = Simulator(plant()).simulate(plant().values(TRUTH), *record.run)
     np.testing.assert_allclose(shown[:, 2], plain[:, 2], rtol=1e-12)
     np.testing.assert_allclose(Simulator(model).simulate(values, *record.run), plain, rtol=1e-12)
+
+
+def test_a_term_learned_in_one_stage_keeps_the_effects_of_the_other():
+    """The speed's only effect is replaced by the learned term; that of the thrust stays, with its judgement and rivals."""
+    term = SimpleNamespace(fit=SimpleNamespace(effects=("inflow_lag", "learned")), effect=SimpleNamespace(name="learned"))
+    learned = SimpleNamespace(term=term, beside=SimpleNamespace(effects=()), judgement="of the term")
+    judged = {"supply_sag": "of the sag", "inflow_lag": "of the inflow"}
+    found = _with(Selection(None, None, None, judged, rivals={"supply_sag": {}, "inflow_lag": {"sensor_lag": None}}), learned)
+    assert found.judgements == {"inflow_lag": "of the inflow", "learned": "of the term"}
+    assert found.family == {"inflow_lag": ["sensor_lag"]}
 
 
 def readings(beyond, noise, seed=0):

@@ -523,8 +523,8 @@ def _timed(at: InitialModel, final: Fit) -> Rig:
 
 
 def _with(selection: Selection, learned: Learned) -> Selection:
-    """A selection whose final set is the learned term and the effects beside which it was learned."""
-    kept, name = learned.beside.effects, learned.term.effect.name
-    judgements = {n: j for n, j in selection.judgements.items() if n in kept} | {name: learned.judgement}
-    rivals = {n: fits for n, fits in selection.rivals.items() if n in kept}
-    return replace(selection, final=learned.term.fit, judgements=judgements, rivals=rivals)
+    """A selection whose final set is the learned term and the effects beside it, those of the other stage too."""
+    final, name = learned.term.fit, learned.term.effect.name
+    judgements = {n: j for n, j in selection.judgements.items() if n in final.effects} | {name: learned.judgement}
+    rivals = {n: fits for n, fits in selection.rivals.items() if n in final.effects}
+    return replace(selection, final=final, judgements=judgements, rivals=rivals)
