@@ -21,7 +21,6 @@ from identification.static.static_map import TERMS, design
 from vpp_fmu.app.cli.diagnose import write_diagnosis
 from vpp_fmu.app.report.pages.diagnosis import diagnosis_page, findings, headline, key_figures
 from vpp_fmu.app.report.pages.effect import at_rest
-from vpp_fmu.app.report.pages.residual import moves
 from vpp_fmu.app.report.summary import identification_of, summary
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.digits import number
@@ -190,7 +189,7 @@ def test_a_channel_has_the_effects_that_act_on_it(example):
 def test_every_figure_of_the_page_has_a_title_of_its_own(example):
     html = diagnosis_page(example).html()
     titles = re.findall(r'class="plot" data-title="(.*?)"', html)
-    assert len(titles) >= 10
+    assert 4 <= len(titles) <= 7
     assert len(set(titles)) == len(titles)
 
 
@@ -442,21 +441,6 @@ def test_play_s_own_curve_is_its_closed_form():
     up, down = slice(4, 31), slice(35, None)  # play is taken up within two stairs of either turn
     np.testing.assert_allclose(reached[up], stairs[up] - half, atol=2e-3)
     np.testing.assert_allclose(reached[down], stairs[down] + half, atol=2e-3)
-
-
-def test_moves_are_steps_and_whole_ramps():
-    time = np.arange(2000) * STEP
-    command = np.where(time < 1.0, 2.0, 5.0)  # a step of 3 at 1 s
-    command = command - np.clip(time - 3.0, 0.0, 2.0) * 2.0  # a ramp down of 4 from 3 to 5 s
-    command = command + np.where(time >= 6.0, 0.5, 0.0)
-    first, size = moves(time, command)
-    np.testing.assert_allclose(time[first], [1.0, 3.0, 6.0], atol=2 * STEP)
-    np.testing.assert_allclose(size, [3.0, -4.0, 0.5])
-
-
-def test_a_command_at_rest_has_no_moves():
-    first, size = moves(np.arange(10.0), np.full(10, 4.0))
-    assert len(first) == len(size) == 0
 
 
 def limited(pitches, seed=0) -> Campaign:

@@ -18,32 +18,17 @@ from vpp_fmu.app.report.figures.loop import (
 from vpp_fmu.app.report.figures.map import (
     behind_against_before,
     map_lines,
-    map_residuals,
     map_section,
-    map_uncertainty,
-    mean_convergence,
     reached_against_commanded,
-    thrust_coefficients,
 )
 from vpp_fmu.app.report.figures.parameters import (
-    FAILED,
-    PASSED,
-    TAKEN,
-    Bar,
-    correlation_heatmap,
-    evidence_bars,
     interval_widths,
     learned_curve,
     learning_curve,
-    overlap_heatmap,
     parameter_change,
 )
 from vpp_fmu.app.report.figures.residual import (
-    autocorrelation,
     correlations,
-    cross_correlation,
-    residual_by_move,
-    residual_by_section,
     residual_spectrum,
 )
 from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted, planned_commands, stacked, two_records
@@ -51,12 +36,6 @@ from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.diagnosis import headline
 from vpp_fmu.app.report.summary import LEFT_OUT
 from vpp_fmu.kernel.plant import plant
-
-BARS = [
-    Bar("pitch_backlash (1)", 300.0, PASSED, "another explains more"),
-    Bar("pitch_command_deadband", 5000.0, TAKEN, "in the final set"),
-    Bar("sensor_gain", -4.0, FAILED, "evidence too weak"),
-]
 
 HOSTILE = '</script><a href="http://evil.example">x</a>'
 
@@ -98,20 +77,15 @@ def figures(title: str = "The message") -> dict:
 
 def _of_models(title: str) -> dict:
     r, other = record(400), record(400, seed=2)
-    lags, names = np.arange(50) * 0.004, ["tau_beta_1", "c20", "added"]
+    names = ["tau_beta_1", "c20", "added"]
     omega, beta, thrust = grid_points()
     surface = np.outer(np.linspace(1, 2, 3), np.linspace(0, 10, 5))
     return {
         "prediction": prediction(title),
         "map": map_lines(np.linspace(2000, 6000, 3), np.linspace(-5, 10, 5), surface, (omega, beta, thrust), title),
-        "map residuals": map_residuals(omega[:-1], beta[:-1], thrust[:-1] - 3, title),
         "loop": closed_loop({"dual": r, "speed only": {k: v for k, v in other.items() if k != "beta"}}, title),
         "two": two_records(("a", r["time"], r["thrust"]), ("b", other["time"], other["thrust"]), title, "thrust", "N"),
         "parameters": parameter_change(names, [0.1, 0.3, 0.0], [0.2, 0.2, 0.8], [0.1, 0.1, 0.7], [0.3, np.nan, 0.9], title),
-        "sections": residual_by_section(["1", "2"], [0.9, 0.8], [0.4, 0.5], 0.3, title),
-        "autocorrelation": autocorrelation(lags, np.exp(-lags), 0.05, title),
-        "cross-correlation": cross_correlation(lags, {"omega_ref": lags, "beta_ref": -lags}, 0.05, title),
-        "correlation": correlation_heatmap(names, np.eye(3), title),
         "learning": learning_curve(np.arange(1, 9), np.geomspace(1, 1e-3, 8), title),
     }
 
@@ -119,13 +93,9 @@ def _of_models(title: str) -> dict:
 def _of_diagnoses(title: str) -> dict:
     x = np.linspace(0.1, 2.0, 20)
     both = {"before": np.exp(-x), "after": 0.1 * np.exp(-x)}
-    names = ["a", "b", "c"]
     return {
         "correlations": correlations(x, {"itself": both, "pitch command": both}, 0.05, title),
         "spectrum": residual_spectrum(x, both, 0.3 + 0.0 * x, title),
-        "moves": residual_by_move(x - 1.0, x > 1.0, both, title, "move of the pitch command [deg]", 0.02),
-        "overlap": overlap_heatmap(names, np.array([[1.0, 0.95, 0.1], [0.95, 1.0, 0.2], [0.1, 0.2, 1.0]]), title),
-        "evidence": evidence_bars(BARS, 10.0, title),
         "curve": reached_against_commanded(x, both, title, "pitch", "deg"),
         "change": behind_against_before(x, 0.1 * x, x, title),
         "stacked": stacked(x, {"pitch [deg]": {"pitch command": x, **both}, "thrust [N]": {"measured": x, **both}}, title),
@@ -134,15 +104,11 @@ def _of_diagnoses(title: str) -> dict:
 
 def _of_designs(title: str) -> dict:
     x, rng = np.linspace(0.1, 20.0, 60), np.random.default_rng(1)
-    speeds, pitches = np.linspace(2000.0, 6000.0, 10), np.linspace(-10.0, 10.0, 9)
     loops = {"published": 3.0 / (1j * x * (1.0 + 0.1j * x)), "tuned": 5.0 / (1j * x * (1.0 + 0.1j * x))}
     names = ["tau_beta_1", "c20", "pitch_command_deadband.half_width"]
     widths = {"before": [20.0, 3.0, 400.0], "the paper's plan": [10.0, 2.0, 50.0], "after this plan": [2.0, 0.5, 5.0]}
     cloud = Cloud("1.5 → 12 N", "tuned", np.full(60, 12.0), 12.0 - 10.0 * np.exp(-x) * rng.uniform(0.9, 1.1, (20, 1)))
     return {
-        "coefficients": thrust_coefficients(speeds, pitches, 0.01 * pitches + 0.001 * speeds[:, None] / 6000.0, title),
-        "convergence": mean_convergence(x, 0.1 / x**0.4, 0.1 / x**0.5, title, (1000, 0.01)),
-        "uncertainty": map_uncertainty(speeds, pitches, np.outer(pitches**2, speeds) * 1e-6, title),
         "section": map_section(x, x**2, (x[::10], x[::10] ** 2), title, "speed [rpm]", 1.0 + 0.0 * x),
         "learned": learned_curve(x, x**2, x, {"learned": (x, x**2)}, x, title, ("speed", "rpm"), ("thrust", "N")),
         "commands": planned_commands(x, 3000.0 + 100.0 * np.round(x), np.round(x), x, title),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from identification.static.at_rest import AtRest
-from identification.static.static_map import TERMS, coefficient_grid, design, fit_static_map, static_fit, thrust_coefficient
+from identification.static.static_map import TERMS, design, fit_static_map, static_fit
 from identification.static.steady import samples_needed, steady_points, with_steady_points
 from vpp_fmu.campaign import Campaign, StaticMap
 from vpp_fmu.errors import BadInput
@@ -142,19 +142,6 @@ def test_steady_points_identify_the_map_and_an_effect_of_the_map():
     assert np.all(np.abs(told.mean - [*KNOWN, BENT]) < 4.0 * std)
     alone = told_beside(free=())
     assert np.max(np.abs(alone.mean - KNOWN) / std[:5]) > 30.0  # the polynomial alone has absorbed the stall
-
-
-def test_thrust_coefficient():
-    turns = 100.0  # a second
-    assert thrust_coefficient(1.225 * turns**2 * 0.254**4, 60.0 * turns) == pytest.approx(1.0, rel=1e-14)
-    assert thrust_coefficient(12.0, 3000.0, diameter=2.0, density=3.0) == pytest.approx(12.0 / (3.0 * 2500.0 * 16.0))
-    omega, beta = np.array([3000.0, 3000.0, 6000.0, 3000.0]), np.array([0.0, 5.0, 0.0, 0.0])
-    thrust = np.array([1.0, 2.0, 4.0, 3.0])
-    speeds, pitches, ct = coefficient_grid(StaticMap(omega, beta, omega, thrust, thrust, thrust, ""))
-    unit = thrust_coefficient(1.0, 3000.0)
-    np.testing.assert_array_equal(speeds, [3000.0, 6000.0])
-    np.testing.assert_array_equal(pitches, [0.0, 5.0])
-    np.testing.assert_allclose(ct / unit, [[2.0, 2.0], [1.0, np.nan]])
 
 
 def test_steady_points_of_raw_samples():

@@ -210,26 +210,3 @@ def check_enough(static: StaticMap, points: int, terms: int, rank: int) -> None:
         found = f"{points} points that identify {rank} terms"
         allowed = f"more than {terms} points on a grid that identifies {terms} terms"
         raise BadInput(static.source, "steady points", found, allowed)
-
-
-def thrust_coefficient(
-    thrust: np.ndarray, omega: np.ndarray, diameter: float = DIAMETER, density: float = DENSITY
-) -> np.ndarray:
-    """C_T = T / (rho n^2 D^4) [-] of thrust [N] at speed [rpm] above 0, n in rev/s (paper, section 4.1); they broadcast."""
-    n = np.asarray(omega) / 60.0
-    return thrust / (density * n**2 * diameter**4)
-
-
-def coefficient_grid(
-    static: StaticMap, diameter: float = DIAMETER, density: float = DENSITY
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Commanded speeds (m,) [rpm], pitches (k,) [deg] and C_T (m, k) of all steady points; the mean if a point was
-    measured more than once, NaN if never or at standstill. C_T is that at the measured speed."""
-    speeds, row = np.unique(static.omega_ref, return_inverse=True)
-    pitches, column = np.unique(static.beta_ref, return_inverse=True)
-    total, count = np.zeros((2, len(speeds), len(pitches)))
-    turns = static.omega > 0.0
-    cell = row[turns], column[turns]
-    np.add.at(total, cell, thrust_coefficient(static.thrust[turns], static.omega[turns], diameter, density))
-    np.add.at(count, cell, 1.0)
-    return speeds, pitches, np.where(count > 0, total / np.maximum(count, 1.0), np.nan)

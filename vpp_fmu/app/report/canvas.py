@@ -14,9 +14,6 @@ MOST = 4000
 lines of 4000 points take 30 and 18 ms, and a fifth of the bytes. WebGL lines need eval, which the page forbids. plotly takes
 three WebGL contexts per figure, while a browser allows some 16 per page."""
 
-CELLS = {"xgap": 1, "ygap": 1, "textfont": {"size": 11}}
-"""Properties of a heat map whose cells have numbers."""
-
 _WIDEST = 80
 """Maximum letters in a line of a title, for A4."""
 
@@ -125,17 +122,6 @@ def add_band(fig: go.Figure, panel: int, half_width: float, name: str) -> None:
         name=style.escaped(name),
         showlegend=True,
     )
-
-
-def add_ground(fig: go.Figure, half_width: float, name: str) -> None:
-    """A band around zero under the points of a figure without panels."""
-    shape = {"fillcolor": style.NOISE, "line_width": 0, "layer": "below", "showlegend": True}
-    fig.add_hrect(-half_width, half_width, name=name, **shape)
-
-
-def add_level(fig: go.Figure, y: float, name: str) -> None:
-    """A dashed line at a level, such as that of the noise alone."""
-    fig.add_hline(y=y, line={"color": style.MEASURED, "width": 1.6, "dash": "dash"}, name=name, showlegend=True)
 
 
 def heatmap(

@@ -26,9 +26,6 @@ ZERO = "#fbfbfb"
 OTHERS = (AFTER, "#009e73", "#cc79a7", LIGHT_BLUE, "#882255", BEFORE)
 """Colours without a fixed meaning, in the order of use."""
 
-DIVERGING = ((0.0, AFTER), (0.5, ZERO), (1.0, PUBLISHED))
-"""Negative to positive, the page's own colour at zero."""
-
 SCHEME = {
     MEASURED: ("measured", "#c9d1d9"),
     BEFORE: ("before", "#f0a24d"),

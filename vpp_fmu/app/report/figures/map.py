@@ -1,4 +1,4 @@
-"""Figures of static relations: the map of thrust, its uncertainty, and the curve of an effect."""
+"""Figures of static relations: the map of thrust, the curve of an effect, and the power."""
 
 from collections.abc import Mapping
 
@@ -7,7 +7,7 @@ from plotly import graph_objects as go
 
 from identification.fit.uncertainty import NORMAL_95
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import CELLS, add_envelope, add_line, add_points, figure, heatmap
+from vpp_fmu.app.report.canvas import add_envelope, add_line, add_points, figure, heatmap
 from vpp_fmu.digits import number
 
 _COMMANDS = "speed [rpm]", "pitch [deg]"
@@ -43,69 +43,6 @@ def map_section(
     add_line(fig, at, thrust, "fitted", style.AFTER)
     hover = f"%{{y:{style.SHOWN}}} N at %{{x:{style.SHOWN}}}<extra></extra>"
     add_points(fig, *points, "measured", style.MEASURED, 7, hovertemplate=hover)
-    return fig
-
-
-def map_residuals(omega: np.ndarray, beta: np.ndarray, residual: np.ndarray, title: str) -> go.Figure:
-    """Measured - map [N] at the points of a grid: arrays (k,) with omega [rpm] and beta [deg] as commanded.
-
-    Points that the campaign does not have are empty.
-    """
-    speeds, column = np.unique(omega, return_inverse=True)
-    pitches, row = np.unique(beta, return_inverse=True)
-    grid = np.full((len(pitches), len(speeds)), np.nan)
-    grid[row, column] = residual
-    largest = float(np.nanmax(np.abs(grid))) or 1.0
-    decimals = max(0, 1 - int(np.floor(np.log10(largest))))
-    return heatmap(
-        *(title, 520, speeds, pitches, grid, (-largest, largest), style.DIVERGING, (*_COMMANDS, "residual [N]")),
-        texttemplate=f"%{{z:+.{decimals}f}}" if len(speeds) <= 16 else None,
-        hovertemplate=f"%{{z:+{style.SHOWN}}} N<br>%{{x:.0f}} rpm, %{{y:.1f}} deg<extra></extra>",
-        **CELLS,
-    )
-
-
-def map_uncertainty(omega: np.ndarray, beta: np.ndarray, std_grid: np.ndarray, title: str) -> go.Figure:
-    """Standard deviation of the map, std_grid (n, m) [N] over beta (n,) [deg] and omega (m,) [rpm]."""
-    ends = 0.0, float(np.max(std_grid))
-    hover = f"%{{z:{style.SHOWN}}} N<br>%{{x:.0f}} rpm, %{{y:.1f}} deg<extra></extra>"
-    labels = *_COMMANDS, "standard deviation [N]"
-    return heatmap(title, 460, omega, beta, std_grid, ends, style.sequence(), labels, hovertemplate=hover)
-
-
-def thrust_coefficients(
-    speeds: np.ndarray, pitches: np.ndarray, ct: np.ndarray, title: str, label: str = "C_T [-]"
-) -> go.Figure:
-    """A thrust coefficient over pitch, one line per speed: ct (m, k) over speeds (m,) [rpm] and pitches (k,) [deg].
-
-    NaN where not measured. Colours go from slow to fast. `label`: of its axis.
-    """
-    fig = figure(title, 460, "blade pitch [deg]", label)
-    for speed, line, shade in zip(speeds, ct, style.shades(len(speeds)), strict=True):
-        hover = f"%{{y:{style.SHOWN}}} at {speed:.0f} rpm, %{{x:.1f}} deg<extra></extra>"
-        more = {"mode": "lines+markers", "marker": {"size": 5}, "hovertemplate": hover}
-        add_line(fig, pitches, line, f"{speed:.0f} rpm", shade, **more)
-    return fig
-
-
-def mean_convergence(
-    m: np.ndarray, std: np.ndarray, white: np.ndarray, title: str, wanted: tuple[int, float] | None = None
-) -> go.Figure:
-    """Standard deviation [N] of the mean of m readings: measured, and for independent readings; all (k,), log-log.
-
-    `wanted`: a marked point (readings, standard deviation [N]); beyond the measured line it is extrapolated.
-    """
-    fig = figure(title, 400, "readings in the mean [-]", "standard deviation of the mean [N]")
-    hover = {"hovertemplate": "%{y:.2~g} N for %{x} readings<extra></extra>"}
-    add_line(fig, m, std, "measured", style.MEASURED, 2, mode="lines+markers", marker={"size": 4}, **hover)
-    add_line(fig, m, white, "independent readings", style.AFTER, 1.6, dash="dash", **hover)
-    if wanted is not None:
-        count, good = wanted
-        x, y = ([m[-1], count], [std[-1], good]) if count > m[-1] else ([count], [good])
-        add_line(fig, x, y, "", style.MEASURED, 1.2, dash="dot", showlegend=False, hoverinfo="skip")
-        add_points(fig, [count], [good], f"{number(good, 2)} N at {count} readings", style.BEFORE, 10, "diamond", **hover)
-    fig.update_xaxes(type="log", dtick="D2")
-    fig.update_yaxes(type="log", dtick="D2", tickformat="~g")
     return fig
 
 

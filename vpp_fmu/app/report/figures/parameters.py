@@ -1,21 +1,17 @@
-"""Figures of parameters and candidates: change and correlation, convergence, evidence, learned curves."""
+"""Figures of parameters: change, convergence, intervals, learned curves."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from plotly import graph_objects as go
 
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import CELLS, add_line, add_points, figure, heatmap, panels
+from vpp_fmu.app.report.canvas import add_line, add_points, figure, panels
 from vpp_fmu.app.report.sentences import words
 from vpp_fmu.digits import interval, number
 
 MOST = 300.0
 """Half-widths beyond this, in %, are drawn at the edge: the parameter is unknown."""
-
-TAKEN, PASSED, FAILED = "accepted", "strong evidence, not accepted", "rejected"
-COLOURS = {TAKEN: style.AFTER, PASSED: style.LIGHT_BLUE, FAILED: style.FAINT}
 
 BINS = 60
 
@@ -44,32 +40,6 @@ def parameter_change(
     add_points(fig, change, rows, "fitted, 95 % interval", style.AFTER, 9, error_x=bar, hovertemplate=hover)
     fig.update_xaxes(range=_reach(change, (high - low) / scale))
     fig.update_yaxes(**_NAMES)
-    return fig
-
-
-def correlation_heatmap(names: Sequence[str], matrix: np.ndarray, title: str) -> go.Figure:
-    """The correlation matrix (n, n) of n parameters with its values; the diagonal is blank."""
-    blank = np.where(np.eye(len(names)), np.nan, matrix)
-    height = 170 + max(28 * len(names), 200)
-    more = {"texttemplate": "%{z:.2f}", "hovertemplate": "%{y}, %{x}: %{z:.3f}<extra></extra>"}
-    return _pairs(title, height, names, names, blank, (-1, 1), style.DIVERGING, "correlation [-]", **more)
-
-
-def overlap_heatmap(names: Sequence[str], matrix: np.ndarray, title: str) -> go.Figure:
-    """Squared cosines (n, n) between the sensitivities of n effects, 0 to 1; each pair once, numbers from 0.5 on."""
-    shown = np.where(np.tril(np.ones_like(matrix), -1) > 0, matrix, np.nan)[1:, :-1]
-    texts = np.where(shown >= 0.5, np.char.mod("%.2f", np.nan_to_num(shown)), "")
-    height, colours = 190 + max(30 * len(names), 120), ((0.0, style.ZERO), (1.0, style.BEFORE))
-    more = {"text": texts, "texttemplate": "%{text}", "hovertemplate": "%{y}, %{x}: %{z:.2f}<extra></extra>"}
-    return _pairs(title, height, names[:-1], names[1:], shown, (0, 1), colours, "squared cosine [-]", **more)
-
-
-def _pairs(title: str, height: int, x, y, z, ends, colours, label: str, **more) -> go.Figure:
-    """A value for each pair of names; `label`: of the values."""
-    x, y = ([_named(name) for name in names] for names in (x, y))
-    fig = heatmap(title, height, x, y, z, ends, colours, ("", "", label), **CELLS, **more)
-    fig.update_xaxes(type="category")
-    fig.update_yaxes(type="category", autorange="reversed")
     return fig
 
 
@@ -129,45 +99,6 @@ def interval_widths(names: Sequence[str], widths: Mapping[str, np.ndarray], titl
     ticks = [digit * 10.0**power for power in range(-3, 3) for digit in (1, 2, 5)]
     fig.update_xaxes(type="log", tickvals=ticks, ticktext=[f"{tick:g}" for tick in ticks])
     fig.update_yaxes(**_NAMES)
-    return fig
-
-
-@dataclass(frozen=True)
-class Bar:
-    """A candidate: its evidence [nat], its outcome (a key of COLOURS) and why, in a few words."""
-
-    name: str
-    likelihood_gain: float
-    outcome: str
-    why: str
-
-
-def evidence_bars(bars: Sequence[Bar], gate: float, title: str) -> go.Figure:
-    """Candidates by evidence [nat], the best on top, the threshold `gate` as a line, the reason beside each bar."""
-    ranked = sorted(bars, key=lambda bar: -bar.likelihood_gain)
-    fig = figure(title, 140 + 30 * len(ranked), "evidence [nat]")
-    for outcome, colour in COLOURS.items():
-        own = [bar for bar in ranked if bar.outcome == outcome]
-        if own:
-            fig.add_bar(
-                y=[_named(bar.name) for bar in own],
-                x=[bar.likelihood_gain for bar in own],
-                orientation="h",
-                name=outcome,
-                marker_color=colour,
-                text=[f"{bar.likelihood_gain:.0f}  {style.escaped(bar.why)}" for bar in own],
-                textposition="outside",
-                textfont={"size": 12},
-                cliponaxis=False,
-                hovertemplate="%{y}: %{text}<extra></extra>",
-            )
-    line = {"color": style.MEASURED, "width": 1.6, "dash": "dash"}
-    fig.add_vline(x=gate, line=line, name=f"very strong: {gate:g}", layer="below", showlegend=True)
-    low, high = min(0.0, ranked[-1].likelihood_gain), max(gate, ranked[0].likelihood_gain)
-    fig.update_xaxes(range=[low, 2.0 * high - low])  # the reasons are beside the bars and take half of the width
-    order = [_named(bar.name) for bar in ranked]
-    fig.update_yaxes(type="category", categoryorder="array", categoryarray=order[::-1])
-    fig.update_layout(bargap=0.35, barmode="overlay")
     return fig
 
 

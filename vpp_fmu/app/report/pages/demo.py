@@ -1,14 +1,13 @@
 """The report of all steps on the campaign that ships with the project."""
 
 from identification.demo import Demo
-from identification.identify import Identification
 from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.diagnosis import add_diagnosis, findings, tiles
 from vpp_fmu.app.report.pages.diagnosis import headline as diagnosis_headline
 from vpp_fmu.app.report.pages.diagnosis import key_figures as diagnosed
-from vpp_fmu.app.report.pages.identification import add_found, add_static
+from vpp_fmu.app.report.pages.identification import add_map
 from vpp_fmu.app.report.pages.loop import STEP_COLUMNS, row
 from vpp_fmu.app.report.sentences import change, size
 from vpp_fmu.digits import number
@@ -48,17 +47,10 @@ def demo_page(done: Demo) -> Page:
     page.figure(figure, f"validation.csv. {thinning(len(validation))}")
     _add_loops(page, done)
     add_diagnosis(page, found)
-    _add_identification(page, found.identification)
+    if found.identification.static is not None:
+        page.section("The map")
+        add_map(page, found.identification)
     return page
-
-
-def _add_identification(page: Page, found: Identification) -> None:
-    """Parameters, their uncertainty and the static map; the prediction is shown above."""
-    text = "The plain model, without the effects, fitted to the campaign: the start of the diagnosis."
-    page.section("Where this started: the identification", text)
-    add_found(page, found)
-    if found.static is not None:
-        add_static(page, found)
 
 
 def _add_loops(page: Page, done: Demo) -> None:

@@ -6,22 +6,20 @@ import numpy as np
 
 from identification.diagnose.diagnose import UNEXPLAINED, Diagnosis
 from identification.diagnose.guess import Guess
-from identification.diagnose.judgement import ALPHA, MIN_EVIDENCE
+from identification.diagnose.judgement import ALPHA
 from identification.diagnose.learned.description import sentence as described
-from identification.diagnose.search.refits import CandidateFit
 from identification.fit.noise import blocks
 from identification.fit.uncertainty import NORMAL_95
 from vpp_fmu.app.report.canvas import thinning
-from vpp_fmu.app.report.figures.parameters import FAILED, PASSED, TAKEN, Bar, evidence_bars, overlap_heatmap, parameter_change
-from vpp_fmu.app.report.figures.residual import residual_by_section
+from vpp_fmu.app.report.figures.parameters import parameter_change
 from vpp_fmu.app.report.figures.time import measured_against_predicted
 from vpp_fmu.app.report.page import Link, Page
 from vpp_fmu.app.report.pages.effect import add_attempt, add_effects, add_learned, around
 from vpp_fmu.app.report.pages.identification import add_quality, quality_tile
 from vpp_fmu.app.report.pages.power import add_power
-from vpp_fmu.app.report.pages.residual import add_residual
+from vpp_fmu.app.report.pages.residual import add_correlations, add_spectrum
 from vpp_fmu.app.report.sentences import change, clause, labelled, limited, sentence, size, thrust_error, titled, words
-from vpp_fmu.app.report.summary import LEFT_OUT, NEXT, artefact, errors, summary, why_not
+from vpp_fmu.app.report.summary import LEFT_OUT, NEXT, artefact, summary, why_not
 from vpp_fmu.digits import chance, interval, number, signed, with_uncertainty
 
 SURE = {
@@ -38,22 +36,16 @@ UNIDENTIFIABLE = "not identifiable from these records"
 ZOOM, SMOOTHED = 3.0, 0.2
 """Seconds shown before and after the largest error, and seconds over which the error is averaged to find it."""
 
-VISIBLE = 10.0
-"""Log-likelihood gain at a plausible size from which an effect counts as visible."""
-
 WORSE = 1.5
 """Ratio of the unseen record's error to that of held-out parts, from which other conditions are suspected."""
-
-CLOSE = 0.8
-"""Squared cosine from which a pair of effects is shown."""
 
 MOST_TILES = 6
 
 TRUSTED = 0.8
 """Share of the error beyond the noise that two or more effects must explain before their names are trusted."""
 
-MOST = 14
-"""Maximum number of effects in the figure of similar effects."""
+MOST_ALIKE = 12
+"""Maximum number of pairs in the table of similar effects."""
 
 
 def not_tried(found: Diagnosis) -> str:
@@ -316,6 +308,7 @@ def diagnosis_page(found: Diagnosis) -> Page:
 def add_diagnosis(page: Page, found: Diagnosis) -> None:
     """Add figures and tables of a diagnosis to a page that already shows the unseen record."""
     _add_effect(page, found)
+    page.section("Before and after" if found.final.effects else "The model")
     _add_rest(page, found)
 
 
@@ -328,21 +321,20 @@ def _add_effect(page: Page, found: Diagnosis) -> None:
 
 
 def _add_rest(page: Page, found: Diagnosis) -> None:
-    """Add the quality of the fit, the candidates, and the residual."""
-    page.section("The worst moments")
+    """Add the worst moment, the parameters, the candidates and the residual; its details if it is not explained."""
     _add_worst(page, found)
     if found.final.effects:
-        _add_sections(page, found)
         add_shift(page, found)
-    page.section("Candidates")
+    page.section("What was tried")
     add_evidence(page, found)
-    page.section("Residual")
-    _add_lack(page, found)
     add_attempt(page, found)
-    add_residual(page, found)
-    _add_location(page, found)
-    page.section("Which effects these commands distinguish")
-    add_apart(page, found)
+    page.section("Residual")
+    add_spectrum(page, found)
+    if found.verdict in UNEXPLAINED:
+        add_correlations(page, found)
+        _add_lack(page, found)
+        _add_location(page, found)
+        _add_alike(page, found)
 
 
 def _add_whole(page: Page, found: Diagnosis) -> None:
@@ -358,34 +350,19 @@ def _add_whole(page: Page, found: Diagnosis) -> None:
 
 
 def _add_worst(page: Page, found: Diagnosis) -> None:
-    """The largest error of the model before, and that of the model after if it is at another time."""
+    """The largest error of the model before."""
     record = found.shown
     lines = {name: found.prediction(fit, record).thrust for name, fit in found.fits.items()}
     at = blocks(record, SMOOTHED)
     means = {name: np.abs(at.mean(thrust - record["thrust"])) for name, thrust in lines.items()}
-    centers = [float(at.time[np.nanargmax(mean)]) for mean in means.values()]
-    for name, center in dict(zip(means, centers, strict=True)).items():
-        if name == "after" and abs(center - centers[0]) < ZOOM:
-            continue  # in the same window
-        block = int(np.argmin(np.abs(at.time - center)))
-        there = " and ".join(f"{number(mean[block], 3)} N {other}" for other, mean in means.items()).removesuffix(" model")
-        near = around(record.time, center, ZOOM)
-        when = "" if name == "model" else f" {name}"
-        title = f"The worst moment{when}, around {center:.0f} s: the error is {there}"
-        part = {other: thrust[near] for other, thrust in lines.items()}
-        figure = measured_against_predicted(record.part(near), part, title, found.noise.floor)
-        shown = number(float(np.ptp(record.time[near])), 2)
-        page.figure(figure, f"{shown} s around the worst mean over {SMOOTHED:g} s.")
-
-
-def _add_sections(page: Page, found: Diagnosis) -> None:
-    before, after = (errors(found, fit)["sections"] for fit in (found.base, found.final))
-    names = list(before)
-    values = [np.array([each[n]["rmse_thrust"] for n in names]) for each in (before, after)]
-    k = int(np.argmax(values[0] - values[1]))
-    title = f"The error decreases most while {_moving(names[k])}: from {number(values[0][k])} to {number(values[1][k])} N"
-    figure = residual_by_section(names, *values, found.noise.floor, title)
-    page.figure(figure, f"Thrust error by moving command, {_where_judged(found).rstrip(',')}.")
+    block = int(np.nanargmax(next(iter(means.values()))))
+    there = " and ".join(f"{number(mean[block], 3)} N {name}" for name, mean in means.items()).removesuffix(" model")
+    near = around(record.time, float(at.time[block]), ZOOM)
+    title = f"The worst moment, around {at.time[block]:.0f} s: the error is {there}"
+    part = {name: thrust[near] for name, thrust in lines.items()}
+    figure = measured_against_predicted(record.part(near), part, title, found.noise.floor)
+    shown = number(float(np.ptp(record.time[near])), 2)
+    page.figure(figure, f"{shown} s of {found.shown_name}.csv around the worst mean over {SMOOTHED:g} s.")
 
 
 def _add_lack(page: Page, found: Diagnosis) -> None:
@@ -435,12 +412,19 @@ def _add_location(page: Page, found: Diagnosis) -> None:
     )
 
 
+def _add_alike(page: Page, found: Diagnosis) -> None:
+    """Effects that the commands do not distinguish, and the invisible ones."""
+    similarity = found.distinguishability
+    if pairs := similarity.alike():
+        rows = [(words(one), words(other), f"{overlap:.2f}") for one, other, overlap in pairs[:MOST_ALIKE]]
+        caption = f"The most similar of {len(pairs)} pairs of effects that these commands do not distinguish"
+        page.table(("effect", "other effect", "squared cosine [-]"), rows, f"{caption}, by their responses.")
+    unseen = ", ".join(map(words, similarity.invisible())) or "none"
+    page.note(f"Not visible at a plausible size under these commands: {unseen}.")
+
+
 def add_evidence(page: Page, found: Diagnosis) -> None:
-    """A figure of each round of the search, and the table of all refitted candidates."""
-    for count, tried in enumerate(found.selection.rounds, start=1):
-        fitted = [t for t in tried if t.fit is not None]
-        if fitted:
-            _add_round(page, found, count, fitted)
+    """The table of all refitted candidates, and the statistics of the accepted ones."""
     rows = []
     for tried in (t for each in found.selection.rounds for t in each if t.fit is not None):
         candidate, fit = tried.candidate, tried.fit
@@ -460,37 +444,6 @@ def add_evidence(page: Page, found: Diagnosis) -> None:
         )
 
 
-def _add_round(page: Page, found: Diagnosis, count: int, fitted: list[CandidateFit]) -> None:
-    bars = [_bar(found, t) for t in fitted]
-    beside = _and(fitted[0].beside) or "nothing"
-    best = max(bars, key=lambda bar: bar.likelihood_gain)
-    taken = max((bar for bar in bars if bar.outcome == TAKEN), key=lambda bar: bar.likelihood_gain, default=None)
-    if taken is None:
-        title = f"Round {count}, beside {beside}: no candidate is accepted, {words(best.name)} has the most evidence"
-    else:
-        title = f"Round {count}, beside {beside}: the evidence for {words(taken.name)} is {taken.likelihood_gain:.0f} nats"
-    page.figure(
-        evidence_bars(bars, MIN_EVIDENCE, title),
-        "Evidence of each refitted candidate: half the decrease of the BIC on the fitted records; below 0 it increases.",
-    )
-
-
-def _bar(found: Diagnosis, tried: CandidateFit) -> Bar:
-    why, label = why_not(found, tried), tried.candidate.label
-    if why is None:
-        return Bar(label, tried.evidence, TAKEN, "in the final set")
-    name = tried.candidate.name
-    passed = tried.evidence > MIN_EVIDENCE and name not in found.selection.refused
-    return Bar(label, tried.evidence, PASSED if passed else FAILED, _short(why))
-
-
-def _short(reasons: str) -> str:
-    """The start of the first reason, and the number of further ones."""
-    first, *more = reasons.split("; ")
-    head = first.partition(":")[0].partition(" from ")[0]
-    return head if not more else f"{head}, and {len(more)} more"
-
-
 def add_shift(page: Page, found: Diagnosis) -> None:
     """The bias of the base parameters without the effects."""
     shift = summary(found)["base_parameters"]
@@ -507,29 +460,3 @@ def add_shift(page: Page, found: Diagnosis) -> None:
     figure = parameter_change(names, before, after, after - reach, after + reach, title)
     caption = "Start: the best fit without the effects; fitted: with them, 95 % intervals. Lags in the order of the latter."
     page.figure(figure, caption)
-
-
-def add_apart(page: Page, found: Diagnosis) -> None:
-    """The effects that these commands distinguish, and the invisible ones."""
-    similarity = found.distinguishability
-    visible = [i for i, v in enumerate(similarity.visibility) if v >= VISIBLE]
-    names = np.array([label.split(" ")[0] for label in similarity.labels])
-    close = np.where(names[:, None] != names, similarity.overlap, 0.0)[:, visible].max(axis=1, initial=0.0)
-    own = set(found.final.effects)
-    chosen = [i for i in visible if close[i] >= CLOSE or names[i] in own]
-    chosen = sorted(sorted(chosen, key=lambda i: (names[i] not in own, -close[i]))[:MOST])
-    if len(chosen) > 1:
-        pairs = similarity.alike()
-        title = "These commands distinguish all visible effects"
-        if pairs:
-            one, other, _ = pairs[0]
-            alike = f"the most similar are {words(one)} and {words(other)}"
-            title = f"These commands do not distinguish {len(pairs)} pairs of effects; {alike}"
-        labels = [similarity.labels[i] for i in chosen]
-        figure = overlap_heatmap(labels, similarity.overlap[np.ix_(chosen, chosen)], title)
-        caption = (
-            "Squared cosine of the responses to two effects, orthogonal to the base parameters' sensitivities; 1: the same."
-        )
-        page.figure(figure, f"{caption} Similar effects, and those found.")
-    unseen = ", ".join(map(words, similarity.invisible())) or "none"
-    page.note(f"Not visible at a plausible size under these commands: {unseen}.")

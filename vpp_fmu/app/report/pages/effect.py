@@ -44,16 +44,15 @@ MOST_TRIED = 6
 
 
 def add_effects(page: Page, found: Diagnosis) -> None:
-    """For each effect of the final set: its curve at rest, if there is one, and its largest influence over time."""
+    """One figure for each effect of the final set: its curve at rest; if there is none, its largest influence over time."""
     for effect in found.final.effects:
         on, off = _with_and_without(found.final, effect, found.shown)
         change = {n: on[n] - off[n] for n in on}
         channel = next((n for n, (*_, least) in QUANTITIES.items() if np.max(np.abs(change[n])) > least), "thrust")
         if channel == "thrust":
             _add_thrust(page, effect, found.shown, off, change)
-        else:
-            _add_at_rest(page, found, effect, channel)
-        _add_in_time(page, found, effect, channel, change)
+        elif not _add_at_rest(page, found, effect, channel):
+            _add_in_time(page, found, effect, channel, change)
 
 
 def around(time: np.ndarray, center: float, half: float) -> np.ndarray:
@@ -74,8 +73,8 @@ def _with_and_without(fit: Fit, name: str, record: Record) -> tuple[dict, dict]:
     return _simulated(fit, *record.run), _simulated(fit, *record.run, off)
 
 
-def _add_at_rest(page: Page, found: Diagnosis, effect: str, channel: str) -> None:
-    """Reached against commanded values, up and down; nothing if the effect has no influence at rest."""
+def _add_at_rest(page: Page, found: Diagnosis, effect: str, channel: str) -> bool:
+    """Reached against commanded values, up and down; False and nothing if the effect has no influence at rest."""
     word, unit, _ = QUANTITIES[channel]
     record, command = found.shown, f"{channel}_ref"
     beside = "beta_ref" if channel == "omega" else "omega_ref"
@@ -88,10 +87,11 @@ def _add_at_rest(page: Page, found: Diagnosis, effect: str, channel: str) -> Non
         reached |= {f"{name}{suffix}": at_rest(fit, record, command, stairs, held)[channel] for name, fit in fits.items()}
     off = max(float(np.max(np.abs(v - stairs))) for name, v in reached.items() if name.startswith("after"))
     if off < AT_REST * np.ptp(stairs):
-        return
+        return False
     title = f"{titled(effect)}: at rest the {word} deviates by up to {number(off, 3)} {unit} from its command"
     figure = reached_against_commanded(stairs, reached, title, word, unit)
     page.figure(figure, f"The settled models on stairs of {number(stairs[1] - stairs[0], 2)} {unit}, up and down.")
+    return True
 
 
 def _stairs(command: np.ndarray) -> np.ndarray:
@@ -126,16 +126,15 @@ def _add_in_time(page: Page, found: Diagnosis, effect: str, channel: str, change
     center = float(at.time[np.argmax(np.abs(at.mean(change[channel])))])
     near = np.flatnonzero(around(record.time, center, NEAR))
     shown = {name: found.prediction(fit, record) for name, fit in found.fits.items()}
-    rows = {}
-    word, unit, _ = QUANTITIES.get(channel, ("thrust", "N", 0.0))
-    if channel != "thrust":
-        rows[f"{word} [{unit}]"] = {f"{word} command": record[f"{channel}_ref"][near]}
-        rows[f"{word} [{unit}]"] |= {"measured": record[channel][near]} if channel in record else {}
-        rows[f"{word} [{unit}]"] |= {name: getattr(p, channel)[near] for name, p in shown.items()}
-    rows["thrust [N]"] = {"measured": record["thrust"][near]} | {name: p.thrust[near] for name, p in shown.items()}
+    word, unit, _ = QUANTITIES[channel]
+    lines = {f"{word} command": record[f"{channel}_ref"][near]}
+    lines |= {"measured": record[channel][near]} if channel in record else {}
+    lines |= {name: getattr(p, channel)[near] for name, p in shown.items()}
+    thrusts = {"measured": record["thrust"][near]} | {name: p.thrust[near] for name, p in shown.items()}
+    rows = {f"{word} [{unit}]": lines, "thrust [N]": thrusts}
+    sizes = f"{number(np.max(np.abs(change[channel][near])), 3)} {unit} of {word}"
     size = float(np.max(np.abs(change["thrust"][near])))
-    change_words = "" if channel == "thrust" else f"{number(np.max(np.abs(change[channel][near])), 3)} {unit} of {word}, "
-    title = f"{titled(effect)} has its largest influence around {center:.0f} s: {change_words}{number(size, 3)} N of thrust"
+    title = f"{titled(effect)} has its largest influence around {center:.0f} s: {sizes}, {number(size, 3)} N of thrust"
     page.figure(stacked(record.time[near], rows, title), "Before: the best model without the effect.")
 
 

@@ -5,38 +5,24 @@ from collections.abc import Sequence
 import numpy as np
 
 from identification.assessment.pairs import forms
-from identification.fit.refine import Refinement
 from identification.fit.uncertainty import NORMAL_95, Uncertainty
 from identification.gate.finding import ERROR, Finding
 from identification.identify import Identification
 from identification.static.selection import Selection, select_terms
-from identification.static.static_map import TERMS, StaticFit, coefficient_grid, design
-from identification.static.steady import FEWEST, noise, resting, samples_needed
+from identification.static.static_map import TERMS, StaticFit, design
 from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import thinning
-from vpp_fmu.app.report.figures.map import (
-    map_lines,
-    map_residuals,
-    map_section,
-    map_uncertainty,
-    mean_convergence,
-    thrust_coefficients,
-)
-from vpp_fmu.app.report.figures.parameters import correlation_heatmap, learning_curve, parameter_change
-from vpp_fmu.app.report.figures.residual import autocorrelation, cross_correlation
+from vpp_fmu.app.report.figures.map import map_lines, map_section
+from vpp_fmu.app.report.figures.parameters import parameter_change
+from vpp_fmu.app.report.figures.residual import correlations
 from vpp_fmu.app.report.figures.time import measured_against_predicted, step_responses
 from vpp_fmu.app.report.page import Page
-from vpp_fmu.app.report.sentences import labelled, size, words
+from vpp_fmu.app.report.sentences import labelled, size, titled, words
 from vpp_fmu.campaign import StaticMap
 from vpp_fmu.digits import interval, number
 
 TELLING = 0.2
 """Minimum component of the weakest direction for its parameter to be named."""
-
-MEAN_STD = 1.0 / 1500.0
-"""Required standard deviation of a steady point's mean, in thrust scales: the paper's 0.01 N of 15 N."""
-
-_COEFFICIENT = "thrust over speed squared, T / w² [-]"
 
 
 def identification_page(found: Identification) -> Page:
@@ -165,17 +151,11 @@ def _add_sections(page: Page, found: Identification) -> None:
 
 def _add_tests(page: Page, found: Identification) -> None:
     tests, outside = found.tests, found.tests.outside
+    crossed = {style.label(name).partition(" [")[0]: values for name, values in tests.crossed.items()}
+    rows = {name: {"residual": values} for name, values in {"itself": tests.own, **crossed}.items()}
     title = f"The residual correlates with itself at {100 * outside['itself']:.0f} % of the lags; chance gives 5 %"
-    page.figure(
-        autocorrelation(tests.lags, tests.own, tests.band, title),
-        f"Thrust residual of {found.fitted[0]}, means over 20 ms.",
-    )
-    if tests.crossed:
-        worst = max((n for n in outside if n != "itself"), key=outside.get)
-        share, command = f"{100 * outside[worst]:.0f} %", style.label(worst).partition(" [")[0]
-        title = f"The residual is correlated with changes of the {command} at {share} of the lags; chance gives 5 %"
-        figure = cross_correlation(tests.lags, tests.crossed, tests.band, title)
-        page.figure(figure, "Correlation of the residual with earlier changes of each command.")
+    caption = f"Thrust residual of {found.fitted[0]}, means over 20 ms, with its past and with earlier changes of the commands."
+    page.figure(correlations(tests.lags, rows, tests.band, title), caption)
 
 
 def _add_steps(page: Page, found: Identification) -> None:
@@ -209,13 +189,8 @@ def add_found(page: Page, found: Identification) -> None:
             "profile likelihood."
         )
     _add_forms(page, uncertainty)
-    if found.refinement is not None:
-        _add_curve(page, found.refinement)
     if len(uncertainty.names) > 1:
-        figure = correlation_heatmap(
-            uncertainty.names, uncertainty.correlation, _strongest(uncertainty.names, uncertainty.correlation)
-        )
-        page.figure(figure, _weakest(uncertainty))
+        page.note(_weakest(uncertainty))
 
 
 def not_identifiable(found: Identification) -> list[str]:
@@ -267,7 +242,7 @@ def _add_forms(page: Page, uncertainty: Uncertainty) -> None:
 
 
 def _weakest(uncertainty: Uncertainty) -> str:
-    """Caption that names the direction of the largest uncertainty."""
+    """The most correlated pair, and the direction of the largest uncertainty, as sentences."""
     condition, direction, spread = uncertainty.directions()
     named = [
         f"{direction[k]:+.2f} {words(uncertainty.names[k])}"
@@ -275,18 +250,10 @@ def _weakest(uncertainty: Uncertainty) -> str:
         if abs(direction[k]) >= TELLING
     ]
     weakest = f"Largest uncertainty: direction {', '.join(named)} (relative), ± {number(100 * NORMAL_95 * spread, 3)} %"
-    return f"Correlation of the estimates. {weakest}; condition number {number(condition, 3)}."
-
-
-def _add_curve(page: Page, r: Refinement) -> None:
-    """Learning curve: the cost relative to its final value, minus 1, on a logarithmic axis."""
-    above = np.array(r.curve[:-1]) / r.curve[-1] - 1.0
-    if len(above) < 2 or above.min() <= 0.0:
-        return
-    first, last = number(100 * above[0], 2), number(100 * above[-1], 2)
-    title = f"In {len(above)} steps the cost decreases from {first} % to {last} % above its final value"
-    caption = f"{r.method}: half the weighted sum of squares, with the first weights, over the final one, minus 1."
-    page.figure(learning_curve(np.arange(len(above)), above, title, "cost above its final value [-]"), caption)
+    correlation = uncertainty.correlation
+    i, j = np.unravel_index(np.argmax(np.abs(np.triu(correlation, 1))), correlation.shape)
+    pair = f"{titled(uncertainty.names[i])} and {words(uncertainty.names[j])} are correlated most strongly"
+    return f"{pair}: {correlation[i, j]:.2f}. {weakest}; condition number {number(condition, 3)}."
 
 
 def _most_moved(names, start: np.ndarray, uncertainty: Uncertainty) -> str:
@@ -298,24 +265,13 @@ def _most_moved(names, start: np.ndarray, uncertainty: Uncertainty) -> str:
     return f"The fit changes {words(names[k])} the most: {change}"
 
 
-def _strongest(names, correlation) -> str:
-    pairs = np.abs(np.triu(correlation, 1))
-    i, j = np.unravel_index(np.argmax(pairs), pairs.shape)
-    return f"{words(names[i])} and {words(names[j])} are correlated most strongly: {correlation[i, j]:.2f}"
-
-
 def add_static(page: Page, found: Identification) -> None:
-    """Figures and tables of the static map of an identification that has one."""
+    """The static map of an identification that has one, and the selection of its terms."""
     static, points = found.static, found.campaign.static
     page.section("The static map")
-    speeds, pitches = points.omega_ref[static.used], points.beta_ref[static.used]
-    if np.ptp(speeds) > 0.0 and np.ptp(pitches) > 0.0:
-        _add_grid(page, static, points, found.parameters.values)
-    elif static.used.sum() > 1:
-        _add_line(page, static, points, found.parameters.values)
-    else:
-        _add_point(page, static, points)
+    add_map(page, found)
     if static.not_identifiable:
+        speeds, pitches = points.omega_ref[static.used], points.beta_ref[static.used]
         where = f"{static.used.sum()} steady points at {_count(speeds, 'speed')} and {_count(pitches, 'pitch')}"
         page.note(
             f"{where} identify only combinations of {', '.join(map(words, static.not_identifiable))} with others: they stay "
@@ -323,7 +279,18 @@ def add_static(page: Page, found: Identification) -> None:
         )
     elif static.used.sum() > len(TERMS) and static.r2_adjusted is not None:
         _add_selection(page, select_terms(points, found.parameters.values))
-    _add_samples(page, found)
+
+
+def add_map(page: Page, found: Identification) -> None:
+    """The fitted map with the steady points, in one figure; a single point as a table."""
+    static, points = found.static, found.campaign.static
+    speeds, pitches = points.omega_ref[static.used], points.beta_ref[static.used]
+    if np.ptp(speeds) > 0.0 and np.ptp(pitches) > 0.0:
+        _add_grid(page, static, points, found.parameters.values)
+    elif static.used.sum() > 1:
+        _add_line(page, static, points, found.parameters.values)
+    else:
+        _add_point(page, static, points)
 
 
 def _count(values: np.ndarray, word: str) -> str:
@@ -337,7 +304,7 @@ def _quality(static: StaticFit) -> str:
 
 def _add_grid(page: Page, static: StaticFit, points: StaticMap, scales) -> None:
     """The map over both commands."""
-    omega, beta = np.linspace(points.omega_ref.min(), points.omega_ref.max(), 41), np.linspace(*static.pitch, 31)
+    beta = np.linspace(*static.pitch, 31)
     used = points.omega_ref[static.used], points.beta_ref[static.used], points.thrust[static.used]
     levels = np.unique(used[0])
     # One line for each commanded speed, at the mean measured speed, which may differ from the command.
@@ -347,14 +314,6 @@ def _add_grid(page: Page, static: StaticFit, points: StaticMap, scales) -> None:
     page.figure(
         map_lines(speeds, beta, thrust, (points.omega[static.used], *used[1:]), title), "Lines: fitted; points: measured."
     )
-    largest = f"The largest residual of the cubic is {number(np.max(np.abs(static.residual)))} N"
-    page.figure(map_residuals(*used[:2], static.residual, largest), "Measured minus fitted.")
-    speeds, pitches, ct = coefficient_grid(points, 1.0, scales["thrust_scale"] / (scales["omega_scale"] / 60.0) ** 2)
-    figure = thrust_coefficients(speeds, pitches, ct, _coefficients_say(pitches, ct, static.pitch), _COEFFICIENT)
-    page.figure(figure, "Normalised; blades in their linear range give one line.")
-    uncertainty = static.uncertainty(omega, beta[:, None], scales)
-    title = f"The map's standard deviation is {number(uncertainty.max())} N or less in the measured range"
-    page.figure(map_uncertainty(omega, beta, uncertainty, title), "Standard deviation from the coefficients' covariance.")
 
 
 def _mapped(static: StaticFit, scales, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
@@ -384,37 +343,9 @@ def _add_point(page: Page, static: StaticFit, points: StaticMap) -> None:
     page.table(columns, [row], "The only steady point: it determines one thrust, and no map.")
 
 
-def _coefficients_say(pitches: np.ndarray, ct: np.ndarray, fitted: tuple[float, float]) -> str:
-    """Change of thrust over speed squared (speeds, pitches) with speed and pitch, inside the `fitted` range [deg]."""
-    inside = ct[:, (pitches >= fitted[0]) & (pitches <= fitted[1]) & np.isfinite(ct).any(axis=0)]
-    with_pitch = float(np.ptp(np.nanmean(inside, axis=0)))
-    with_speed = float(np.sqrt(np.nanmean(np.nanvar(inside, axis=0))))
-    return f"Thrust over speed squared changes by {number(with_pitch)} with pitch, and by {number(with_speed)} rms with speed"
-
-
 def _add_selection(page: Page, chosen: Selection) -> None:
     rank = chosen.rank(chosen.of(), "bic") if chosen.of() else None
     papers = "these points do not identify the paper's" if rank is None else f"the paper's set has rank {rank} of its size"
     rows = [(size, name, f"{bic:.1f}", f"{r2:.6f}", loo) for size, name, bic, r2, loo in chosen.rows()]
     columns = ("terms", "best set", "BIC", "adjusted R²", "leave-one-out rmse [N]")
     page.table(columns, rows, f"The best of each number of terms w^i b^j; {papers}.")
-
-
-def _add_samples(page: Page, found: Identification) -> None:
-    record, repeat, raw = found.campaign.open_loop, found.campaign.repeat, found.campaign.static_raw
-    if raw is not None and (still := resting(raw)):
-        readings, source = noise(still), "the raw samples of the steady points, minus each point's mean"
-    elif record is not None and repeat is not None:
-        readings, source = (record["thrust"] - repeat["thrust"]) / np.sqrt(2.0), "the difference of the repeated records"
-    else:
-        return
-    readings, wanted = readings[np.isfinite(readings)], MEAN_STD * found.parameters.values["thrust_scale"]
-    if len(readings) < FEWEST or np.ptp(readings) == 0.0:
-        return
-    need = samples_needed(readings, wanted)
-    title = f"A steady point needs {need.number} readings for a mean with a standard deviation of {number(wanted, 2)} N"
-    note = f"One reading in {number(max(1.0, need.inflation), 2)} is independent, because neighbours share noise"
-    if not need.settled:
-        note = "The noise is slower than the record is long: the number is too small"
-    caption = f"Standard deviation of a mean over m readings, from {source}. {note}."
-    page.figure(mean_convergence(need.m, need.std, need.white, title, (need.number, wanted)), caption)
