@@ -424,9 +424,12 @@ def _add_alike(page: Page, found: Diagnosis) -> None:
 
 
 def add_evidence(page: Page, found: Diagnosis) -> None:
-    """The table of all refitted candidates, and the statistics of the accepted ones."""
-    rows = []
-    for tried in (t for each in found.selection.rounds for t in each if t.fit is not None):
+    """The table of the effects that were refitted, each in its best form, and the statistics of the accepted ones."""
+    rows, best = [], {}
+    fitted = [t for each in found.selection.rounds for t in each if t.fit is not None]
+    for tried in sorted(fitted, key=lambda t: (why_not(found, t) is None, t.evidence), reverse=True):
+        best.setdefault(tried.candidate.name, tried)
+    for tried in best.values():
         candidate, fit = tried.candidate, tried.fit
         beside = " + ".join(tried.beside) or "nothing"
         form = ", ".join(f"{v:g}" for v in candidate.form.values()) or "only"
@@ -434,7 +437,8 @@ def add_evidence(page: Page, found: Diagnosis) -> None:
         sizes = ", ".join(f"{p.name.partition('.')[2]} {limited(p, fit.values[p.name])}" for p in own)
         rows.append((candidate.name, form, beside, f"{tried.evidence:.1f}", sizes, why_not(found, tried) or "accepted"))
     columns = ("effect", "form", "beside", "evidence [nat]", "parameters", "verdict")
-    page.table(columns, rows, "Candidates that were refitted in full.")
+    caption = "Effects that were refitted in full, each in its best form; diagnosis.json has all forms and rounds."
+    page.table(columns, rows, caption)
     for effect, judged in found.selection.judgements.items():
         gains = ", ".join(f"{channel} {signed(gain)}" for channel, gain in judged.gain.items())
         page.note(
