@@ -417,8 +417,8 @@ def _add_alike(page: Page, found: Diagnosis) -> None:
     similarity = found.distinguishability
     if pairs := similarity.alike():
         rows = [(words(one), words(other), f"{overlap:.2f}") for one, other, overlap in pairs[:MOST_ALIKE]]
-        caption = f"The most similar of {len(pairs)} pairs of effects that these commands do not distinguish"
-        page.table(("effect", "other effect", "squared cosine [-]"), rows, f"{caption}, by their responses.")
+        caption = f"Pairs of effects that these commands do not distinguish ({len(rows)} of {len(pairs)}), by similarity."
+        page.table(("effect", "other effect", "squared cosine [-]"), rows, caption)
     unseen = ", ".join(map(words, similarity.invisible())) or "none"
     page.note(f"Not visible at a plausible size under these commands: {unseen}.")
 
