@@ -5,10 +5,9 @@ from collections.abc import Callable
 
 
 class Effort:
-    """`budget` [s]: time after which no further step begins; None: unlimited. `thorough`: terms of
-    unknown form are learned if lack of fit remains, and compared with the named effects. `stage`: called with the name of each
-    stage. `progress`: called within a search with the numbers of finished and of all candidates, and the name of the best so
-    far.
+    """`budget` [s]: time after which no further step begins; None: unlimited. `thorough`: terms of unknown form are
+    learned if lack of fit remains, and compared with the named effects. `stage`: called with the name of each stage.
+    `progress`: called within a search with the numbers of finished and of all candidates, and the name of the best so far.
 
     `not_tried`: steps that did not begin, because the budget was used up.
     """

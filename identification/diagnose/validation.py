@@ -143,9 +143,11 @@ def worse_than_noise(unseen: Unseen, known: Fit, noise: Noise, final: Fit, least
     white = detrend(white[np.isfinite(white)])
     step = max(noise.block, unseen.record.period)
     power, frequency = mean_powers(white[None]), np.fft.rfftfreq(len(white), step)
-    tests, excess, whole = [], 0.0, float(np.sum(power[frequency < SLOW]))
+    tests, excess, whole, usual = [], 0.0, float(np.sum(power[frequency < SLOW])), _noise_of(known, step)
     for low, high, inside in bands_of(frequency):
-        level, degrees = _noise_between(known, low, high, step)
+        within = [(at >= low) & (at < high) & (at > 0.0) for at, _, _ in usual]
+        degrees = sum(float(np.sum(own[rows])) for rows, (_, _, own) in zip(within, usual, strict=True))
+        level = sum(float(own[rows] @ each[rows]) for rows, (_, each, own) in zip(within, usual, strict=True)) / degrees
         own, count = float(np.mean(power[inside])), int(inside.sum())
         tests.append(float(f_distribution.sf(own / level, 2 * count, degrees)))
         excess += count * max(own - level, 0.0) if tests[-1] < ALPHA_BASE else 0.0
@@ -156,21 +158,17 @@ def worse_than_noise(unseen: Unseen, known: Fit, noise: Noise, final: Fit, least
     return f"{unseen.name}.csv is predicted worse than the noise allows, by {size:.2g} N rms below {SLOW:g} Hz"
 
 
-def _noise_between(fit: Fit, low: float, high: float, step: float) -> tuple[float, float]:
-    """(power of the whitened noise of the thrust between two frequencies [Hz], its degrees of freedom), from differences of
-    repeated records, else from the residual, corrected for what the fit absorbs. `step` [s]: of the whitened rows."""
-    about, scale, total, degrees = fit.linearised(), fit.problem.scale["thrust"], 0.0, 0.0
+def _noise_of(fit: Fit, step: float) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """For each experiment (frequencies [Hz], power of the whitened noise of the thrust there, degrees of freedom), from
+    differences of repeated records, else from the residual, corrected for what the fit absorbs. `step` [s]: of its rows."""
+    about, scale, found = fit.linearised(), fit.problem.scale["thrust"], []
     for e, rows in zip(fit.problem.experiments, channel_rows(fit, "thrust"), strict=True):
         repeated = len(e.records) > 1
         samples = e.differences() if repeated else scale * about.residual[None, rows]
         gone = about.directions(rows)
         level, free = noise_levels(mean_powers(samples) / len(samples), mean_powers(gone[:0] if repeated else gone))
-        frequency = np.fft.rfftfreq(samples.shape[1], step)
-        inside = (frequency >= low) & (frequency < high) & (frequency > 0.0)
-        own = 2.0 * len(samples) * free[inside]
-        total += float(own @ level[inside])
-        degrees += float(np.sum(own))
-    return total / degrees, degrees
+        found.append((np.fft.rfftfreq(samples.shape[1], step), level, 2.0 * len(samples) * free))
+    return found
 
 
 def _estimated(judge: Judge, knowledge: Knowledge | None, present: Fit, found: Fit, parts: Sequence[Fit] = ()) -> Fit:

@@ -13,7 +13,6 @@ from identification.logs.mapping import ROWS, Column, Plan, clock_like, in_other
 from identification.logs.raw_table import RawTable
 from identification.logs.speed_map import RANGES, SignalRange, SpeedMap
 from identification.logs.units import QUANTITIES, SIGNALS, factor_of, is_rate, scale_of, signal_unit
-from identification.static.static_map import DENSITY
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import QUANTITIES as RANGE
@@ -64,6 +63,10 @@ class Taken:
     def record(self) -> Record:
         """The columns that a record has."""
         return Record({n: c for n, c in self.columns.items() if n in ("time", *RANGE)}, self.source)
+
+
+DENSITY = 1.225
+"""kg/m^3: air at sea level, 15 degC."""
 
 
 @dataclass(frozen=True)

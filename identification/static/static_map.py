@@ -26,12 +26,6 @@ FINEST = 1e-4
 ROUNDING = 1e-8
 """Minimum residual variance over that of the means: a smaller one is rounding error, of computed or equal points."""
 
-DIAMETER = 0.254
-"""m: the 1045 propeller's 10 in."""
-
-DENSITY = 1.225
-"""kg/m^3: air at sea level, 15 degC."""
-
 
 @dataclass(frozen=True)
 class StaticFit:

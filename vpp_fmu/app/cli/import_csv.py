@@ -25,7 +25,7 @@ from identification.logs.commands import FILE as SPEED_MAP
 from identification.logs.commands import map_beside
 from identification.logs.containers import read_container
 from identification.logs.delimited import DELIMITERS, read_delimited
-from identification.logs.intake import Propeller, Taken, contradictions, signal_range, take_in
+from identification.logs.intake import DENSITY, Propeller, Taken, contradictions, signal_range, take_in
 from identification.logs.mapping import (
     FILE,
     FORMAT,
@@ -44,7 +44,6 @@ from identification.logs.rotors import chosen
 from identification.logs.sampling import said_of_gaps
 from identification.logs.speed_map import read_speed_map
 from identification.logs.units import QUANTITIES
-from identification.static.static_map import DENSITY
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.import_place import add_kind, add_speed_from, headline, placed
 from vpp_fmu.app.cli.options import Number, whole

@@ -198,7 +198,7 @@ function axisOf(figure, name, marks) {
       tight = true;
       continue;
     }
-    const along = mark.kind === "bar" && (mark.flat ? "x" : "y") === side;
+    const along = mark.kind === "bar" && side === "y";
     if (along) hold(0);
     const window = figure.zoom[mark.axes[other]];
     for (let k = 0; k < mark[side].length; k += 1) {
@@ -301,7 +301,7 @@ function paint(figure, forced) {
     const own = spec.marks.filter((mark) => mark.axes.x === panel.x && mark.axes.y === panel.y && !figure.hidden.has(mark.key));
     const shapes = spec.shapes.filter((shape) => belongs(shape, panel) && !figure.hidden.has(shape.key));
     for (const shape of shapes) shaped(inner, shape, panel);
-    own.forEach((mark) => PAINTERS[mark.kind](inner, mark, panel, own, root, width));
+    own.forEach((mark) => PAINTERS[mark.kind](inner, mark, panel, own));
     for (const shape of shapes) if (shape.edge) shape.ends.forEach((end) => level(inner, shape, panel, end, shape.edge));
     if (panel.heading) {
       const middle = (panel.x0 + panel.x1) / 2;
@@ -403,35 +403,17 @@ const PAINTERS = {
     if (mark.symbol) points.forEach(([x, y], k) => symbol(parent, mark, x, y, mark.tint ? tinted(mark, mark.tint[k]) : mark.colour));
   },
 
-  bar(parent, mark, panel, own, root, width) {
+  bar(parent, mark, panel) {
     const { x, y } = panel.axes;
-    const [along, beside] = mark.flat ? [x, y] : [y, x];
-    const bars = own.filter((each) => each.kind === "bar");
-    const slots = mark.grouped ? bars.length : 1;
-    const unit = Math.abs(beside.to - beside.from) / (beside.high - beside.low);
-    const gaps = mark[mark.flat ? "y" : "x"];
-    const step = beside.kind === "category" ? 1 : mark.width ?? Math.abs(gaps[1] - gaps[0]);
-    const thick = (step * unit * (1 - mark.gap)) / slots;
-    const shift = mark.grouped ? (bars.indexOf(mark) - (slots - 1) / 2) * thick : 0;
-    const base = along.kind === "log" ? along.from : along.at(0);
-    for (let k = 0; k < gaps.length; k += 1) {
-      const end = along.at(mark[mark.flat ? "x" : "y"][k]);
+    const unit = Math.abs(x.to - x.from) / (x.high - x.low);
+    const step = x.kind === "category" ? 1 : mark.width ?? Math.abs(mark.x[1] - mark.x[0]);
+    const thick = step * unit * (1 - mark.gap);
+    const base = y.kind === "log" ? y.from : y.at(0);
+    for (let k = 0; k < mark.x.length; k += 1) {
+      const end = y.at(mark.y[k]);
       if (!Number.isFinite(end)) continue;
-      const lowered = panel.above ? 7 : 0; // its label is above the bar
-      const middle = beside.at(gaps[k]) + shift + lowered;
-      const [low, long] = [Math.min(base, end), Math.abs(end - base)];
-      const thin = Math.min(thick, panel.above ? 12 : thick) * (mark.grouped ? 0.94 : 1);
-      const box = mark.flat
-        ? { x: low, y: middle - thin / 2, width: long, height: thin }
-        : { x: middle - thin / 2, y: low, width: Math.max(thin, 0.5), height: long };
+      const box = { x: x.at(mark.x[k]) - thick / 2, y: Math.min(base, end), width: Math.max(thick, 0.5), height: Math.abs(end - base) };
       svg("rect", { ...box, class: "mark", style: `fill:${mark.colour};opacity:${mark.opacity ?? 1}` }, parent);
-      const told = mark.text?.[k] ?? (mark.shown ? filled(mark.shown, mark, k) : "");
-      if (!told) continue;
-      if (mark.flat) {
-        const beside = Math.max(base, end) + 5;
-        const whole = beside + wide(told, FONT.tick) < width;
-        svg("text", { x: beside, y: middle + 4, class: "tick" }, root, whole ? told : told.split("  ")[0]);
-      } else if (wide(told, 11) < thick * 1.2) svg("text", { x: middle, y: end - 4, "text-anchor": "middle", class: "small" }, root, told);
     }
   },
 
@@ -445,15 +427,9 @@ const PAINTERS = {
         if (!Number.isFinite(value)) continue;
         const [left, top] = [Math.min(right[column], right[column + 1]), Math.min(down[row], down[row + 1])];
         const [across, tall] = [Math.abs(right[column + 1] - right[column]), Math.abs(down[row + 1] - down[row])];
-        const seam = mark.seam ? 1 : -0.6;
         const share = (value - mark.least) / (mark.most - mark.least);
-        const box = { x: left, y: top, width: Math.max(across - seam, 0.5), height: Math.max(tall - seam, 0.5) };
+        const box = { x: left, y: top, width: across + 0.6, height: tall + 0.6 };
         svg("rect", { ...box, class: "mark", style: `fill:${mixed(mark.stops, share)}` }, parent);
-        const told = mark.text ? mark.text[row][column] : mark.shown ? digits(value, mark.shown) : "";
-        if (!told || wide(told, 11) > across - 3) continue;
-        const strong = mark.strong.some(([from, to]) => share >= from && share <= to) ? " strong" : "";
-        const at = { x: left + across / 2, y: top + tall / 2 + 4, "text-anchor": "middle", class: `small${strong}` };
-        svg("text", at, parent, told);
       }
   },
 };
@@ -669,8 +645,7 @@ function tell(figure, placed, panel, x, y, guide) {
         continue;
       }
       placedAt(mark, panel).forEach(([px, py], k) => {
-        const flat = mark.kind === "bar";
-        const far = flat ? (mark.flat ? Math.abs(py - y) : Math.abs(px - x)) : Math.hypot(px - x, py - y);
+        const far = mark.kind === "bar" ? Math.abs(px - x) : Math.hypot(px - x, py - y);
         if (far < best) [best, found] = [far, [mark, { x: mark.x[k], y: mark.y[k], k }]];
       });
     }

@@ -25,16 +25,14 @@ _KNOWN = {
         xaxis yaxis line.color line.dash line.shape line.width error_x.array error_x.arrayminus error_x.color error_x.thickness
         error_x.width error_y.array error_y.type marker.color marker.colorscale marker.colorbar.title.text marker.line.width
         marker.showscale marker.size marker.symbol""",
-    "bar": """x y name text width opacity orientation marker.color cliponaxis hovertemplate showlegend textfont.size
-        textposition texttemplate type xaxis yaxis""",
-    "heatmap": """x y z zmin zmax text texttemplate textfont.size colorscale colorbar.title.text hovertemplate type
-        xgap ygap""",
+    "bar": """x y name width opacity marker.color hovertemplate showlegend type xaxis yaxis""",
+    "heatmap": "x y z zmin zmax colorscale colorbar.title.text hovertemplate type",
     "shape": "type name fillcolor layer opacity showlegend line.color line.dash line.width x0 x1 xref y0 y1 yref",
     "annotation": "text font.size showarrow x y xref yref xanchor yanchor",
     "axis": """anchor autorange categoryarray categoryorder domain dtick hoverformat range rangemode scaleanchor scaleratio
         showgrid showticklabels tickfont.size tickformat ticktext tickvals title.text title.font.size title.standoff type
         zeroline""",
-    "layout": """title height margin template legend hovermode hoversubplots showlegend bargap bargroupgap barmode shapes
+    "layout": """title height margin template legend hovermode hoversubplots showlegend bargap shapes
         annotations""",
 }
 """Supported properties, by the kind of object."""
@@ -229,25 +227,16 @@ def _bar(trace, fig: go.Figure, _: Arrays) -> dict[str, Any]:
     return {
         "kind": "bar",
         "colour": style.ink(trace.marker.color),
-        "flat": trace.orientation == "h",
-        "grouped": fig.layout.barmode == "group",
         "gap": 0.2 if fig.layout.bargap is None else fig.layout.bargap,
         "width": None if trace.width is None else float(trace.width),
-        "text": None if trace.text is None else [_words(text) for text in trace.text],
-        "shown": trace.texttemplate,
     }
 
 
 def _heatmap(trace, _: go.Figure, arrays: Arrays) -> dict[str, Any]:
     scale = _scale(trace.colorscale, float(trace.zmin), float(trace.zmax), trace.colorbar.title.text)
-    shown = re.fullmatch(r"%\{z:(.+)\}", trace.texttemplate or "")
     return {
         "kind": "heatmap",
         "z": arrays.add(np.asarray(trace.z, float).ravel()),
-        "text": None if trace.text is None else [list(row) for row in trace.text],
-        "shown": shown[1] if shown else None,
-        "seam": bool(trace.xgap),
-        "strong": [[0.0, 0.2], [0.8, 1.0]] if trace.zmin < 0 else [[0.6, 1.0]],
         "scale": scale,
         **scale,
     }

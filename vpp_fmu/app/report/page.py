@@ -38,10 +38,9 @@ _COLOURS = {
     "grid": ("#e8ecef", "#262e36"),
     "axis": ("#9aa5b1", "#5d6975"),
     "hovered": ("#f5f7f9", "#1d242b"),
-    "strong": ("#ffffff", "#10151a"),
     "warning": ("#fdf6ec", "#2b2317"),
 }
-"""Colours of the page by name, light and dark; `strong`: letters on the strongest colours of a heat map."""
+"""Colours of the page by name, light and dark."""
 
 
 def _colours(which: int) -> str:

@@ -16,13 +16,11 @@ BEFORE = "#e08214"
 AFTER = "#0072b2"
 SET_POINT = "#8c8c8c"
 FIT = "#111111"
-PUBLISHED = "#b35806"
 FAINT = "#c4cad0"
 LIGHT_BLUE = "#56b4e9"
 NOISE = "rgba(77,77,77,0.14)"
 VEIL = "rgba(0,114,178,0.16)"
 BAND = "rgba(86,180,233,0.32)"
-ZERO = "#fbfbfb"
 OTHERS = (AFTER, "#009e73", "#cc79a7", LIGHT_BLUE, "#882255", BEFORE)
 """Colours without a fixed meaning, in the order of use."""
 
@@ -32,13 +30,11 @@ SCHEME = {
     AFTER: ("after", "#4fb0ea"),
     SET_POINT: ("set-point", "#8f9aa6"),
     FIT: ("fit", "#f3f5f7"),
-    PUBLISHED: ("published", "#e58d4b"),
     FAINT: ("faint", "#4b5762"),
     LIGHT_BLUE: ("light-blue", "#a3d5f5"),
     NOISE: ("noise", "rgba(201,209,217,0.16)"),
     VEIL: ("veil", "rgba(79,176,234,0.22)"),
     BAND: ("band", "rgba(79,176,234,0.28)"),
-    ZERO: ("zero", "#1b222a"),
     "#009e73": ("green", "#33c79d"),
     "#cc79a7": ("pink", "#e09cc4"),
     "#882255": ("wine", "#d8689f"),

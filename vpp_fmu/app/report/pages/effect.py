@@ -1,6 +1,6 @@
 """Sections on the effects of a diagnosis: their curves, their influence at rest and over time, and learned terms."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -44,15 +44,21 @@ MOST_TRIED = 6
 
 
 def add_effects(page: Page, found: Diagnosis) -> None:
-    """One figure for each effect of the final set: its curve at rest; if there is none, its largest influence over time."""
+    """The effects of the final set: one curve at rest for all those of a channel; if they have none, each one's largest
+    influence over time."""
+    moved: dict[str, dict[str, Mapping]] = {}
     for effect in found.final.effects:
         on, off = _with_and_without(found.final, effect, found.shown)
         change = {n: on[n] - off[n] for n in on}
         channel = next((n for n, (*_, least) in QUANTITIES.items() if np.max(np.abs(change[n])) > least), "thrust")
         if channel == "thrust":
             _add_thrust(page, effect, found.shown, off, change)
-        elif not _add_at_rest(page, found, effect, channel):
-            _add_in_time(page, found, effect, channel, change)
+        else:
+            moved.setdefault(channel, {})[effect] = change
+    for channel, changes in moved.items():
+        if not _add_at_rest(page, found, list(changes), channel):
+            for effect, change in changes.items():
+                _add_in_time(page, found, effect, channel, change)
 
 
 def around(time: np.ndarray, center: float, half: float) -> np.ndarray:
@@ -73,8 +79,8 @@ def _with_and_without(fit: Fit, name: str, record: Record) -> tuple[dict, dict]:
     return _simulated(fit, *record.run), _simulated(fit, *record.run, off)
 
 
-def _add_at_rest(page: Page, found: Diagnosis, effect: str, channel: str) -> bool:
-    """Reached against commanded values, up and down; False and nothing if the effect has no influence at rest."""
+def _add_at_rest(page: Page, found: Diagnosis, effects: Sequence[str], channel: str) -> bool:
+    """Reached against commanded values, up and down; False and nothing if the effects have no influence at rest."""
     word, unit, _ = QUANTITIES[channel]
     record, command = found.shown, f"{channel}_ref"
     beside = "beta_ref" if channel == "omega" else "omega_ref"
@@ -88,7 +94,7 @@ def _add_at_rest(page: Page, found: Diagnosis, effect: str, channel: str) -> boo
     off = max(float(np.max(np.abs(v - stairs))) for name, v in reached.items() if name.startswith("after"))
     if off < AT_REST * np.ptp(stairs):
         return False
-    title = f"{titled(effect)}: at rest the {word} deviates by up to {number(off, 3)} {unit} from its command"
+    title = f"{titled(' and '.join(effects))}: at rest the {word} deviates by up to {number(off, 3)} {unit} from its command"
     figure = reached_against_commanded(stairs, reached, title, word, unit)
     page.figure(figure, f"The settled models on stairs of {number(stairs[1] - stairs[0], 2)} {unit}, up and down.")
     return True
