@@ -369,11 +369,13 @@ def _other(found: _Searched) -> _Searched | None:
 def _concluded(task: _Task, found: _Searched) -> Diagnosis:
     """The diagnosis from a search: a term of unknown form is learned if lack of fit remains, and the next experiment chosen."""
     at, judge, final, refuted, word = found.at, found.judge, found.final, found.refuted, found.word
-    selection, before, after = found.selection(), lack_of(found.stages, "before"), lack_of(found.stages, "after")
-    attempt, learned_in = Attempt(), None
-    doubts = _doubts(task, found) if word in NAMED and task.effort.thorough else {}
+    attempt, learned_in, doubts = Attempt(), None, {}
+    if word in CHANGED and task.effort.thorough:
+        found, doubts = _undoubted(task, found)
+        final, refuted = found.final, found.refuted
+        word = "partly" if doubts and not refuted else found.word
     missed = "; ".join(doubts.values())
-    word = "partly" if doubts else word
+    selection, before, after = found.selection(), lack_of(found.stages, "before"), lack_of(found.stages, "after")
     open_stages = [s for s in found.stages if (s.before if refuted else s.after).significant or s.name in doubts]
     for stage in open_stages if task.effort.thorough and word in UNEXPLAINED else ():
         if not task.effort.allows("a term of unknown form"):
@@ -436,22 +438,28 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
     )
 
 
-def _doubts(task: _Task, found: _Searched) -> dict[str, str]:
-    """For each stage, in words: a learned term that fits better than an accepted effect in its place. The effect then stands in
-    for one outside the library."""
+def _undoubted(task: _Task, found: _Searched) -> tuple[_Searched, dict[str, str]]:
+    """The search without the effects that stand in for one outside the library; for each stage with such, in words: a learned
+    term that fits better than an effect in its place. The strongest effect stays if all are such: it explains a part."""
     doubts: dict[str, str] = {}
-    for stage in found.stages:
-        searcher, fit = stage.judge.searcher, stage.accepted
-        for name in fit.effects:
+    for k, stage in enumerate(found.stages):
+        for name in sorted(stage.accepted.effects, key=lambda n: stage.selection.judgements[n].evidence):
+            stage = found.stages[k]
             step = f"a learned term in place of {name}"
             if not task.effort.allows(step):
-                return doubts
+                return found, doubts
             task.effort.stage(step)
-            rest = without(searcher, stage.selection.base, fit, name)
-            if term := better_than(stage.judge, rest, fit, found.at.rig.scales, task.pool):
-                gain = number(evidence_over(term.fit, fit), 3)
-                doubts[stage.name] = f"a learned term at {PORTS[term.lead.port].words} fits better than {name}, by {gain} nats"
-    return doubts
+            fit = stage.accepted
+            rest = without(stage.judge.searcher, stage.selection.base, fit, name)
+            if not (term := better_than(stage.judge, rest, fit, found.at.rig.scales, task.pool)):
+                continue
+            gain = number(evidence_over(term.fit, fit), 3)
+            why = f"a learned term at {PORTS[term.lead.port].words} fits better than {name}, by {gain} nats"
+            doubts[stage.name] = why
+            if len(fit.effects) > 1:
+                fewer = stage.less(name, why)
+                found = found.validated([*found.stages[:k], fewer, *found.stages[k + 1 :]])
+    return found, doubts
 
 
 def _channels(found: _Searched, learned_in: Stage | None, refuted: str, doubted: Iterable[str]) -> dict[str, dict]:
