@@ -44,10 +44,11 @@ from identification.diagnose.validation import (
 )
 from identification.fit.coordinates import CHANNELS, slowest
 from identification.fit.noise import Noise
+from identification.fit.uncertainty import NORMAL_95
 from identification.gate.finding import Finding
 from identification.gate.gate import Passed, passed
 from identification.identify import Identification, off_bounds
-from identification.logger import Logger
+from identification.logger import SIGNIFICANT, Logger
 from identification.logger_fit import as_logged
 from identification.logs.commands import FILE as SPEED_MAP
 from identification.power.diagnose import PowerDiagnosis, diagnose_power
@@ -62,8 +63,8 @@ from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig
 
-DELAYS = ("row_clock", "reading_delay", "speed_reading_delay", "speed_delay", "pitch_delay")
-"""Effects that an estimate of the logger has itself."""
+DELAYS = ("row_clock", "reading_delay", "sensor_lag", "speed_reading_delay", "speed_delay", "pitch_delay")
+"""Effects that an estimate of the logger has itself, to first order."""
 
 
 @dataclass(frozen=True)
@@ -228,7 +229,9 @@ def diagnose(
             stage("logger")
             kept = given.without_power.model.optional if given else ()
             again = as_logged(gate, [*kept, *beside], library, found.selection().final.values, pool.map)
-            if not again.logger.agrees_with(found.logger):
+            # A delay of the thrust may come from a logger that was estimated without the other effects.
+            errors = SIGNIFICANT if len(beside) == len(found.selection().final.effects) else NORMAL_95
+            if not again.logger.agrees_with(found.logger, errors):
                 found = _simpler(found, _searched(task, again))
         done = _concluded(task, found)
         return replace(done, not_tried=tuple(effort.not_tried), power=_power(done))
@@ -513,6 +516,9 @@ def _learned(task: _Task, found: _Searched, stage: Stage, present: Fit) -> tuple
             continue
         if lack_remains and attempt.learned.elsewhere:
             attempt = attempt.but_refuted("lack of fit remains, and a term at another port or driver explains as much")
+            continue
+        if term.lead.driver == "time" and not (found.unseen or found.judge.runs):
+            attempt = attempt.but_refuted("it depends on time, and no record of other commands shows that it holds there")
             continue
         together = joined(term.searcher(found.judge.searcher), found.judge.base, [*others, term.fit])
         without_it = joined(found.judge.searcher, found.judge.base, [*others, beside])
