@@ -79,6 +79,8 @@ class Judge:
             (known, gained), level = gains_in_bands((self.base, without, with_it), channel)
             gained = gains[channel] * gained / (gained.sum() or 1.0) / level
             gains[channel] = float(np.clip(gained.sum(), 0.0, gains[channel]))
+            if channel == "thrust" and not all(e.noise.verified for e in with_it.problem.experiments):
+                gains[channel] = min(gains[channel], gain_beside_flicker(without, with_it))
             if explained[channel] > 0.0:
                 by_forms += model_form_allowance(gained, explained[channel] * known / (known.sum() or 1.0) / level)
         return gains, by_forms
@@ -144,6 +146,42 @@ class Judge:
             floor = max(e.noise.floor for e in self.searcher.experiments)
             return rms(rows), float(np.sqrt(common)) * floor, turned, rms(rows) ** 2 >= common * floor**2
         return size, least, turned, size >= least or turned >= self.least_speed()
+
+
+def gain_beside_flicker(without: Fit, with_it: Fit) -> float:
+    """Log-likelihood gain of the thrust from one fit to another, where the noise of each may have flicker of any strength.
+
+    A single record does not show whether its slowest part is flicker or a drift. A fit whose residual is flicker loses the
+    logarithm of its power; flicker that explains a drift would be seen at higher frequencies, too (Whittle's likelihood)."""
+    scale, found = with_it.problem.scale["thrust"], 0.0
+    for fit, sign in ((without, -1.0), (with_it, 1.0)):
+        about, factor = fit.linearised(), fit.problem.scale["thrust"] / scale
+        parts = [b.at for b in fit.problem.blocks if b.channel == "thrust"]
+        found += sign * sum(with_flicker(factor * about.residual[at], about.directions(at)) for at in parts)
+    return max(found, 0.0)
+
+
+def with_flicker(whitened: np.ndarray, fitted: np.ndarray) -> float:
+    """Log-likelihood, up to a constant, of whitened noise (n,) beside flicker of the most likely corner, or of none. `fitted`
+    (m, n): directions of the parameters in units of their standard errors; they are fitted again beside the flicker."""
+    n = len(whitened)
+    spectra, ordinate = np.fft.rfft(np.vstack([whitened, fitted]), axis=1), np.arange(n // 2 + 1)
+    share = np.where(2 * ordinate % n, 2.0, 1.0) / n  # of an ordinate and its mirror image in the products of rows
+    ordinate = np.maximum(ordinate, 0.5)  # the mean, as at half the frequency of the next
+
+    def products(ratio: np.ndarray) -> np.ndarray:
+        return ((spectra * (share / ratio)) @ spectra.conj().T).real
+
+    even = products(np.ones(1))
+
+    def log_likelihood(corner: float) -> float:
+        ratio = 1.0 + corner / ordinate
+        own = products(ratio)
+        moved = own[1:, 0] - even[1:, 0]
+        gained = moved @ np.linalg.lstsq(np.eye(len(fitted)) + own[1:, 1:] - even[1:, 1:], moved, rcond=None)[0]
+        return -float(np.sum(np.log(ratio)) + 0.5 * (own[0, 0] - gained))
+
+    return max(map(log_likelihood, (0.0, *2.0 ** np.arange(np.log2(len(ordinate))))))
 
 
 def gains_in_bands(fits: Sequence[Fit], channel: str) -> tuple[np.ndarray, np.ndarray]:
