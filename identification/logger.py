@@ -39,9 +39,10 @@ class Logger:
         """Whether both are equal within so many standard `errors`."""
         fixed = [(s.kind, s.marks_per_revolution, s.averaged) for s in (self.sensor, other.sensor)]
         pairs = [(self.rows, other.rows, max(self.std, other.std, FINEST))]
+        own, its = self.sensor_std, other.sensor_std
         pairs += [
-            (getattr(self.sensor, n), getattr(other.sensor, n), max(s, FINEST * self.period))
-            for n, s in self.sensor_std.items()
+            (getattr(self.sensor, n), getattr(other.sensor, n), max(own.get(n, its.get(n)), FINEST * self.period))
+            for n in own | its
         ]
         return fixed[0] == fixed[1] and all(abs(a - b) <= errors * std for a, b, std in pairs)
 

@@ -342,7 +342,7 @@ def test_the_logger_is_estimated_again_beside_the_effects_found(monkeypatch, off
     beside = []
 
     def searched(task, gate):
-        final = SimpleNamespace(effects=("sensor_lag", "pitch_delay"), values={})
+        final = SimpleNamespace(effects=("inflow_lag", "pitch_delay"), values={})
         parts = {"final": final, "word": "attributed", "held_out_after": SimpleNamespace(rmse_thrust=2.0 + gate.logger.rows)}
         return SimpleNamespace(logger=gate.logger, selection=lambda: SimpleNamespace(final=final), **parts)
 
@@ -358,9 +358,9 @@ def test_the_logger_is_estimated_again_beside_the_effects_found(monkeypatch, off
     monkeypatch.setattr(diagnosing, "_concluded", lambda task, found: found)
     monkeypatch.setattr(diagnosing, "replace", lambda found, **_: found)
     monkeypatch.setattr(diagnosing, "_power", lambda found: None)
-    library = [SimpleNamespace(name=name) for name in ("sensor_lag", "pitch_delay")]
+    library = [SimpleNamespace(name=name) for name in ("inflow_lag", "pitch_delay")]
     assert diagnosing.diagnose(None, library).logger.rows == (offset if again else 0.0)
-    assert beside == [("sensor_lag",)]
+    assert beside == [("inflow_lag",)]
 
 
 @pytest.mark.parametrize(("speed", "pitch", "offset"), [(1.9, 2.9, 1.9), (4.0, 6.0, 0.0), (1.9, 0.0, 0.0), (1.9, 1.9, 1.9)])

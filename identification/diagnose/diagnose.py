@@ -63,7 +63,10 @@ from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig
 
-DELAYS = ("row_clock", "reading_delay", "sensor_lag", "speed_reading_delay", "speed_delay", "pitch_delay")
+LATE = ("reading_delay", "sensor_lag")
+"""Effects that read the thrust later than the speed."""
+
+DELAYS = (*LATE, "row_clock", "speed_reading_delay", "speed_delay", "pitch_delay")
 """Effects that an estimate of the logger has itself, to first order."""
 
 
@@ -298,6 +301,10 @@ class _Searched:
         final, why = self.shipped(self.base, self.judge.base, found, [s.accepted for s in stages], partly)
         return replace(self, stages=stages, final=final, refuted=why)
 
+    def less(self, k: int, effect: str, why: str) -> "_Searched":
+        """The same without an effect of stage k, which is refused for a reason."""
+        return self.validated([*self.stages[:k], self.stages[k].less(effect, why), *self.stages[k + 1 :]])
+
     def shipped(self, present: Fit, beside: Fit, found: Fit, parts: Sequence[Fit], partly: bool = False) -> tuple[Fit, str]:
         """(final model, why held-out data refute `found`, fitted beside another set, in place of the `present` model). `parts`:
         the fits of the stages."""
@@ -365,8 +372,7 @@ def _other(found: _Searched) -> _Searched | None:
     if len(judged) < 2:
         return None
     k, weakest = min(judged, key=lambda each: judged[each].evidence)
-    fewer = found.stages[k].less(weakest, found.refuted)
-    return found.validated([*found.stages[:k], fewer, *found.stages[k + 1 :]])
+    return found.less(k, weakest, found.refuted)
 
 
 def _concluded(task: _Task, found: _Searched) -> Diagnosis:
@@ -442,26 +448,30 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
 
 
 def _undoubted(task: _Task, found: _Searched) -> tuple[_Searched, dict[str, str]]:
-    """The search without the effects that stand in for one outside the library; for each stage with such, in words: a learned
-    term that fits better than an effect in its place. The strongest effect stays if all are such: it explains a part."""
+    """The search without the effects that stand in for something else; for each stage with such, in words.
+
+    A learned term that fits better in the place of an effect shows that it stands in for one outside the library. The strongest
+    effect stays if all are such: it explains a part. Where the speed is not explained, nor are the instants of its readings: a
+    delay of the thrust beside them is then no finding."""
     doubts: dict[str, str] = {}
-    for k, stage in enumerate(found.stages):
-        for name in sorted(stage.accepted.effects, key=lambda n: stage.selection.judgements[n].evidence):
-            stage = found.stages[k]
+    for k in range(len(found.stages)):
+        evidence = {n: j.evidence for n, j in found.stages[k].selection.judgements.items()}
+        for name in sorted(found.stages[k].accepted.effects, key=evidence.__getitem__):
+            stage, speed = found.stages[k], found.stages[0]
+            if k and name in LATE and (speed.name in doubts or speed.word in UNEXPLAINED):
+                found = found.less(k, name, "where the speed is not explained, the instants of its readings are not known")
+                continue
             step = f"a learned term in place of {name}"
             if not task.effort.allows(step):
                 return found, doubts
             task.effort.stage(step)
             fit = stage.accepted
             rest = without(stage.judge.searcher, stage.selection.base, fit, name)
-            if not (term := better_than(stage.judge, rest, fit, found.at.rig.scales, task.pool)):
-                continue
-            gain = number(evidence_over(term.fit, fit), 3)
-            why = f"a learned term at {PORTS[term.lead.port].words} fits better than {name}, by {gain} nats"
-            doubts[stage.name] = why
-            if len(fit.effects) > 1:
-                fewer = stage.less(name, why)
-                found = found.validated([*found.stages[:k], fewer, *found.stages[k + 1 :]])
+            if term := better_than(stage.judge, rest, fit, found.at.rig.scales, task.pool):
+                gain = number(evidence_over(term.fit, fit), 3)
+                why = f"a learned term at {PORTS[term.lead.port].words} fits better than {name}, by {gain} nats"
+                doubts[stage.name] = why
+                found = found.less(k, name, why) if len(fit.effects) > 1 else found
     return found, doubts
 
 
