@@ -491,19 +491,29 @@ def test_prior_knowledge_is_widened_by_its_disagreement_with_the_records(away, f
 
 
 @pytest.mark.parametrize(
-    ("ahead", "leaves", "elsewhere", "refuted", "looks", "shipped"),
+    ("ahead", "leaves", "elsewhere", "refuted", "driver", "looks", "shipped"),
     [
-        (9.0, False, False, "", ["base"], "term beside base"),
-        (9.0, False, True, "", ["base"], "term beside base"),  # a term that explains everything may be at either place
-        (4.0, False, False, "", ["base", "known"], "term beside known"),  # as much evidence as the effects of the list have
-        (9.0, True, False, "", ["base", "known"], "term beside known"),
-        (9.0, True, True, "", ["base", "known"], "present"),
-        (9.0, False, False, "rises", ["base", "known"], "present"),
+        (9.0, False, False, "", "thrust", ["base"], "term beside base"),
+        (9.0, False, True, "", "thrust", ["base"], "term beside base"),  # one that explains everything may be at either place
+        (
+            4.0,
+            False,
+            False,
+            "",
+            "thrust",
+            ["base", "known"],
+            "term beside known",
+        ),  # as much evidence as the listed effects have
+        (9.0, True, False, "", "thrust", ["base", "known"], "term beside known"),
+        (9.0, True, True, "", "thrust", ["base", "known"], "present"),
+        (9.0, False, False, "rises", "thrust", ["base", "known"], "present"),
+        (9.0, False, False, "", "time", ["base", "known"], "present"),
     ],
 )
-def test_when_a_learned_term_is_accepted(monkeypatch, ahead, leaves, elsewhere, refuted, looks, shipped):
+def test_when_a_learned_term_is_accepted(monkeypatch, ahead, leaves, elsewhere, refuted, driver, looks, shipped):
     """Beside the base it needs 5 nats more than the effects of the list, and no lack of fit may remain. Beside those effects it
-    is rejected if lack of fit remains and a term elsewhere explains as much."""
+    is rejected if lack of fit remains and a term elsewhere explains as much. There is no record of other commands here, so a
+    term of time is rejected."""
     base, known, seen = SimpleNamespace(name="base"), SimpleNamespace(name="known", effects=("one", "other")), []
 
     class Tried(diagnose.Attempt):
@@ -512,22 +522,65 @@ def test_when_a_learned_term_is_accepted(monkeypatch, ahead, leaves, elsewhere, 
 
     def learn(judge, beside, *_):
         seen.append(beside.name)
-        term = SimpleNamespace(fit=SimpleNamespace(name=f"term beside {beside.name}"), searcher=lambda other: other)
+        fit, lead = SimpleNamespace(name=f"term beside {beside.name}"), SimpleNamespace(driver=driver)
+        term = SimpleNamespace(fit=fit, lead=lead, searcher=lambda other: other)
         return Tried(learned=SimpleNamespace(term=term, curve=None, elsewhere=("another",) * elsewhere))
 
     monkeypatch.setattr(diagnose, "learn", learn)
     monkeypatch.setattr(diagnose, "joined", lambda searcher, base, fits: fits[-1])
     monkeypatch.setattr(diagnose, "evidence_over", lambda term, other: ahead)
-    judge = SimpleNamespace(lack=lambda fit: SimpleNamespace(significant=leaves), searcher=None, base=base)
+    judge = SimpleNamespace(lack=lambda fit: SimpleNamespace(significant=leaves), searcher=None, base=base, runs=[])
     stage = SimpleNamespace(judge=judge, selection=SimpleNamespace(base=base), accepted=known)
     shipping = lambda present, beside, term, parts: (term, refuted)  # noqa: E731
     search = SimpleNamespace(
-        stages=[stage], judge=judge, at=SimpleNamespace(rig=SimpleNamespace(scales=None)), shipped=shipping
+        stages=[stage], judge=judge, unseen=None, at=SimpleNamespace(rig=SimpleNamespace(scales=None)), shipped=shipping
     )
     task = SimpleNamespace(pool=None, effort=None)
     attempt, final = diagnose._learned(task, search, stage, SimpleNamespace(name="present"))
     assert (seen, final.name) == (looks, shipped)
     assert (attempt.learned is None) == (shipped == "present")
+
+
+@pytest.mark.parametrize(
+    ("beaten", "speed", "left", "doubted"),
+    [
+        ((), "attributed", (("a", "b"), ("c", "sensor_lag")), set()),
+        (("a",), "attributed", (("b",), ("c",)), {"speed"}),
+        (("a", "b"), "attributed", (("b",), ("c",)), {"speed"}),  # the strongest of a stage stays
+        (("c",), "attributed", (("a", "b"), ("sensor_lag",)), {"thrust"}),
+        ((), "partly", (("a", "b"), ("c",)), set()),
+    ],
+)
+def test_names_that_stand_in_for_something_else_are_dropped(monkeypatch, beaten, speed, left, doubted):
+    """Effects with evidence in the order of the alphabet. A learned term beats some; a delay of the thrust is no finding where
+    the speed is not explained."""
+
+    def stage(name, word, effects):
+        judged = {n: SimpleNamespace(evidence=float(ord(n[0]))) for n in effects}
+        fit = SimpleNamespace(effects=effects)
+        judge = SimpleNamespace(searcher=None)
+        return SimpleNamespace(
+            name=name, word=word, accepted=fit, judge=judge, selection=SimpleNamespace(judgements=judged, base=None)
+        )
+
+    class Found(SimpleNamespace):
+        def less(self, k, effect, why):
+            had = self.stages[k]
+            stages = list(self.stages)
+            stages[k] = stage(had.name, had.word, tuple(n for n in had.accepted.effects if n != effect))
+            return Found(stages=stages, at=self.at)
+
+    def better(judge, rest, fit, scales, pool):
+        return SimpleNamespace(fit=None, lead=SimpleNamespace(port="thrust")) if rest in beaten else None
+
+    monkeypatch.setattr(diagnose, "without", lambda searcher, base, fit, name: name)
+    monkeypatch.setattr(diagnose, "better_than", better)
+    monkeypatch.setattr(diagnose, "evidence_over", lambda term, other: 20.0)
+    task = SimpleNamespace(pool=None, effort=SimpleNamespace(allows=lambda step: True, stage=lambda step: None))
+    stages = [stage("speed", speed, ("a", "b")), stage("thrust", "attributed", ("c", "sensor_lag"))]
+    found, doubts = diagnose._undoubted(task, Found(stages=stages, at=SimpleNamespace(rig=SimpleNamespace(scales=None))))
+    assert tuple(s.accepted.effects for s in found.stages) == left
+    assert set(doubts) == doubted
 
 
 @pytest.mark.parametrize(("error", "chosen"), [(1.0, "few"), (1.0012, "few"), (1.0014, "many"), (0.9, "few")])

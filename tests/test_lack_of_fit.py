@@ -9,7 +9,7 @@ from scipy.stats import chi2, kstest
 
 from identification.assessment.reading_noise import last_thirds
 from identification.diagnose import command_shapes, lack_of_fit
-from identification.diagnose.acceptance import gains_in_bands_of
+from identification.diagnose.acceptance import gains_in_bands_of, with_flicker
 from identification.diagnose.lack_of_fit import Band, spectra
 from identification.diagnose.score_test import ScoreTest, scores_covariance
 from identification.diagnose.validation import unnamed, verdict
@@ -91,6 +91,26 @@ def test_gains_are_down_weighted_in_bands_with_more_noise_than_assumed(wave, sha
         (fall,), level = gains_in_bands_of([after + 8.0 * np.sin(wave * turns), after], np.zeros((0, n)))
         found.append(np.sum(fall / level) / np.sum(fall))
     assert np.median(found) == pytest.approx(share, abs=0.05)
+
+
+@pytest.mark.parametrize(("corner", "drift", "explains"), [(20.0, 0.0, False), (0.0, 20.0, True)])
+def test_flicker_is_no_drift(corner, drift, explains):
+    """Noise of power 1 + corner / ordinate, and a ramp of a size in standard errors of white noise. A white likelihood gains
+    from a ramp beside flicker in many records; beside flicker of the most likely corner a gain of 5 nats is rare. A ramp beside
+    white noise is no flicker: that would be seen at higher frequencies."""
+    rng, n, white, beside = np.random.default_rng(6), 1200, [], []
+    ramp = np.linspace(-1.0, 1.0, n)[None] / np.linalg.norm(np.linspace(-1.0, 1.0, n))
+    nothing = np.zeros((0, n))
+    for _ in range(100):
+        spectrum = np.fft.rfft(rng.standard_normal(2 * n))  # of twice the length: a record's ends do not meet
+        spectrum *= np.sqrt(1.0 + 2.0 * corner / np.maximum(np.arange(n + 1), 1.0))
+        before = np.fft.irfft(spectrum, 2 * n)[:n] + drift * ramp[0]
+        after = before - ramp[0] * (ramp[0] @ before)
+        white.append(0.5 * (before @ before - after @ after))
+        beside.append(with_flicker(after, ramp) - with_flicker(before, nothing))
+    assert np.mean(np.array(white) > 5.0) > 0.3
+    found = np.mean(np.array(beside) > 5.0)
+    assert found > 0.95 if explains else found < 0.05
 
 
 @pytest.mark.parametrize("statistic", [8.0, 20.0, 45.0])

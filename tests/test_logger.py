@@ -376,6 +376,14 @@ def test_offsets_are_compared_in_standard_errors(errors, agrees):
     assert one.agrees_with(other, errors) is agrees
 
 
+@pytest.mark.parametrize(("delay", "agrees"), [(0.008, True), (0.0134, False)])
+def test_a_delay_of_one_sensor_alone_is_compared_with_none(delay, agrees):
+    """Its standard error is 2.4 ms; the other estimate has no delay, and no standard error of one."""
+    late, plain = SpeedSensor("mark", delay=delay), SpeedSensor("mark")
+    one, other = Logger(sensor=late, sensor_std={"delay": 0.0024}, period=0.01), Logger(sensor=plain, period=0.01)
+    assert one.agrees_with(other) is other.agrees_with(one) is agrees
+
+
 @pytest.mark.parametrize("kind", ["encoder", "telemetry"])
 @pytest.mark.parametrize("digit", [100.0, 20.0])
 def test_a_coarsely_rounded_speed_is_read_without_bias(kind, digit):

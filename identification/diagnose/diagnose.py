@@ -35,7 +35,6 @@ from identification.diagnose.selection import Selection, nearest, without
 from identification.diagnose.stages import Stage, joined, lack_of, searched, selection_of, verdict_of
 from identification.diagnose.validation import (
     CHANGED,
-    NAMED,
     UNEXPLAINED,
     Replacement,
     at_supported_thresholds,
