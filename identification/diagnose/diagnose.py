@@ -284,10 +284,8 @@ class _Searched:
 
     @property
     def word(self) -> str:
-        """The verdict. If validation refutes the selected set: whether lack of fit was found, without or with it."""
-        if not self.refuted:
-            return verdict_of(self.stages)
-        return "unexplained" if any(s.lacks for s in self.stages) else "none"
+        """The verdict. A set that every rule accepts and validation refutes stands in for something unknown."""
+        return "unexplained" if self.refuted else verdict_of(self.stages)
 
     def selection(self, stages: Sequence[Stage] | None = None) -> Selection:
         return selection_of(self.judge.searcher, self.judge.base, self.stages if stages is None else stages)
@@ -384,7 +382,8 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
         word = "partly" if doubts and not refuted else found.word
     missed = "; ".join(doubts.values())
     selection, before, after = found.selection(), lack_of(found.stages, "before"), lack_of(found.stages, "after")
-    open_stages = [s for s in found.stages if (s.before if refuted else s.after).significant or s.name in doubts]
+    lacking = [s.accepted.effects or s.before.significant if refuted else s.after.significant for s in found.stages]
+    open_stages = [s for s, lacks in zip(found.stages, lacking, strict=True) if lacks or s.name in doubts]
     for stage in open_stages if task.effort.thorough and word in UNEXPLAINED else ():
         if not task.effort.allows("a term of unknown form"):
             break
@@ -478,7 +477,8 @@ def _channels(found: _Searched, learned_in: Stage | None, refuted: str, doubted:
     """Verdict and names of effects of each stage. `doubted`: the stages that miss something without a lack of fit."""
     shown = {s.name: {"verdict": s.word, "effects": list(s.accepted.effects)} for s in found.stages}
     if refuted:
-        shown = {s.name: {"verdict": "unexplained" if s.lacks else "none", "effects": []} for s in found.stages}
+        words = {n: "unexplained" if each["effects"] else each["verdict"] for n, each in shown.items()}
+        shown = {n: {"verdict": word, "effects": []} for n, word in words.items()}
     for name in doubted:
         shown[name]["verdict"] = "partly" if shown[name]["effects"] else "unexplained"
     return shown | ({learned_in.name: {"verdict": "learned", "effects": [NAME]}} if learned_in else {})

@@ -254,7 +254,7 @@ def bands_of(frequency: np.ndarray):
 
 
 FEWEST_AT_REST = 12
-"""Minimum degrees of freedom of the variance at rest: with fewer its 95 % interval is wider than a factor of two."""
+"""Minimum number of readings at rest: with fewer the 95 % interval of their power is wider than a factor of two."""
 
 
 def structured_speed_share(fit: Fit) -> float:
@@ -286,8 +286,9 @@ def transient_power_share(fit: Fit, channel: str) -> tuple[float, float]:
     """(share of a residual's power that is absent during steady holds, its rms): "thrust" below 10 Hz [N], or "omega" in units
     of its uncertainty.
 
-    The reference is the variance within the last thirds of holds, and the resolution of the sensor. Without a repeat record the
-    noise colour is estimated from the residual, and whitening may hide a missing effect: this check uses unwhitened residuals.
+    The reference is the power in the last thirds of holds, and the resolution of the sensor. Noise slower than a hold is in it;
+    a variance about each hold's mean would miss that. Without a repeat record the noise colour is estimated from the residual,
+    and whitening may hide a missing effect: this check uses unwhitened residuals.
     (0, 0) with a repeat record, or if too few holds are long enough.
     """
     whole, count, scatter, free, least = 0.0, 0, 0.0, 0, 0.0
@@ -300,8 +301,7 @@ def transient_power_share(fit: Fit, channel: str) -> tuple[float, float]:
             left, time, least = all_left[kept], times[kept], max(least, best**2)
             whole, count = whole + float(left @ left), count + len(left)
             for part in (left[(time >= start) & (time < end)] for start, end in at_rest):
-                if len(part) > 1:
-                    scatter, free = scatter + float(np.sum((part - part.mean()) ** 2)), free + len(part) - 1
+                scatter, free = scatter + float(part @ part), free + len(part)
     if free < FEWEST_AT_REST or whole == 0.0:
         return 0.0, 0.0
     beyond_rest = max(whole / count - max(scatter / free, least), 0.0)

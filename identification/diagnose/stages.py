@@ -19,7 +19,7 @@ from identification.diagnose.lack_of_fit import LackOfFit, with_rotor_order
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.selection import Selection, select, without
-from identification.diagnose.validation import CHANGED, UNEXPLAINED, unnamed, verdict
+from identification.diagnose.validation import CHANGED, UNEXPLAINED, verdict
 from identification.fit.noise import Noise
 from identification.roles import Fitted
 from vpp_fmu.kernel.types import Effect
@@ -59,11 +59,6 @@ class Stage:
         found = self.selection
         word = verdict(found.base, found.final, self.before, self.after, found.family)
         return "partly" if word == "unexplained" and found.final.effects and self.corroborated else word
-
-    @property
-    def lacks(self) -> bool:
-        """Whether lack of fit was found, without or with the selected set."""
-        return "unexplained" in (unnamed(self.before), unnamed(self.after))
 
     @property
     def accepted(self) -> Fit:
@@ -139,8 +134,8 @@ def searched(
 
     def by_thrust(speed: Stage) -> Stage:
         """The stage as the thrust prefers it. A late speed and a late reading of it are the same to the speed. The model of its
-        sensor is approximate: an effect that is smaller than the sensor's uncertainty, where the speed shows no lack of fit,
-        must improve the thrust, too."""
+        sensor is approximate: an effect that is smaller than the sensor's uncertainty, where the speed shows no lack of fit
+        without it, must improve the thrust, too."""
         noise, judge = speed.judge.searcher.experiments[0].noise, speed.judge
         for effect, rivals in list(speed.selection.rivals.items()):
             fits = {effect: speed.selection.final, **rivals}
@@ -154,7 +149,7 @@ def searched(
         for effect, judged in list(speed.selection.judgements.items()):
             final = speed.selection.final
             rest = without(judge.searcher, speed.selection.base, final, effect)
-            small = judge.within_sensor(judged) and not speed.before.significant
+            small = judge.within_sensor(judged) and not judge.lack(rest).significant
             if small and misfit(rest, False, noise) < misfit(final, False, noise) + MIN_EVIDENCE:
                 speed = speed.less(effect, "it is smaller than the speed sensor's uncertainty, and does not improve the thrust")
         return speed
