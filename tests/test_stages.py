@@ -131,9 +131,10 @@ def test_the_verdict_of_the_whole_is_the_weaker_one(words, whole):
     ],
 )
 def test_each_channel_agrees_with_the_verdict(refuted, doubted, thrust):
-    """A refuted set leaves its channel unexplained."""
-    stages = [SimpleNamespace(name="speed", word="none", accepted=SimpleNamespace(effects=()))]
-    stages.append(SimpleNamespace(name="thrust", word="attributed", accepted=SimpleNamespace(effects=("lag",))))
+    """A refuted set leaves its channel unexplained if something is missing there."""
+    base = {"lacks": False, "accepted": SimpleNamespace(effects=())}
+    stages = [SimpleNamespace(name="speed", word="none", **base)]
+    stages.append(SimpleNamespace(name="thrust", word="attributed", lacks=True, accepted=SimpleNamespace(effects=("lag",))))
     shown = _channels(SimpleNamespace(stages=stages), None, refuted, doubted)
     assert {name: (one["verdict"], one["effects"]) for name, one in shown.items()} == {"speed": ("none", []), "thrust": thrust}
 

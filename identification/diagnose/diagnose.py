@@ -284,8 +284,10 @@ class _Searched:
 
     @property
     def word(self) -> str:
-        """The verdict. A set that every rule accepts and validation refutes stands in for something unknown."""
-        return "unexplained" if self.refuted else verdict_of(self.stages)
+        """The verdict. If validation refutes the selected set: whether something is missing."""
+        if not self.refuted:
+            return verdict_of(self.stages)
+        return "unexplained" if any(s.lacks for s in self.stages) else "none"
 
     def selection(self, stages: Sequence[Stage] | None = None) -> Selection:
         return selection_of(self.judge.searcher, self.judge.base, self.stages if stages is None else stages)
@@ -382,8 +384,7 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
         word = "partly" if doubts and not refuted else found.word
     missed = "; ".join(doubts.values())
     selection, before, after = found.selection(), lack_of(found.stages, "before"), lack_of(found.stages, "after")
-    lacking = [s.accepted.effects or s.before.significant if refuted else s.after.significant for s in found.stages]
-    open_stages = [s for s, lacks in zip(found.stages, lacking, strict=True) if lacks or s.name in doubts]
+    open_stages = [s for s in found.stages if (s.lacks if refuted else s.after.significant) or s.name in doubts]
     for stage in open_stages if task.effort.thorough and word in UNEXPLAINED else ():
         if not task.effort.allows("a term of unknown form"):
             break
@@ -448,16 +449,16 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
 def _undoubted(task: _Task, found: _Searched) -> tuple[_Searched, dict[str, str]]:
     """The search without the effects that stand in for something else; for each stage with such, in words.
 
-    A learned term that fits better in the place of an effect shows that it stands in for one outside the library. The strongest
-    effect stays if all are such: it explains a part. Where the speed is not explained, nor are the instants of its readings: a
-    delay of the thrust beside them is then no finding."""
+    A learned term that fits better in the place of an effect shows that it stands in for one outside the library: a later one
+    often corrects the law of an earlier one. The first effect stays: it explains a part. The instants of the speed readings are
+    uncertain where a learned term is missing in the speed: a delay of the thrust with less evidence than that is no finding."""
     doubts: dict[str, str] = {}
+    missing = 0.0
     for k in range(len(found.stages)):
-        evidence = {n: j.evidence for n, j in found.stages[k].selection.judgements.items()}
-        for name in sorted(found.stages[k].accepted.effects, key=evidence.__getitem__):
-            stage, speed = found.stages[k], found.stages[0]
-            if k and name in LATE and (speed.name in doubts or speed.word in UNEXPLAINED):
-                found = found.less(k, name, "where the speed is not explained, the instants of its readings are not known")
+        for name in reversed(found.stages[k].accepted.effects):
+            stage = found.stages[k]
+            if k and name in LATE and stage.selection.judgements[name].evidence < missing:
+                found = found.less(k, name, "the instants of the speed readings are not known where the speed is not explained")
                 continue
             step = f"a learned term in place of {name}"
             if not task.effort.allows(step):
@@ -466,10 +467,11 @@ def _undoubted(task: _Task, found: _Searched) -> tuple[_Searched, dict[str, str]
             fit = stage.accepted
             rest = without(stage.judge.searcher, stage.selection.base, fit, name)
             if term := better_than(stage.judge, rest, fit, found.at.rig.scales, task.pool):
-                gain = number(evidence_over(term.fit, fit), 3)
-                why = f"a learned term at {PORTS[term.lead.port].words} fits better than {name}, by {gain} nats"
-                doubts[stage.name] = why
-                found = found.less(k, name, why) if len(fit.effects) > 1 else found
+                missing = evidence_over(term.fit, fit)
+                doubts[stage.name] = (
+                    f"a learned term at {PORTS[term.lead.port].words} fits better than {name}, by {number(missing, 3)} nats"
+                )
+                found = found.less(k, name, doubts[stage.name]) if name != fit.effects[0] else found
     return found, doubts
 
 
@@ -477,8 +479,7 @@ def _channels(found: _Searched, learned_in: Stage | None, refuted: str, doubted:
     """Verdict and names of effects of each stage. `doubted`: the stages that miss something without a lack of fit."""
     shown = {s.name: {"verdict": s.word, "effects": list(s.accepted.effects)} for s in found.stages}
     if refuted:
-        words = {n: "unexplained" if each["effects"] else each["verdict"] for n, each in shown.items()}
-        shown = {n: {"verdict": word, "effects": []} for n, word in words.items()}
+        shown = {s.name: {"verdict": "unexplained" if s.lacks else "none", "effects": []} for s in found.stages}
     for name in doubted:
         shown[name]["verdict"] = "partly" if shown[name]["effects"] else "unexplained"
     return shown | ({learned_in.name: {"verdict": "learned", "effects": [NAME]}} if learned_in else {})

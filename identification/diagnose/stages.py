@@ -61,6 +61,12 @@ class Stage:
         return "partly" if word == "unexplained" and found.final.effects and self.corroborated else word
 
     @property
+    def lacks(self) -> bool:
+        """Whether something is missing if validation refutes the selected set: there is lack of fit, without or with it. In the
+        speed the set itself shows it; in a single record of the thrust, slow noise may look like an effect."""
+        return self.before.significant or self.after.significant or bool(self.name == "speed" and self.accepted.effects)
+
+    @property
     def accepted(self) -> Fit:
         """The selected set, if it explains most of the lack of fit; else the base."""
         return self.selection.final if self.word in CHANGED else self.selection.base
