@@ -553,8 +553,8 @@ def test_when_a_learned_term_is_accepted(monkeypatch, ahead, leaves, elsewhere, 
     ],
 )
 def test_names_that_stand_in_for_something_else_are_dropped(monkeypatch, beaten, by, left, doubted):
-    """Effects with 100 nats each. A learned term beats some of them `by` so many nats; a delay of the thrust is no finding where
-    more is missing in the speed."""
+    """Effects with 100 nats each. A learned term beats some of them `by` so many nats; a delay of the thrust is no finding
+    where more is missing in the speed."""
 
     def stage(name, effects):
         judged = {n: SimpleNamespace(evidence=100.0) for n in effects}
