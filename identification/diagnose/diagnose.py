@@ -50,6 +50,7 @@ from identification.identify import Identification, off_bounds
 from identification.logger import SIGNIFICANT, Logger
 from identification.logger_fit import as_logged
 from identification.logs.commands import FILE as SPEED_MAP
+from identification.logs.speed_map import read_speed_map
 from identification.power.diagnose import PowerDiagnosis, diagnose_power
 from identification.roles import Fitted, Unseen, roles
 from vpp_fmu.campaign import Campaign
@@ -327,11 +328,12 @@ def _searched(task: _Task, gate: Passed) -> _Searched:
     else:
         at = from_identification(task.campaign, gate, task.library, task.seed)
     options, runs = candidates(at.library, records), gate.campaign.steps
-    if (gate.campaign.folder / SPEED_MAP).exists():
+    map_error, speed_map = 0.0, gate.campaign.folder / SPEED_MAP
+    if speed_map.exists():
         # The misfit of a fitted map differs from level to level, as that of a resolution does.
-        options = [c for c in options if c.name != "speed_command_resolution"]
+        options, map_error = [c for c in options if c.name != "speed_command_resolution"], read_speed_map(speed_map).rms
     give_back()
-    stages = searched(groups, runs, at, options, task.smallest, task.effort, task.pool)
+    stages = searched(groups, runs, at, options, task.smallest, task.effort, task.pool, map_error)
     noises = [s.judge.searcher.experiments[0].noise for s in stages]
     searcher, base = fitted_base(groups, at, replace(noises[-1], speed=noises[0].speed), at.values, agreed=True)
     searcher.points = max(s.judge.searcher.points for s in stages)

@@ -117,9 +117,11 @@ def searched(
     smallest: Smallest,
     effort: Effort,
     pool,
+    map_error: float = 0.0,
 ) -> list[Stage]:
     """The stages of a search: of the speed and of the thrust; of the thrust alone if no speed was measured. `runs`: step
-    responses. If an effect of the speed takes the pitch, the speed is searched again with the pitch of the second stage."""
+    responses; `map_error` [rpm]: rms error of the map that gave the speed commands. If an effect of the speed takes the pitch,
+    the speed is searched again with the pitch of the second stage."""
     if not any("omega" in one.record and np.isfinite(one.record["omega"]).any() for group in groups for one in group):
         return [_stage(groups, runs, at, 0.0, options, smallest, effort, pool)]
     own, others = ([c for c in options if c.effect.in_speed == in_speed] for in_speed in (True, False))
@@ -175,7 +177,7 @@ def searched(
         readings = misfit(first, True, noise) <= misfit(first, False, noise) + MIN_EVIDENCE
         given = [record for run in runs for record in given_speed([run], first, readings)[0]]
         known, error = with_speed_of(groups, first, readings)
-        return known, given, known_from(first), error
+        return known, given, known_from(first), max(error, map_error)
 
     speed = by_thrust(of_speed(at))
     thrust = of_thrust(speed)
