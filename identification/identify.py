@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from math import isclose
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,7 +23,6 @@ from identification.gate.fitted import of_fit
 from identification.gate.gate import Passed, passed
 from identification.logger import Logger
 from identification.logger_fit import as_logged
-from identification.power.fit import PowerFit, figure_of_merit, fit_power, moving_readings, steady_readings
 from identification.static.static_map import StaticFit, static_fit
 from identification.static.steady import with_steady_points
 from identification.steps.response import StepSummary, fit_steps
@@ -33,6 +33,9 @@ from vpp_fmu.kernel.plant import AVERAGED, BASE
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
+
+if TYPE_CHECKING:
+    from identification.power.fit import PowerFit
 
 
 @dataclass(frozen=True)
@@ -62,7 +65,7 @@ class Identification:
     noise: ReadingNoise | None
     quality: tuple[Finding, ...]
     logger: Logger
-    power: PowerFit | None = None
+    power: "PowerFit | None" = None
 
     @property
     def coverage(self) -> dict[str, float | None]:
@@ -219,19 +222,25 @@ def with_power(found: Identification) -> Identification:
     Contradictory readings become a finding, and nothing is added. Torque and power in a record alone do not identify a motor:
     then only the map of power is added."""
     scales, static = found.parameters.values, found.campaign.static
+    first = found.predictions[found.fitted[0]] if found.fitted else None
+    measured = [set(columns) for columns in (static and static.further, first and first.record.columns) if columns]
+    if not any(names & {"torque", "power"} or names >= {"voltage", "current"} for names in measured):
+        return found
+    import identification.power.fit as power  # noqa: PLC0415 most campaigns measure no power
+
     try:
-        readings = steady_readings(static, scales) if static else None
-        if readings is None and found.fitted:
-            readings = moving_readings(found.predictions[found.fitted[0]], scales)
+        readings = power.steady_readings(static, scales) if static else None
+        if readings is None and first:
+            readings = power.moving_readings(first, scales)
         if readings is None:
             return found
         if readings.rate is not None and readings.torque is not None and readings.power is not None:
             message = "torque and power in a record only: power has its map, torque and motor have none"
             finding = Finding("no_motor", readings.source, "torque", 0.0, "1", message, "no static.csv with both")
             readings, found = replace(readings, torque=None), replace(found, quality=(*found.quality, finding))
-        fit, rotor = fit_power(readings), found.parameters.rig.rotor
+        fit, rotor = power.fit_power(readings), found.parameters.rig.rotor
         if rotor and static and readings.torque is not None and readings.rate is None:
-            merit = figure_of_merit(readings, static.thrust, rotor)
+            merit = power.figure_of_merit(readings, static.thrust, rotor)
             if merit > 1.0:
                 words = f"{merit:.3g}: the rotor takes less power than an ideal one", "at most 1: torque in N.m, diameter in m"
                 raise BadInput(static.source, "figure of merit", *words)

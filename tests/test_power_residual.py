@@ -14,8 +14,6 @@ from identification.power.effects import HEATING, Signals
 from identification.power.records import respond
 from vpp_fmu.campaign import write_static
 from vpp_fmu.files import OutputFolder
-from vpp_fmu.kernel.plant import BASE
-from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import write_record
 
 
@@ -85,7 +83,6 @@ def test_a_plant_or_a_record_without_power_has_no_diagnosis():
     rig = Rig(3, "none")
     record = rig.record(np.random.default_rng(0))
     bare = type(record)({n: c for n, c in record.columns.items() if n not in ("power", "voltage", "current")}, "bare")
-    assert diagnose_power({"open_loop": record}, None, ParameterSet(BASE), 0.02) is None
     assert diagnose_power({"open_loop": bare}, None, rig.parameters, 0.02) is None
 
 

@@ -13,8 +13,7 @@ from xml.etree import ElementTree
 
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import InFolder, OutputFolder
-from vpp_fmu.kernel.plant import LIBRARY
-from vpp_fmu.kernel.power import NAMES as POWER
+from vpp_fmu.kernel.plant import ADDS_POWER, LIBRARY
 from vpp_fmu.kernel.scales import PAPER, Scales
 from vpp_fmu.kernel.types import BOOLEAN, REAL, Model, Parameter
 from vpp_fmu.notebook import table_html
@@ -24,9 +23,9 @@ from vpp_fmu.units import base_unit
 
 FORMAT = "vpp-parameters/1"
 
-FILE, GAINS, KNOWLEDGE = "parameters.json", "gains.json", "identification.json"
+FILE, GAINS, KNOWLEDGE, POLICY = "parameters.json", "gains.json", "identification.json", "policy.json"
 
-parameters_file, gains_file, knowledge_file = InFolder((FILE,)), InFolder((GAINS,)), InFolder((KNOWLEDGE,))
+parameters_file, gains_file, knowledge_file, policy_file = (InFolder((name,)) for name in (FILE, GAINS, KNOWLEDGE, POLICY))
 
 LONGEST = 1e6
 """Maximum duration of a record, and of its sampling period [s]: eleven days."""
@@ -117,7 +116,7 @@ class ParameterSet:
     @property
     def without_power(self) -> "ParameterSet":
         """This set without the effects that only add torque and power to the outputs: thrust is the same to the bit."""
-        effects = tuple(e for e in self.model.effects if e.name not in POWER)
+        effects = tuple(e for e in self.model.effects if e.name not in ADDS_POWER)
         if len(effects) == len(self.model.effects):
             return self
         outputs = tuple(y for y in self.model.outputs if y not in [y for e in self.model.effects for y in e.outputs])
@@ -127,7 +126,7 @@ class ParameterSet:
 
     def with_power_of(self, other: "ParameterSet") -> "ParameterSet":
         """This set with the torque and power of another set of the same scales: unchanged if that has none."""
-        brought = tuple(e for e in other.model.effects if e.name in POWER)
+        brought = tuple(e for e in other.model.effects if e.name in ADDS_POWER)
         if not brought:
             return self
         outputs = self.without_power.model.outputs + tuple(y for e in brought for y in e.outputs)
@@ -180,7 +179,7 @@ def check_same_model(path: str | os.PathLike, parameters: ParameterSet, of: str 
         name: _mapping(path, f"parameters, {shown(name)}", entry).get("value")
         for name, entry in _mapping(path, "parameters", entries).items()
     }
-    if set(effects) - POWER != set(parameters.model.optional) - POWER:
+    if set(effects) - ADDS_POWER != set(parameters.model.optional) - ADDS_POWER:
         raise BadInput(path, "effects", _listed(effects), f"{_listed(parameters.model.optional)}, the model of {of}")
     for name, value in fitted.items():
         known = parameters.values.get(name)

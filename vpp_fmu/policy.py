@@ -19,17 +19,15 @@ from typing import Any
 import numpy as np
 
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import InFolder, OutputFolder
+from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.effects.dual_pid import ALLOCATED, ALLOCATION, DUAL
 from vpp_fmu.kernel.effects.policy import OBSERVABLE, Law
 from vpp_fmu.kernel.policy import policy_model
 from vpp_fmu.kernel.scales import PAPER, Scales
-from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.parameters import POLICY, ParameterSet, policy_file
 from vpp_fmu.structured import as_json, check_kinds, read_object, shown
 
-FORMAT, FILE = "vpp-policy/1", "policy.json"
-
-policy_file = InFolder((FILE,))
+FORMAT = "vpp-policy/1"
 
 WIDEST, DEEPEST, LONGEST_HISTORY = 64, 4, 32
 """Largest number of units in a layer, of layers, and of earlier readings: the law becomes straight-line code."""
@@ -107,7 +105,7 @@ class Policy:
 
     def save(self, folder: str | os.PathLike[str]) -> Path:
         """Write policy.json into a folder; returns its path. BadInput."""
-        return OutputFolder(folder).write(FILE, as_json(self.to_dict()))
+        return OutputFolder(folder).write(POLICY, as_json(self.to_dict()))
 
 
 def read_policy(path: str | os.PathLike) -> Policy:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 from threadpoolctl import threadpool_limits
 
@@ -51,7 +52,6 @@ from identification.logger import SIGNIFICANT, Logger
 from identification.logger_fit import as_logged
 from identification.logs.commands import FILE as SPEED_MAP
 from identification.logs.speed_map import read_speed_map
-from identification.power.diagnose import PowerDiagnosis, diagnose_power
 from identification.roles import Fitted, Unseen, roles
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.digits import number
@@ -62,6 +62,9 @@ from vpp_fmu.native.memory import give_back
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig
+
+if TYPE_CHECKING:
+    from identification.power.diagnose import PowerDiagnosis
 
 LATE = ("reading_delay", "sensor_lag")
 """Effects that read the thrust later than the speed."""
@@ -112,7 +115,7 @@ class Diagnosis:
     not_tried: tuple[str, ...]
     channels: Mapping[str, Mapping]
     missed: str
-    power: PowerDiagnosis | None = None
+    power: "PowerDiagnosis | None" = None
 
     @property
     def learned(self) -> Learned | None:
@@ -240,10 +243,15 @@ def diagnose(
         return replace(done, not_tried=tuple(effort.not_tried), power=_power(done))
 
 
-def _power(found: Diagnosis) -> PowerDiagnosis | None:
-    """The diagnosis of power, beside the final model."""
+def _power(found: Diagnosis) -> "PowerDiagnosis | None":
+    """The diagnosis of power, beside the final model; None for a plant without power."""
+    parameters = found.parameters(found.final)
+    if "power" not in {y.name for y in parameters.model.outputs}:
+        return None
+    from identification.power.diagnose import diagnose_power  # noqa: PLC0415 most campaigns measure no power
+
     records, unseen = {one.name: one.record for one in found.fitted}, found.unseen and found.unseen.record
-    return diagnose_power(records, unseen, found.parameters(found.final), found.noise.block)
+    return diagnose_power(records, unseen, parameters, found.noise.block)
 
 
 @dataclass(frozen=True)

@@ -262,10 +262,8 @@ def diagnose_power(
 ) -> PowerDiagnosis | None:
     """Diagnose the power of records, by name, beside a plant; `block` [s]: length of the means of readings that are compared.
 
-    None if no record has electrical power, if the plant has none, or if the records are too short for the base.
+    The plant has power. None if no record has electrical power, or if the records are too short for the base.
     """
-    if "power" not in {y.name for y in parameters.model.outputs}:
-        return None
     model, plant = PowerModel.of(parameters), partial(respond, parameters)
     measured = {name: plant(record) for name, record in records.items() if electrical(record.columns) is not None}
     if not measured:

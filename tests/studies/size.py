@@ -1,17 +1,27 @@
-"""Lines and files of each folder, before and now, and the longest chain of imports below the diagnosis.
+"""Lines and files of each folder and modules that `vpp demo` loads, before and now; the longest imports below the diagnosis.
 
 Lines of Python files that git tracks, with comments and docstrings. The chain: each module imports the next one.
 """
 
 import subprocess
+import sys
 from collections import Counter
 from functools import cache
 from pathlib import PurePosixPath
+from tempfile import TemporaryDirectory
 
 import grimp
 
 PACKAGES = "fmu_src", "vpp_fmu", "identification", "hil"
 DIAGNOSIS = "identification.diagnose.diagnose"
+
+DEMO = """
+import sys
+from vpp_fmu.app.cli import main
+
+main(["demo", "--quiet"])
+print(sum(name.partition(".")[0] in sys.argv for name in sys.modules))
+"""
 
 
 def main(parser, arguments):
@@ -22,6 +32,7 @@ def main(parser, arguments):
     for folder in sorted(before | now):
         cells = [*before.get(folder, (0, 0)), *now.get(folder, (0, 0))]
         print(f"| {' | '.join(map(str, [folder, *cells]))} |")
+    print(f"\nmodules that the demo loads: {demo_modules(options.against)}, now {demo_modules('HEAD')}")
     chain = longest_chain(DIAGNOSIS)
     print(f"\nlongest chain of imports below the diagnosis, {len(chain)} modules:\n" + "\n".join(f"  {name}" for name in chain))
 
@@ -38,6 +49,15 @@ def counted(revision: str) -> dict[str, tuple[int, int]]:
             lines[folder] += int(count)
             files[folder] += 1
     return {folder: (lines[folder], files[folder]) for folder in lines}
+
+
+def demo_modules(revision: str) -> int:
+    """Number of the project's modules that `vpp demo` of a commit loads."""
+    with TemporaryDirectory() as folder:
+        tree = subprocess.run(["git", "archive", revision], capture_output=True, check=True).stdout
+        subprocess.run(["tar", "-x", "-C", folder], input=tree, check=True)
+        command = [sys.executable, "-c", DEMO, *PACKAGES]
+        return int(subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stdout.split()[-1])
 
 
 def longest_chain(module: str) -> list[str]:

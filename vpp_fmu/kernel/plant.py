@@ -41,7 +41,6 @@ from vpp_fmu.kernel.effects import (
     thrust_gain_drift,
     thrust_map,
 )
-from vpp_fmu.kernel.power import EFFECTS as POWER_EFFECTS
 from vpp_fmu.kernel.scales import PAPER, Scales
 from vpp_fmu.kernel.types import Effect, Model, Signal, compose
 
@@ -111,6 +110,11 @@ BETA_REF = Signal("beta_ref", "deg", "commanded blade pitch", -90.0, 90.0, 15.0,
 THRUST = Signal("thrust", "N", "measured thrust", -1e5, 1e5, 15.0, scale="thrust")
 OMEGA = Signal("omega", "rpm", "rotor speed", 0.0, 2e5, 6000.0, scale="speed")
 BETA = Signal("beta", "deg", "blade pitch", -90.0, 90.0, 15.0, scale="pitch")
+TORQUE = Signal("torque", "N.m", "torque of the rotor", -1e4, 1e4, 0.1)
+POWER = Signal("power", "W", "electrical power", -1e6, 1e6, 100.0)
+
+ADDS_POWER = frozenset({"torque_map", "motor", "power_map", "figure_of_merit"})
+"""Effects of `vpp_fmu.kernel.power`, which is imported for a plant that has one of them."""
 
 FINE_TUNED = {
     "tau_omega_1": 0.172,
@@ -172,15 +176,23 @@ def plant(effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, scal
     add outputs, are available with every library.
     """
     names, library = frozenset(effects), tuple(library)
-    for unknown in names - {e.name for e in (*library, *POWER_EFFECTS) if e.off is not None}:
+    for unknown in names - ADDS_POWER - {e.name for e in library if e.off is not None}:
         raise KeyError(unknown)
     if library is LIBRARY:
         return _own(names, scales or PAPER)
-    model = compose(BASE, (*library, *POWER_EFFECTS), names)
+    model = _composed(names, library)
     return model if scales is None else model.sized(scales)
 
 
 @cache
 def _own(names: frozenset[str], scales: Scales) -> Model:
     """The same model object for the same names and scales, so that derived data are reused."""
-    return compose(BASE, (*LIBRARY, *POWER_EFFECTS), names).sized(scales)
+    return _composed(names, LIBRARY).sized(scales)
+
+
+def _composed(names: frozenset[str], library: tuple[Effect, ...]) -> Model:
+    if names & ADDS_POWER:
+        from vpp_fmu.kernel.power import EFFECTS  # noqa: PLC0415 most plants have none of them
+
+        library = (*library, *EFFECTS)
+    return compose(BASE, library, names)

@@ -12,6 +12,7 @@ needs no measurement of the motor current; idle is the power of the ESC. Coeffic
 from itertools import product
 from math import pi
 
+from vpp_fmu.kernel.plant import POWER, TORQUE
 from vpp_fmu.kernel.types import Effect, Parameter, Signal
 
 RAD_PER_S = 2.0 * pi / 60.0
@@ -21,8 +22,6 @@ TORQUE_TERMS = tuple(product((1, 2), (0, 1, 2)))
 POWER_TERMS = tuple(product((1, 2, 3), (0, 1, 2)))
 """Powers (i, j) of the terms w^i b^j. The power terms include the torque terms times speed. A rotor at rest takes none."""
 
-TORQUE = Signal("torque", "N.m", "torque of the rotor", -1e4, 1e4, 0.1)
-POWER = Signal("power", "W", "electrical power", -1e6, 1e6, 100.0)
 EFFICIENCY = Signal("efficiency", "1", "shaft power over electrical power of motor and ESC; 0 without power", -10.0, 10.0)
 
 
@@ -101,5 +100,3 @@ FIGURE = Effect(
 
 EFFECTS = (TORQUE_MAP, MOTOR, POWER_MAP, FIGURE)
 """In their order along the chain. A model has `torque_map`, optionally with `motor` and `figure_of_merit`, or `power_map`."""
-
-NAMES = frozenset(e.name for e in EFFECTS)

@@ -48,7 +48,7 @@ from vpp_fmu.loop import run
 from vpp_fmu.own_effects import library_with, named
 from vpp_fmu.parameters import ParameterSet, beside, parameters_file
 from vpp_fmu.plants import USUAL_STEP, Controller, FmuController, FmuPlant, KernelController, KernelPlant, Plant
-from vpp_fmu.policy import Policy, policy_file, read_policy
+from vpp_fmu.policy import Policy, read_policy
 from vpp_fmu.rig import Rig, declared_rig
 
 FLAVOURS = {"python": ("python",), "native": ("native",), "both": ("python", "native")}
@@ -358,7 +358,7 @@ def export_fmu(
         controller = rig_controller(held, None if gains is None else as_gains(gains), "gains")
         if policy is not None:
             law = policy.policy if isinstance(policy, LearnResult) else policy
-            controller = (law if isinstance(law, Policy) else read_policy(policy_file(law))).in_place_of(controller)
+            controller = (law if isinstance(law, Policy) else read_policy(law)).in_place_of(controller)
         parts = [changed(held, values or {}), controller]
     target = OutputFolder(folder)
     parts = [about(part, fields) for part in parts]

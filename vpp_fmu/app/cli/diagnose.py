@@ -20,7 +20,6 @@ from vpp_fmu.app.cli.options import SEED, WORKERS, Number
 from vpp_fmu.app.cli.output import add_accept, add_effects_from, add_output, dated, stages, written
 from vpp_fmu.app.report.pages.diagnosis import diagnosis_page, headline, key_figures, not_tried
 from vpp_fmu.app.report.pages.fleet import Entry, as_csv, as_parquet, compared, entry, fleet_page, refusal
-from vpp_fmu.app.report.pages.power import power_line
 from vpp_fmu.app.report.summary import identification_of, summary
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.errors import BadInput, VppError
@@ -76,7 +75,10 @@ def _one(options, campaign: str) -> Answer:
         write_diagnosis(folder, found, options.parameters)
         folder.write("report.html", diagnosis_page(found).html())
     lines = [finding.text for finding in found.quality] + ([text] if (text := not_tried(found)) else [])
-    lines += [power_line(found.power)] if found.power else []
+    if found.power:
+        from vpp_fmu.app.report.pages.power import power_line  # noqa: PLC0415 most campaigns measure no power
+
+        lines.append(power_line(found.power))
     lines += [f"your logger: {line}" for line in found.logger.lines]
     lines.append(f"next_experiment.csv: commands within {', '.join(found.rig.command_lines())}")
     place = written(options, folder, found.parameters(found.final))

@@ -10,8 +10,6 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
-from hil.twin.adaptive import adaptable, adaptive
-from hil.twin.band import read_band
 from identification.tune.controllers import rig_controller, said_of
 from identification.tune.profile import reach
 from vpp_fmu import __version__
@@ -27,8 +25,7 @@ from vpp_fmu.export.own_model import FORM, find_model
 from vpp_fmu.export.toolchain import host, needs_glibc
 from vpp_fmu.export.trial import step_dependence, try_fmu
 from vpp_fmu.outputs import OutputSet
-from vpp_fmu.parameters import ParameterSet, beside, check_same_model, knowledge_file, read_parameters, to_ssv
-from vpp_fmu.policy import policy_file, read_policy
+from vpp_fmu.parameters import ParameterSet, beside, check_same_model, knowledge_file, policy_file, read_parameters, to_ssv
 from vpp_fmu.ssp import NAME, loop_ssp
 
 EXAMPLE = "vpp export --parameters out/parameters.json --flavour both -o fmus"
@@ -173,6 +170,8 @@ def _plant_and_controller(options) -> list[ParameterSet]:
     parameters = read_plant(options)
     controller = rig_controller(parameters, read_gains(options), options.gains)
     if options.policy:
+        from vpp_fmu.policy import read_policy  # noqa: PLC0415 the main way needs no policy
+
         controller = read_policy(options.policy).in_place_of(controller)
     return [parameters, controller] + ([_twin(options, parameters)] if options.twin is not None else [])
 
@@ -180,6 +179,9 @@ def _plant_and_controller(options) -> list[ParameterSet]:
 def _twin(options, parameters: ParameterSet) -> ParameterSet:
     """The adaptive twin of the plant, with the band from the identification.json of --twin (default: the one beside the
     parameters). BadInput."""
+    from hil.twin.adaptive import adaptable, adaptive  # noqa: PLC0415 the main way needs no twin
+    from hil.twin.band import read_band  # noqa: PLC0415
+
     known_in = options.twin or beside(options.parameters)
     if not Path(known_in).is_file():
         hint = "vpp identify CAMPAIGN -o out, then --parameters out/parameters.json --twin"

@@ -21,8 +21,7 @@ from vpp_fmu.app.cli.output import add_effects_from, add_output, written
 from vpp_fmu.app.report.pages.learning import headline, key_figures, learning_page
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.outputs import OutputSet
-from vpp_fmu.parameters import ParameterSet, parameters_file
-from vpp_fmu.policy import FILE
+from vpp_fmu.parameters import POLICY, ParameterSet, parameters_file
 from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp learn out/parameters.json --generations 500 -o policy"
@@ -75,7 +74,7 @@ def run(options):
 
 def write_learning(folder: OutputFolder, found: LearnedLaw, source: str) -> None:
     """All files of a learned law; `source`: of the parameters."""
-    folder.write(FILE, as_json(found.policy.to_dict()))
+    folder.write(POLICY, as_json(found.policy.to_dict()))
     rows = [f"{n},{c:.7g}" for n, c in zip(found.evaluations, found.cost, strict=True)]
     folder.write("learning_curve.csv", "\n".join(["evaluations,cost", *rows]) + "\n")
     folder.write("learning.json", as_json(summary(found)))

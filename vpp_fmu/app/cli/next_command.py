@@ -6,8 +6,7 @@ from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 
 from vpp_fmu.campaign import NAMES
-from vpp_fmu.parameters import FILE
-from vpp_fmu.policy import FILE as POLICY
+from vpp_fmu.parameters import FILE, POLICY
 
 LOOPS = (("VppPlant.fmu", "VppController.fmu"), ("VppPlant.native.fmu", "VppController.native.fmu"))
 """FMUs of the closed loop, of each flavour."""

@@ -27,8 +27,7 @@ from vpp_fmu.app.report.sentences import change
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
-from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, to_json
-from vpp_fmu.policy import FILE
+from vpp_fmu.parameters import POLICY, ParameterSet, beside, check_same_model, parameters_file, to_json
 from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp twin monday --virtual --rounds 4 --parameters out/parameters.json --hide load_cell_gain=0.85"
@@ -157,7 +156,7 @@ def _write(folder: OutputFolder, own: OutputFolder, day: Day, done: Round) -> di
         where.write("parameters.json", to_json(dated(model)))
         where.write("gains.json", to_json(dated(gains)))
         if done.law.policy:
-            where.write(FILE, as_json(done.law.policy.to_dict()))
+            where.write(POLICY, as_json(done.law.policy.to_dict()))
     content = {"format": "vpp-day/1", "rounds": [summary(one) for one in day.rounds]}
     folder.write("day.json", as_json(content))
     folder.write("report.html", day_page(day).html())

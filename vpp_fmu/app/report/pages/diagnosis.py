@@ -16,7 +16,6 @@ from vpp_fmu.app.report.figures.time import measured_against_predicted
 from vpp_fmu.app.report.page import Link, Page
 from vpp_fmu.app.report.pages.effect import add_attempt, add_effects, add_learned, around
 from vpp_fmu.app.report.pages.identification import add_quality, quality_tile
-from vpp_fmu.app.report.pages.power import add_power
 from vpp_fmu.app.report.pages.residual import add_correlations, add_spectrum
 from vpp_fmu.app.report.sentences import change, clause, labelled, limited, sentence, size, thrust_error, titled, words
 from vpp_fmu.app.report.summary import LEFT_OUT, NEXT, artefact, summary, why_not
@@ -299,6 +298,8 @@ def diagnosis_page(found: Diagnosis) -> Page:
     _add_whole(page, found)
     _add_rest(page, found)
     if found.power:
+        from vpp_fmu.app.report.pages.power import add_power  # noqa: PLC0415 most campaigns measure no power
+
         add_power(page, found.power)
     lines = [*(f"Rig: {line}." for line in found.rig.lines()), *(f"Logger: {line}." for line in found.logger.lines)]
     page.section("The rig and its logger", "\n\n".join(lines))
