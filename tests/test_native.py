@@ -9,7 +9,8 @@ from builders import ALL_ON, OPTIONAL, PROBES, TWO_DELAYS, random_steps, referen
 
 from vpp_fmu.errors import SimulationFailed
 from vpp_fmu.kernel.controller import CONTROLLER
-from vpp_fmu.kernel.plant import BASE, LIBRARY, OMEGA_REF, plant
+from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
+from vpp_fmu.kernel.signals import OMEGA_REF
 from vpp_fmu.kernel.types import Effect, Model, Parameter, Signal, State
 from vpp_fmu.native import Simulator, compiler
 from vpp_fmu.native import simulator as simulators

@@ -22,7 +22,7 @@ from identification.logs.speed_map import (
 )
 from vpp_fmu.campaign import read_static
 from vpp_fmu.errors import BadInput
-from vpp_fmu.kernel.plant import OMEGA
+from vpp_fmu.kernel.signals import OMEGA
 from vpp_fmu.record import read_record
 
 LOGS = Path(__file__).resolve().parents[2] / "shared" / "data" / "sar_motor"

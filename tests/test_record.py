@@ -6,7 +6,7 @@ from builders import refusal
 
 from vpp_fmu.errors import BadInput, RecordWarning
 from vpp_fmu.files import OutputFolder
-from vpp_fmu.kernel.plant import OMEGA
+from vpp_fmu.kernel.signals import OMEGA
 from vpp_fmu.record import Record, read_profile, read_record, write_record
 
 NEED_THRUST = ("time", "omega_ref", "beta_ref", "thrust")

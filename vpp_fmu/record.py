@@ -18,7 +18,7 @@ from vpp_fmu import frames
 from vpp_fmu.errors import BadInput, RecordWarning, near
 from vpp_fmu.files import OutputFolder, as_bytes
 from vpp_fmu.kernel.controller import CONTROLLER
-from vpp_fmu.kernel.plant import BETA, BETA_REF, OMEGA, OMEGA_REF, POWER, THRUST, TORQUE
+from vpp_fmu.kernel.signals import BETA, BETA_REF, OMEGA, OMEGA_REF, POWER, THRUST, TORQUE
 from vpp_fmu.kernel.types import Signal
 from vpp_fmu.notebook import table_html
 from vpp_fmu.sensors import UNKNOWN, SpeedSensor

@@ -10,8 +10,8 @@ import numpy as np
 
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import InFolder
-from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, THRUST
 from vpp_fmu.kernel.scales import PAPER, Scales
+from vpp_fmu.kernel.signals import BETA_REF, OMEGA_REF, THRUST
 from vpp_fmu.record import Record
 from vpp_fmu.sensors import KINDS, SpeedSensor
 from vpp_fmu.structured import read_object, shown

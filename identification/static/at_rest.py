@@ -8,7 +8,7 @@ import numpy as np
 from identification.fit.problem import Prior
 from identification.static.static_map import ROUNDING, StaticFit, regression
 from vpp_fmu.campaign import StaticMap
-from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
+from vpp_fmu.kernel.signals import BETA_REF, OMEGA_REF
 from vpp_fmu.kernel.types import Effect, Model
 from vpp_fmu.native import Simulator
 

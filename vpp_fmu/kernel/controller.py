@@ -4,8 +4,9 @@ from collections.abc import Mapping
 
 from vpp_fmu.kernel.effects.dual_pid import DUAL_PID
 from vpp_fmu.kernel.effects.dual_pid import SPEED_ONLY as SPEED_MODE
-from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, OURS, THRUST
+from vpp_fmu.kernel.plant import OURS
 from vpp_fmu.kernel.scales import PAPER
+from vpp_fmu.kernel.signals import BETA_REF, OMEGA_REF, THRUST
 from vpp_fmu.kernel.types import Model, Signal
 
 DUAL = {"kp_omega": 9.82, "ki_omega": 115.3, "kd_omega": 0.318, "kp_beta": 9.0, "ki_beta": 70.44, "kd_beta": 0.25}

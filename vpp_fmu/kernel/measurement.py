@@ -1,7 +1,7 @@
 """The measurement chain of the thrust as a sampled model: from the plant's thrust to the controller's input."""
 
 from vpp_fmu.kernel.effects.thrust_reading import THRUST_READING
-from vpp_fmu.kernel.plant import THRUST
+from vpp_fmu.kernel.signals import THRUST
 from vpp_fmu.kernel.types import Model, Signal
 
 CONVERSIONS = 860.0

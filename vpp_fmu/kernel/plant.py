@@ -42,7 +42,8 @@ from vpp_fmu.kernel.effects import (
     thrust_map,
 )
 from vpp_fmu.kernel.scales import PAPER, Scales
-from vpp_fmu.kernel.types import Effect, Model, Signal, compose
+from vpp_fmu.kernel.signals import BETA, BETA_REF, OMEGA, OMEGA_REF, THRUST
+from vpp_fmu.kernel.types import Effect, Model, compose
 
 _PITCH_DRIVE, _PITCH_FIRST, _PITCH_SECOND, _PITCH_REACH = actuator.PITCH
 _SPEED_DRIVE, _SPEED_FIRST, _SPEED_SECOND, _SPEED_REACH = actuator.SPEED
@@ -104,14 +105,6 @@ def sized(library: Iterable[Effect], scales: Scales) -> tuple[Effect, ...]:
 
 LIBRARY = sized(_DECLARED, PAPER)
 """All effects for the paper's rig; `sized` scales them to another."""
-
-OMEGA_REF = Signal("omega_ref", "rpm", "commanded rotor speed", 0.0, 2e5, 6000.0, scale="speed")
-BETA_REF = Signal("beta_ref", "deg", "commanded blade pitch", -90.0, 90.0, 15.0, scale="pitch")
-THRUST = Signal("thrust", "N", "measured thrust", -1e5, 1e5, 15.0, scale="thrust")
-OMEGA = Signal("omega", "rpm", "rotor speed", 0.0, 2e5, 6000.0, scale="speed")
-BETA = Signal("beta", "deg", "blade pitch", -90.0, 90.0, 15.0, scale="pitch")
-TORQUE = Signal("torque", "N.m", "torque of the rotor", -1e4, 1e4, 0.1)
-POWER = Signal("power", "W", "electrical power", -1e6, 1e6, 100.0)
 
 ADDS_POWER = frozenset({"torque_map", "motor", "power_map", "figure_of_merit"})
 """Effects of `vpp_fmu.kernel.power`, which is imported for a plant that has one of them."""

@@ -2,8 +2,9 @@
 
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.effects.policy import Law, policy_effect
-from vpp_fmu.kernel.plant import OMEGA, OURS
+from vpp_fmu.kernel.plant import OURS
 from vpp_fmu.kernel.scales import PAPER, Scales
+from vpp_fmu.kernel.signals import OMEGA
 from vpp_fmu.kernel.types import BOOLEAN, Model, Signal
 
 NAME = "VppPolicy"

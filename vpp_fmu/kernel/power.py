@@ -12,7 +12,7 @@ needs no measurement of the motor current; idle is the power of the ESC. Coeffic
 from itertools import product
 from math import pi
 
-from vpp_fmu.kernel.plant import POWER, TORQUE
+from vpp_fmu.kernel.signals import POWER, TORQUE
 from vpp_fmu.kernel.types import Effect, Parameter, Signal
 
 RAD_PER_S = 2.0 * pi / 60.0

@@ -25,7 +25,8 @@ from identification.fit.uncertainty import NORMAL_95, WIDEST, Uncertainty, disag
 from identification.static.at_rest import Knowledge
 from identification.static.static_map import TERMS
 from vpp_fmu.kernel.ops import NUMBERS
-from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, plant
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.kernel.signals import BETA_REF, OMEGA_REF
 from vpp_fmu.kernel.types import Effect, Model, start
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record

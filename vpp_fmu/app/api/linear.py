@@ -24,8 +24,8 @@ from vpp_fmu.app.api.objects import PathLike
 from vpp_fmu.errors import BadInput, ExtraMissing
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.effects.thrust_map import THRUST_MAP, normalised_thrust
-from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
 from vpp_fmu.kernel.power import EFFECTS as POWER_MAPS
+from vpp_fmu.kernel.signals import BETA_REF, OMEGA_REF
 from vpp_fmu.parameters import ParameterSet
 
 INPUTS = ("omega_ref", "beta_ref")

@@ -73,7 +73,7 @@ from vpp_fmu.app.report.pages.rig import calibration_page, campaign_page, fmu_pa
 from vpp_fmu.date import now
 from vpp_fmu.errors import BadInput, RecordWarning, VppError
 from vpp_fmu.files import OutputFolder, read_text
-from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
+from vpp_fmu.kernel.signals import BETA_REF, OMEGA_REF
 from vpp_fmu.parameters import ParameterSet, beside, check_same_model, knowledge_file, parameters_file
 from vpp_fmu.plants import COMMANDS, Controller, FmuController, FmuPlant, KernelController, KernelPlant
 from vpp_fmu.reach import warn_beyond_reach

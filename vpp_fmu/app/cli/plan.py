@@ -21,7 +21,7 @@ from vpp_fmu.app.report.pages.plan import headline, key_figures, plan_page
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
-from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
+from vpp_fmu.kernel.signals import BETA_REF, OMEGA_REF
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import ParameterSet

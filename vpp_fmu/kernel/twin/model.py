@@ -3,7 +3,8 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import ceil
 
-from vpp_fmu.kernel.plant import BETA_REF, OMEGA, OMEGA_REF, OURS, THRUST
+from vpp_fmu.kernel.plant import OURS
+from vpp_fmu.kernel.signals import BETA_REF, OMEGA, OMEGA_REF, THRUST
 from vpp_fmu.kernel.twin.innovation import innovation, motion
 from vpp_fmu.kernel.twin.noises import AT_NODES, BETWEEN, NODE, nothing, pairs
 from vpp_fmu.kernel.twin.prediction import SAMPLE_TIME, ahead_of, prediction

@@ -9,7 +9,7 @@ from vpp_fmu.kernel.duals import Dual, Duals
 from vpp_fmu.kernel.effects.dead_time import dead_time
 from vpp_fmu.kernel.effects.thrust_map import THRUST_MAP
 from vpp_fmu.kernel.ops import NUMBERS
-from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
+from vpp_fmu.kernel.signals import BETA_REF, OMEGA_REF
 from vpp_fmu.kernel.twin.noises import nothing
 from vpp_fmu.kernel.types import Effect, Model, State, start, step
 
