@@ -160,6 +160,7 @@ def test_first_screen_says_effect_error_and_verdict(example):
     tiles = html[html.index('class="tiles"') : html.index("<nav>")].replace("<wbr>", "")
     assert 'class="findings"><li>Speed: ' in tiles
     assert tiles.count('class="tile"') <= 6
+    assert 0 < html.count("<figure>") <= 7
     for label, value, _ in key_figures(example)[:1]:
         assert label in tiles
         assert value.split(" ")[0] in tiles

@@ -98,6 +98,7 @@ def test_demo_does_the_whole_job_without_what_it_does_not_need(tmp_path):
         *("VppPlant.fmu", "VppPlant_base.fmu", "VppController.fmu", "VppLoop.ssp", "gains.json", "run_dual.csv"),
     ):
         assert (out / name).stat().st_size > 0
+    assert 0 < (out / "report.html").read_text(encoding="utf-8").count("<figure") <= 10
     found = json.loads((out / "diagnosis.json").read_text())
     for shown, entry in ((before, found["before"]), (after, found["after"])):
         assert shown == pytest.approx(entry["rmse_thrust"], abs=5.1e-4)  # three digits are printed

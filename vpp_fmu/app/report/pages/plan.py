@@ -75,15 +75,11 @@ def plan_page(found: Plan, basis: Sequence[str] = (), remarks: Sequence[str] = (
 
 def _add_tables(page: Page, found: Plan) -> None:
     before, paper, after = found.before, found.paper, found.after
-    unknown = [None] * len(after.names)
-    known = unknown if before is None else np.where(before.relative < UNKNOWN, before.std, np.nan)
+    known = [None] * len(after.names) if before is None else np.where(before.relative < UNKNOWN, before.std, np.nan)
     units = [found.units[name] for name in after.names]
     rows = zip(after.names, units, after.values, known, paper.std, after.std, *after.intervals.T, strict=True)
     columns = ("parameter", "unit", "value", "std before", "std, paper's plan", "std after", "95 % from", "to")
     page.table(columns, list(rows), "Unit 1: normalised.")
-    directions = [unknown if f is None else f.weakest()[0] for f in (before, paper, after)]
-    rows = list(zip(after.names, *directions, strict=True))
-    page.table(("parameter", "before", "paper's plan", "after"), rows, "Weakest directions, in parts of the parameters' sizes.")
 
 
 def combination(names, direction: np.ndarray) -> str:

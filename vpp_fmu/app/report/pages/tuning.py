@@ -9,7 +9,6 @@ from identification.tune.operating import open_loop
 from identification.tune.summary import NAMES, against, change_rows, headline, key_figures, labels, margin_rows, settling
 from identification.tune.tune import JUDGED, Tuned, Tuning
 from vpp_fmu.app.report.figures.loop import Cloud, bode, cost_ranks, margins_over_thrust, nyquist, response_clouds
-from vpp_fmu.app.report.figures.parameters import learning_curve
 from vpp_fmu.app.report.figures.time import closed_loop as loop_figure
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.digits import number
@@ -80,12 +79,6 @@ def _add_controller(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
     ]
     columns = ("gains", "at [s]", "from [N]", "to [N]", "settled after", "overshoot [%]", "ringing [%]")
     page.table(columns, rows, "Settled: within 2 % of the step. Ringing: the largest swing after the overshoot.")
-    curve = tuned.searches["tuned"].curve
-    ends = ", ".join(f"{stage} until {end}" for stage, end in tuned.searches["tuned"].stages)
-    shown = np.where(np.isfinite(curve), curve, np.nan)
-    title = f"{len(curve)} evaluations lead to {number(np.nanmin(shown))}"
-    figure = learning_curve(np.arange(len(curve)), np.minimum(shown, 2.0 * start), title)
-    page.figure(figure, f"With penalties. Stages: {ends}.")
     _add_margins(page, found, name, tuned)
 
 
