@@ -10,7 +10,7 @@ from itertools import pairwise
 
 from hil.devices.ads1115 import FULL_SCALES, INPUTS, LARGEST, SMALLEST
 from hil.devices.supply import NAMES, Input
-from hil.entries import Entries, Number
+from hil.entries import Entries, NumberEntry
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import InFolder
 from vpp_fmu.structured import as_json, read_json, shown
@@ -99,11 +99,11 @@ def _between(x: Sequence[float], y: Sequence[float], at: float) -> float:
     return (1.0 - share) * y[k - 1] + share * y[k]  # exact at both points
 
 
-_PERIOD, _PULSE, _PITCH = Number("s", 1e-4, 0.025), Number("s", 0.0, 0.025), Number("deg", -45.0, 45.0)
+_PERIOD, _PULSE, _PITCH = NumberEntry("s", 1e-4, 0.025), NumberEntry("s", 0.0, 0.025), NumberEntry("deg", -45.0, 45.0)
 _NUMBERS = {
     "load_cell": {
-        "force_per_count": ("newton_per_count", Number("N", -1.0, 1.0)),
-        "zero": ("zero", Number("counts", SMALLEST + 1, LARGEST - 1)),
+        "force_per_count": ("newton_per_count", NumberEntry("N", -1.0, 1.0)),
+        "zero": ("zero", NumberEntry("counts", SMALLEST + 1, LARGEST - 1)),
     },
     "esc": {
         "period": ("esc_period", _PERIOD),
@@ -153,7 +153,7 @@ def _supply(path: str | os.PathLike, given: Mapping) -> tuple[int, dict[str, Inp
     for name, unit in NAMES.items():
         if name in given:
             wired = entries.entries(name, ("channel", "zero", "per_volt"))
-            zero, slope = (wired.number(key, Number(unit, -1e4, 1e4)) for key in ("zero", "per_volt"))
+            zero, slope = (wired.number(key, NumberEntry(unit, -1e4, 1e4)) for key in ("zero", "per_volt"))
             if slope == 0.0:
                 raise wired.wrong("per_volt", slope, f"a number of {unit} but 0")
             inputs[name] = Input(wired.choice("channel", SINGLE), zero, slope)

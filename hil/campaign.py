@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil import commands
-from hil.commands import PAPERS, Step
+from hil.commands import PAPERS, StepCommand
 from hil.cycle import PERIOD
-from hil.rig import Rig
+from hil.rig import RigPlant
 from hil.safety.limits import Limits, limits_of, read_limits
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import Record
@@ -27,7 +27,7 @@ ignore the small commands of the spin-up's ramp, and the position within any pla
 
 
 @dataclass(frozen=True)
-class Plan:
+class CampaignSize:
     """Size of a campaign. Defaults are the paper's: 10 x 10 points, 3 s to settle, 5000 samples each; steps of 5 s + 5 s.
 
     `points` per side of the grid; `settle` [s]; `samples` per point; `levels` of the constant command during steps; recorded
@@ -45,9 +45,9 @@ class Plan:
     seed: int = 1
 
 
-def plan_for(rig: Ranges) -> Plan:
+def plan_for(rig: Ranges) -> CampaignSize:
     """The paper's plan with durations scaled up by the rig's time scale, never below the paper's."""
-    plan, longer = Plan(), max(rig.scales.time_scale / PAPERS.scales.time_scale, 1.0)
+    plan, longer = CampaignSize(), max(rig.scales.time_scale / PAPERS.scales.time_scale, 1.0)
     times = ("settle", "before", "after", "section", "validation")
     return replace(plan, **{name: longer * getattr(plan, name) for name in times})
 
@@ -96,7 +96,7 @@ def parts_for(rig: Ranges) -> tuple[str, ...]:
     return tuple(part for part in PARTS if part != "steps" or commands.steps(1, rig))
 
 
-def seconds(plan: Plan, parts: Iterable[str], rig: Ranges = PAPERS) -> float:
+def seconds(plan: CampaignSize, parts: Iterable[str], rig: Ranges = PAPERS) -> float:
     """Duration of the parts on the rig [s], without tare and spin-up."""
     takes = {
         "static": len(commands.grid(plan.points, rig)) * (plan.settle + PERIOD * plan.samples),
@@ -109,7 +109,12 @@ def seconds(plan: Plan, parts: Iterable[str], rig: Ranges = PAPERS) -> float:
 
 
 def measure(
-    rig: Rig, part: str, plan: Plan, progress: Callable[[float], None], allowed: Ranges = PAPERS, have: Sequence = ()
+    rig: RigPlant,
+    part: str,
+    plan: CampaignSize,
+    progress: Callable[[float], None],
+    allowed: Ranges = PAPERS,
+    have: Sequence = (),
 ) -> Record:
     """Measure one part, with commands within the `allowed` limits; `progress` is called with the share done; `have`: data that
     are measured already (`hil.campaign_folder`). RunEnded if the rig ended it."""
@@ -129,7 +134,12 @@ POWER = ("voltage", "current", "torque")
 
 
 def static_map(
-    rig: Rig, grid: Sequence[tuple[float, float]], settle: float, samples: int, progress, have: Sequence[Sequence[float]] = ()
+    rig: RigPlant,
+    grid: Sequence[tuple[float, float]],
+    settle: float,
+    samples: int,
+    progress,
+    have: Sequence[Sequence[float]] = (),
 ) -> Record:
     """Means over `samples` readings at each point of the grid, after `settle` s; continues after the rows in `have`. Each point
     goes to the log's events as soon as it is measured."""
@@ -162,7 +172,9 @@ def static_record(rows: Sequence[Sequence[float]], power: Sequence[str] = ()) ->
     return Record(dict(zip((*STATIC, *power), np.array(rows, float).T, strict=True)), "static")
 
 
-def step_responses(rig: Rig, steps: Sequence[Step], plan: Plan, progress, have: Sequence[Record] = ()) -> Record:
+def step_responses(
+    rig: RigPlant, steps: Sequence[StepCommand], plan: CampaignSize, progress, have: Sequence[Record] = ()
+) -> Record:
     """One step per run, numbered by `run`, each from a settled state at time 0; continues after the steps in `have`."""
     parts = list(have)
     rig.start(*steps[min(len(parts), len(steps) - 1)].before)
@@ -184,7 +196,7 @@ def steps_record(parts: Sequence[Record]) -> Record:
     return Record({name: np.concatenate([part[name] for part in parts]) for name in names}, "steps")
 
 
-def follow(rig: Rig, orders: Record, settle: float, progress) -> Record:
+def follow(rig: RigPlant, orders: Record, settle: float, progress) -> Record:
     """Apply a record of commands, one row a tick, after `settle` s at the first."""
     targets = np.column_stack([orders["omega_ref"], orders["beta_ref"]])
     omega, beta = targets[0].tolist()
@@ -198,7 +210,7 @@ def follow(rig: Rig, orders: Record, settle: float, progress) -> Record:
     return record
 
 
-def recorded(rig: Rig, targets: np.ndarray, progress: Callable[[float], None] = lambda share: None) -> Record:
+def recorded(rig: RigPlant, targets: np.ndarray, progress: Callable[[float], None] = lambda share: None) -> Record:
     """Record the rig under the commands `targets` (rows, 2) [rpm, deg], from time 0. In missed slots the readings are NaN."""
     count, first = len(targets), rig.ticks.slot
     rig.keep(record={"first": first, "count": count})

@@ -10,7 +10,18 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from hil.campaign import PARTS, Plan, follow, measure, parts_for, powered, same_commands, seconds, static_record, steps_record
+from hil.campaign import (
+    PARTS,
+    CampaignSize,
+    follow,
+    measure,
+    parts_for,
+    powered,
+    same_commands,
+    seconds,
+    static_record,
+    steps_record,
+)
 from hil.columns import COLUMNS
 from hil.commands import grid, resampled, steps
 from hil.cycle import PERIOD
@@ -52,7 +63,7 @@ class Measuring:
     """A campaign: the rig, the plan and its parts; or instead `commands`, a record to apply."""
 
     setup: Setup
-    plan: Plan
+    plan: CampaignSize
     parts: Sequence[str] = PARTS
     commands: Record | None = None
 

@@ -26,7 +26,7 @@ _SMALLEST, _LARGEST = -1.3, -0.05  # log10 of a move as a share of the range
 
 
 @dataclass(frozen=True)
-class Step:
+class StepCommand:
     """One step response: commands (omega_ref [rpm], beta_ref [deg]) before and after."""
 
     before: tuple[float, float]
@@ -39,7 +39,7 @@ def grid(points: int, rig: Rig = PAPERS) -> list[tuple[float, float]]:
     return _points(rig, [(w, b) for w in speeds for b in pitches])
 
 
-def steps(levels: int = 5, rig: Rig = PAPERS) -> list[Step]:
+def steps(levels: int = 5, rig: Rig = PAPERS) -> list[StepCommand]:
     """The paper's steps: five sizes up, five down, of speed at `levels` pitches and of pitch at `levels` speeds. A fixed
     channel has no steps, and is one level for the other."""
     pairs = []
@@ -54,7 +54,7 @@ def steps(levels: int = 5, rig: Rig = PAPERS) -> list[Step]:
     if not pairs:
         return []
     ends = _points(rig, [(_at(rig.speed, w), _at(rig.pitch, b)) for pair in pairs for w, b in pair])
-    return [Step(*pair) for pair in zip(ends[::2], ends[1::2], strict=True)]
+    return [StepCommand(*pair) for pair in zip(ends[::2], ends[1::2], strict=True)]
 
 
 def open_loop(seed: int, section: float, dt: float, rig: Rig = PAPERS) -> Record:

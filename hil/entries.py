@@ -9,7 +9,7 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.structured import shown
 
 
-class Number(NamedTuple):
+class NumberEntry(NamedTuple):
     """Unit and range of a number, ends included. In the file it is {"value": x, "unit": u}."""
 
     unit: str
@@ -48,12 +48,12 @@ class Entries:
             raise self.wrong(key, shown(found), " or ".join(json.dumps(one) for one in allowed))
         return allowed[allowed.index(found)]
 
-    def number(self, key: str, number: Number) -> float:
+    def number(self, key: str, number: NumberEntry) -> float:
         """A number with its unit."""
         entry = self._measured(key, "value", number)
         return _checked(entry, "value", entry._content["value"], number)
 
-    def numbers(self, key: str, number: Number) -> tuple[float, ...]:
+    def numbers(self, key: str, number: NumberEntry) -> tuple[float, ...]:
         """Numbers with their unit: {"values": [...], "unit": u}."""
         entry = self._measured(key, "values", number)
         values = entry._content["values"]
@@ -72,7 +72,7 @@ class Entries:
             raise self.wrong(key, shown(found), "an object in braces { }")
         return found
 
-    def _measured(self, key: str, values: str, number: Number) -> "Entries":
+    def _measured(self, key: str, values: str, number: NumberEntry) -> "Entries":
         entry = self.entries(key, (values, "unit"))
         entry.choice("unit", (number.unit,))
         return entry
@@ -81,7 +81,7 @@ class Entries:
         return f"{self._name}, {key}" if self._name else key
 
 
-def _checked(entry: Entries, key: str, value: object, number: Number) -> float:
+def _checked(entry: Entries, key: str, value: object, number: NumberEntry) -> float:
     right = isinstance(value, int | float) and not isinstance(value, bool)
     if not right or not number.lowest <= value <= number.highest:
         raise entry.wrong(key, shown(value), number.allowed)

@@ -68,7 +68,7 @@ BAND, SPAN = 0.05, 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class RunSetup:
     """A run: the rig, its controller, profile and initial commands `start` [rpm, deg], and models to compare it with.
 
     `twin`: the constant twin, its band and the adaptive twin. `beside`: a plant FMU's name and its loop. `on_alarm` as in
@@ -117,7 +117,7 @@ Report = Callable[[Outcome], str]
 
 
 def carry_out(
-    task: Task, begun: dict, parent: OutputFolder, page: OperatorPage | None, say: Say, report: Report
+    task: RunSetup, begun: dict, parent: OutputFolder, page: OperatorPage | None, say: Say, report: Report
 ) -> tuple[Run, OutputFolder, Outcome]:
     """Carry out the run; returns it, the folder of its files below `parent`, and the outcome. `begun`: content of hil.json
     before the run. An unforeseen error is raised after the files are written from the log, as far as possible."""

@@ -60,7 +60,7 @@ class RigSample(NamedTuple):
     omega_age: float
 
 
-class Rig:
+class RigPlant:
     """The rig as a plant: `start` tares, arms, runs and settles; `stop` ramps down; `close` sets the idle pulse.
 
     Any fault ends the run: by a ramp-down if that is safe, else by the idle pulse at once. `start` or `step` then raises

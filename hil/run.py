@@ -14,7 +14,7 @@ from hil.devices.supply import NAMES
 from hil.emulator.faults import WITHIN, Injector, Saboteur
 from hil.log import Column, cell
 from hil.page.operator_page import OperatorPage
-from hil.rig import ENDINGS, Rig, RunEnded
+from hil.rig import ENDINGS, RigPlant, RunEnded
 from hil.safety.faults import Fault, FaultKind
 from hil.safety.limits import Limiter, Limits
 from hil.session import Session, Setup, found_log, read_log, session
@@ -68,7 +68,7 @@ class LogLost(VppError):
 class Followed:
     """A controller that passes its set-point to the rig's log. `injector` injects its fault at the step `count`."""
 
-    def __init__(self, controller: Controller, rig: Rig, injector: Injector | None = None, count: int = 0):
+    def __init__(self, controller: Controller, rig: RigPlant, injector: Injector | None = None, count: int = 0):
         self._controller, self._rig, self._injector, self._left = controller, rig, injector, count
 
     def start(self, thrust_set, thrust):

@@ -21,13 +21,13 @@ from hil.columns import COLUMNS, LEARNED
 from hil.commands import PAPERS
 from hil.cycle import PERIOD
 from hil.emulator.process import real_time_bench
-from hil.emulator.rig import Rig as Emulated
+from hil.emulator.rig import EmulatedRig as Emulated
 from hil.emulator.rig import virtual_bench
 from hil.live import status_line
 from hil.log import Column, Logged, MemoryLog, ProcessLog
 from hil.page.operator_page import OperatorPage
 from hil.realtime import real_time
-from hil.rig import Rig
+from hil.rig import RigPlant
 from hil.room import Reserve, check_room, rows_of
 from hil.safety.faults import FaultKind
 from hil.safety.limits import Limits
@@ -101,7 +101,7 @@ class Setup:
 class Session:
     """A rig in use, and after the end its results."""
 
-    def __init__(self, rig: Rig, setup: Setup, granted: str, folder: Path):
+    def __init__(self, rig: RigPlant, setup: Setup, granted: str, folder: Path):
         self.rig, self._setup, self._granted, self._folder = rig, setup, granted, folder
         self.logged: Logged | None = None
         self.timing: Timing | None = None
@@ -143,7 +143,7 @@ def session(
     `log_name`: the full-rate log in `folder`. `seconds`: the length of the run, for which the disk must have room (BadInput).
     `watch`: show a line in the terminal, if there is one. `after`: the command that makes a report of the log if this process
     can't.
-    `on_alarm`, `adaptive` as in `Rig`. `page`: the operator's page, in real time only.
+    `on_alarm`, `adaptive` as in `RigPlant`. `page`: the operator's page, in real time only.
     """
     columns = (*COLUMNS, *(Column(LEARNED + name) for name in (adaptive.outputs if adaptive else ())))
     check_room(folder / log_name, columns, seconds)
@@ -169,7 +169,7 @@ def session(
             def supervise() -> Supervisor:
                 return Supervisor(bench.outputs, report, keep=(bench.lock,), lifted=granted.lifted)
 
-            rig = Rig(
+            rig = RigPlant(
                 bench,
                 setup.limits,
                 log,

@@ -25,7 +25,7 @@ LAGS = {"tau_omega_1": 0.12, "tau_omega_2": 0.05, "tau_beta_1": 0.1, "tau_beta_2
 
 
 @dataclass(frozen=True)
-class Rig:
+class PowerRig:
     """The rig of one seed."""
 
     seed: int
@@ -167,7 +167,7 @@ def two_lags(command, slow, fast, step):
     return states, rate
 
 
-def truth(rig: Rig, found: PowerDiagnosis) -> dict:
+def truth(rig: PowerRig, found: PowerDiagnosis) -> dict:
     """True sizes by (effect, parameter)."""
     if rig.kind == "supply_sag":
         return {("supply_sag", "resistance"): rig.size}

@@ -9,7 +9,7 @@ import pytest
 from identification.tune.controllers import controllers
 from identification.tune.learn import random_steps
 from identification.tune.profile import reach, rig_profile
-from identification.tune.tune import Task
+from identification.tune.tune import TuningTask
 from vpp_fmu.app.cli import main
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import FINE_TUNED, plant
@@ -86,7 +86,7 @@ def test_the_loop_of_a_learned_law_is_the_loop_of_its_functions(learned):
 
 def test_the_pid_is_tuned_on_set_points_of_the_same_kind():
     own = controllers(ParameterSet(plant()))
-    task = Task(ParameterSet(plant()), rig_profile(ParameterSet(plant()), own.settings))
+    task = TuningTask(ParameterSet(plant()), rig_profile(ParameterSet(plant()), own.settings))
     profile = random_steps(task, own.settings["dual"])
     low, high = reach(task.parameters, own.settings["dual"])
     assert (low < profile["thrust_set"]).all()

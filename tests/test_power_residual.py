@@ -7,7 +7,7 @@ from importlib.resources import files
 import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
-from power_rig import Rig, truth
+from power_rig import PowerRig, truth
 
 from identification.power.diagnose import diagnose_power
 from identification.power.effects import HEATING, Signals
@@ -19,14 +19,14 @@ from vpp_fmu.record import write_record
 
 def clear(seed, kind):
     """A rig whose hidden effect is far above its noise."""
-    rig = Rig(seed, kind)
+    rig = PowerRig(seed, kind)
     rig.drawn.update(noise=0.01, strength=1.0, seconds=90.0, rate=125.0, time_constant=12.0, slow=False, torque=True)
     return rig
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_nothing_hidden_is_no_effect(seed):
-    found = Rig(seed, "none").diagnosed()
+    found = PowerRig(seed, "none").diagnosed()
     assert [e.name for e in found.effects] == [], found.summary()
     assert found.verdict == "none", found.summary()["lack_of_fit"]
 
@@ -48,7 +48,7 @@ def test_a_hidden_effect_is_named_with_its_size(kind):
 
 
 def test_supply_sag_is_not_offered_without_voltage_and_current():
-    rig = Rig(8, "servo_load rate")
+    rig = PowerRig(8, "servo_load rate")
     rig.drawn.update(columns="power", noise=0.003)
     found = rig.diagnosed().summary()
     assert "supply_sag" not in {c["name"] for c in found["candidates"]}
@@ -68,7 +68,7 @@ def test_the_winding_warms_up_as_the_closed_form():
 
 def test_rates_are_those_of_the_lags():
     """Two lags after a step of 1: exp(-t / a) and exp(-t / b) over a - b, in closed form."""
-    rig = Rig(3, "none")
+    rig = PowerRig(3, "none")
     values = rig.parameters.values
     record = rig.record(np.random.default_rng(0))
     columns = {n: record[n][:400] for n in ("time", "omega_ref", "beta_ref", "thrust")}
@@ -80,7 +80,7 @@ def test_rates_are_those_of_the_lags():
 
 
 def test_a_plant_or_a_record_without_power_has_no_diagnosis():
-    rig = Rig(3, "none")
+    rig = PowerRig(3, "none")
     record = rig.record(np.random.default_rng(0))
     bare = type(record)({n: c for n, c in record.columns.items() if n not in ("power", "voltage", "current")}, "bare")
     assert diagnose_power({"open_loop": bare}, None, rig.parameters, 0.02) is None

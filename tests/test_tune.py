@@ -14,7 +14,7 @@ from identification.tune.objective import Point
 from identification.tune.rounds import rounds
 from identification.tune.search import search
 from identification.tune.summary import summary
-from identification.tune.tune import Task, tune
+from identification.tune.tune import TuningTask, tune
 from vpp_fmu.app import cli
 from vpp_fmu.app.report.pages.tuning import tuning_page
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL, SPEED_ONLY
@@ -34,7 +34,7 @@ SHORT_CSV = "time,thrust_set\n0,2\n0.4,10\n1.2,3\n2,3\n"
 
 def a_task(profile=None, **more):
     parameters = ParameterSet(plant()).replaced(FAST_PITCH)
-    return Task(parameters, profile or step_profile(), assumed=tuple(FAST_PITCH), chain=CHAIN, **more)
+    return TuningTask(parameters, profile or step_profile(), assumed=tuple(FAST_PITCH), chain=CHAIN, **more)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def nominal():
 @pytest.mark.parametrize("gains", [DUAL, SPEED_ONLY], ids=["dual", "speed only"])
 def test_the_cost_is_the_papers(gains):
     """Squared normalised error, integrated over the loop's own record, and alpha times the squared norm of the gains."""
-    objective = Task(a_task().parameters, step_profile(), alpha=1e-5).objective(gains)
+    objective = TuningTask(a_task().parameters, step_profile(), alpha=1e-5).objective(gains)
     names = [name for name in gains if name[:2] in ("kp", "ki", "kd")]
     assert set(objective.names) == set(names)
     record = run(KernelPlant(parameters=FAST_PITCH), KernelController(gains), step_profile(), objective.course.rest)

@@ -9,7 +9,7 @@ from builders import FAST_PITCH
 
 from identification.tune.controllers import DESIGNED, controllers, sampling
 from identification.tune.profile import rig_profile
-from identification.tune.tune import Task
+from identification.tune.tune import TuningTask
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL
 from vpp_fmu.kernel.plant import FINE_TUNED, plant
@@ -70,7 +70,7 @@ def test_first_gains_hold_another_rig_within_its_limits(rig):
     profile = rig_profile(parameters, own.settings)
     assert own.reference == "scaled"
     for settings in own.settings.values():
-        objective = Task(parameters, profile).objective(settings)
+        objective = TuningTask(parameters, profile).objective(settings)
         run = objective.run(objective.gains)
         assert rig.speed[0] <= run["omega_ref"].min() <= run["omega_ref"].max() <= rig.speed[1]
         assert rig.pitch[0] <= run["beta_ref"].min() <= run["beta_ref"].max() <= rig.pitch[1]
@@ -86,7 +86,7 @@ def test_scaled_gains_are_the_same_loop_at_another_pace(slower):
         lags = {f"tau_{u}_{k}": 0.5 * r * DESIGNED[u] for u in DESIGNED for k in (1, 2)}
         parameters = on(rig, **lags)
         settings = controllers(parameters, sample_time=0.004 * r).settings["dual"]
-        objective = Task(parameters, rig_profile(parameters, {"dual": settings})).objective(settings)
+        objective = TuningTask(parameters, rig_profile(parameters, {"dual": settings})).objective(settings)
         shown.append(objective.run(objective.gains)["thrust"])
     np.testing.assert_allclose(shown[1], shown[0], rtol=1e-6)
 
@@ -116,7 +116,7 @@ def test_a_fixed_pitch_leaves_speed_alone_and_a_fixed_speed_pitch():
     parameters = on(fixed(speed=(15000.0, 15000.0)), PACE["micro"])
     no_speed = controllers(parameters)
     assert list(no_speed.settings) == ["dual"]
-    objective = Task(parameters, rig_profile(parameters, no_speed.settings)).objective(no_speed.settings["dual"])
+    objective = TuningTask(parameters, rig_profile(parameters, no_speed.settings)).objective(no_speed.settings["dual"])
     assert objective.names == ("kp_beta", "ki_beta", "kd_beta")
     with pytest.raises(BadInput, match="speed fixed at 15000 rpm and pitch at 10 deg"):
         controllers(on(fixed(speed=(15000.0, 15000.0), pitch=(10.0, 10.0))))

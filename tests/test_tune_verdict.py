@@ -8,9 +8,9 @@ import pytest
 from identification.tune.controllers import controllers
 from identification.tune.margins import Margins, least
 from identification.tune.profile import rig_profile
-from identification.tune.search import Search
+from identification.tune.search import SearchResult
 from identification.tune.summary import summary
-from identification.tune.tune import Task, tune
+from identification.tune.tune import TuningTask, tune
 from identification.tune.verdict import verdict
 from vpp_fmu.app.report.pages.tuning import tuning_page
 from vpp_fmu.kernel.plant import plant
@@ -47,7 +47,7 @@ def example():
     parameters = ParameterSet(model, source={"rig": rig.summary()}).replaced(DIAGNOSED)
     own = controllers(parameters).settings
     chain = {"delay": 0.29, "resolution": 0.003}
-    return Task(parameters, rig_profile(parameters, own), ("tau_beta_2",), chain), own["dual"]
+    return TuningTask(parameters, rig_profile(parameters, own), ("tau_beta_2",), chain), own["dual"]
 
 
 def response(time, thrust, wanted=1.0):
@@ -76,7 +76,7 @@ def test_gains_that_cost_less_and_settle_later_are_not_chosen(example, monkeypat
     cost = objective.cost(CREEPING)
     assert cost < 0.99 * objective.cost(objective.gains)
     assert objective.penalised(CREEPING) == cost  # within all limits but those that the first gains set
-    brought = {"dual": (objective, Search(CREEPING, cost, np.array([cost]), (("all", 1),)))}
+    brought = {"dual": (objective, SearchResult(CREEPING, cost, np.array([cost]), (("all", 1),)))}
     monkeypatch.setattr("identification.tune.tune.rounds", lambda *_: brought)
     found = tune(task, {"dual": settings})
     tuned = found.tuned["dual"]

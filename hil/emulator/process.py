@@ -15,7 +15,7 @@ from pathlib import Path
 from hil.bench import Bench
 from hil.calibration import Calibration, read_calibration, to_json
 from hil.clock import MonotonicClock
-from hil.emulator.rig import LINE, PORT, Emulation, Rig, bench_in, folder
+from hil.emulator.rig import LINE, PORT, EmulatedRig, Emulation, bench_in, folder
 from hil.emulator.serial_line import PtyLine
 from hil.realtime import real_time
 from hil.safety.faults import DeviceFault, FaultKind
@@ -28,7 +28,7 @@ PRIORITY = 70
 CALIBRATION = "calibration.json"
 
 
-def real_time_bench(rig: Rig, calibration: Calibration, truth: Calibration | None = None) -> Bench:
+def real_time_bench(rig: EmulatedRig, calibration: Calibration, truth: Calibration | None = None) -> Bench:
     """An emulated rig in a separate process; `truth` as in `virtual_bench`. DeviceFault NOT_READY if it does not start."""
     ends, clock = contextlib.ExitStack(), MonotonicClock()
     with contextlib.ExitStack() as undo:
@@ -41,7 +41,7 @@ def real_time_bench(rig: Rig, calibration: Calibration, truth: Calibration | Non
     return bench
 
 
-def _start(rig: Rig, at: Path, ends: contextlib.ExitStack) -> None:
+def _start(rig: EmulatedRig, at: Path, ends: contextlib.ExitStack) -> None:
     task = json.dumps({"folder": str(at), "rig": asdict(rig)})
     process = subprocess.Popen(
         [sys.executable, "-m", "hil.emulator.process", task],
@@ -63,7 +63,7 @@ def _start(rig: Rig, at: Path, ends: contextlib.ExitStack) -> None:
 def main(task: dict) -> None:
     """Serve until standard input ends."""
     clock, at = MonotonicClock(), Path(task["folder"])
-    rig = Rig(**{**task["rig"], "hidden": tuple(task["rig"]["hidden"])})
+    rig = EmulatedRig(**{**task["rig"], "hidden": tuple(task["rig"]["hidden"])})
     emulation = Emulation(rig, read_calibration(at / CALIBRATION), at, clock.now())
     emulation.line = PtyLine(emulation.board, at / LINE, at / PORT, rig.seed)
     os.set_blocking(0, False)

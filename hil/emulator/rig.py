@@ -80,7 +80,7 @@ NEAREST = {
 
 
 @dataclass(frozen=True)
-class Rig:
+class EmulatedRig:
     """The emulated rig: changes to the physics' defaults, hidden effects by name, and the seed of all random numbers.
 
     `lingers`: time, s, for which a rig in real time continues after its parent has ended, as a real one does.
@@ -92,10 +92,12 @@ class Rig:
     lingers: float = 0.0
 
 
-def with_effects(words: Iterable[str], seed: int = 0) -> Rig:
+def with_effects(words: Iterable[str], seed: int = 0) -> EmulatedRig:
     """The emulated rig with hidden effects, each NAME, NAME=SIZE or NAME.PARAMETER=SIZE. BadInput."""
     hidden = [_hidden(text) for text in words]
-    return Rig({name: value for _, values in hidden for name, value in values.items()}, tuple(name for name, _ in hidden), seed)
+    return EmulatedRig(
+        {name: value for _, values in hidden for name, value in values.items()}, tuple(name for name, _ in hidden), seed
+    )
 
 
 def effects_to_hide() -> list[str]:
@@ -170,7 +172,7 @@ class Emulation:
     Any process may set the force [N] of a hand or a weight on the stand. `calibration`: the rig's true one.
     """
 
-    def __init__(self, rig: Rig, calibration: Calibration, folder: Path, start: float):
+    def __init__(self, rig: EmulatedRig, calibration: Calibration, folder: Path, start: float):
         per_count = calibration.full_scale / 0x8000
         zero = per_count * (calibration.zero + ZERO_SHIFT)
         cell = LoadCell(zero, per_count / calibration.newton_per_count)
@@ -267,7 +269,7 @@ def hand(at: Path, ends: contextlib.ExitStack) -> Callable[[float], None]:
     return lambda force: shared.__setitem__("force", force)
 
 
-def virtual_bench(rig: Rig, calibration: Calibration, truth: Calibration | None = None) -> Bench:
+def virtual_bench(rig: EmulatedRig, calibration: Calibration, truth: Calibration | None = None) -> Bench:
     """An emulated rig in this process on a virtual clock: the same every time, and as fast as it can be computed. `truth`: its
     true calibration, if it differs from the one that the drivers use."""
     ends, clock = contextlib.ExitStack(), VirtualClock()

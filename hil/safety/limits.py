@@ -7,7 +7,7 @@ from enum import IntFlag
 from typing import NamedTuple
 
 from hil.commands import PAPERS
-from hil.entries import Entries, Number
+from hil.entries import Entries, NumberEntry
 from hil.safety.faults import Fault, FaultKind
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.scales import PAPER
@@ -59,7 +59,7 @@ _OF_PAPERS = _derived(PAPERS)
 def _limit(default: float | str, unit: str, lowest: float, highest: float, meaning: str):
     """A field; its default is a number, or the name of a limit of the paper's rig."""
     value = _OF_PAPERS[default] if isinstance(default, str) else default
-    return field(default=value, metadata={"number": Number(unit, lowest, highest), "meaning": meaning})
+    return field(default=value, metadata={"number": NumberEntry(unit, lowest, highest), "meaning": meaning})
 
 
 @dataclass(frozen=True)

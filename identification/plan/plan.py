@@ -12,7 +12,7 @@ from identification.assessment.information import Forecast, Information
 from identification.fit.problem import Prior
 from identification.fit.refine import BASE_PARAMETERS
 from identification.plan.excitation import FASTEST, STEP, paper_plan
-from identification.plan.search import Search
+from identification.plan.search import PlanSearch
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.record import Record
@@ -120,7 +120,7 @@ def plan(
             raise BadInput("experiment", field, f"{std:g}", "a number above 0")
     names = free_parameters(model) if names is None else tuple(names)
     information = Information(model, values, names, noise_std, step, omega_std)
-    search = Search(information, rig, step, seconds, knowledge, np.random.default_rng(seed))
+    search = PlanSearch(information, rig, step, seconds, knowledge, np.random.default_rng(seed))
     search.assemble()
     unidentifiable = search.give_up()
     search.improve(evaluations)
@@ -141,7 +141,7 @@ def plan(
     )
 
 
-def _paper(search: Search, rng: np.random.Generator) -> Forecast:
+def _paper(search: PlanSearch, rng: np.random.Generator) -> Forecast:
     """Forecast of the median of DRAWS plans of the paper's kind."""
     plans = [paper_plan(rng, len(search.targets), search.step, search.rig) for _ in range(DRAWS)]
     found = [search.information.forecast(search.of(each)) for each in plans]

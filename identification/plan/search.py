@@ -37,7 +37,7 @@ def criterion(information: np.ndarray) -> np.ndarray:
     return np.trace(np.linalg.inv(information + np.eye(information.shape[-1])), axis1=-2, axis2=-1)
 
 
-class Search:
+class PlanSearch:
     """Search of a plan of `seconds`: `targets` (rows, 2) on a grid of `step` seconds, for the parameters of `information`.
     Commands have a period of `fine` seconds."""
 

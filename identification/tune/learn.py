@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.tune.profile import common_reach
-from identification.tune.tune import Task
+from identification.tune.tune import TuningTask
 from vpp_fmu.commands import idle
 from vpp_fmu.kernel.effects.dual_pid import ALLOCATION
 from vpp_fmu.kernel.measurement import MEASUREMENT
@@ -136,7 +136,7 @@ class _Network:
 class Trial:
     """Simulated flights of controllers over random set-points."""
 
-    def __init__(self, task: Task, settings: Mapping[str, float]):
+    def __init__(self, task: TuningTask, settings: Mapping[str, float]):
         self.task, self.settings, self.dt = task, settings, settings["sample_time"]
         self.span, rig = common_reach(task.parameters, {"": settings}), task.parameters.rig
         self.scale, self.rest = rig.scales.thrust_scale, idle(rig)
@@ -164,7 +164,7 @@ class Trial:
         return Flights(errors, overshoots, float(np.mean(travel)))
 
 
-def random_steps(task: Task, settings: Mapping[str, float]) -> Record:
+def random_steps(task: TuningTask, settings: Mapping[str, float]) -> Record:
     """A profile, `time` [s], `thrust_set` [N], of the kind that a policy learns on: for tuning the PID beside it."""
     course = Trial(task, settings).course(np.random.default_rng([task.seed, 17]))
     rows = np.unique([0, *(np.flatnonzero(np.diff(course.wanted)) + 1), len(course.wanted) - 1])
@@ -172,7 +172,7 @@ def random_steps(task: Task, settings: Mapping[str, float]) -> Record:
 
 
 def learn(
-    task: Task,
+    task: TuningTask,
     settings: Mapping[str, float],
     hidden: int,
     generations: int,

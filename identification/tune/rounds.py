@@ -10,7 +10,7 @@ import numpy as np
 
 from identification.tune.objective import SLACK, Objective
 from identification.tune.operating import margins_at, operating_points
-from identification.tune.search import Search, search
+from identification.tune.search import SearchResult, search
 from identification.workers import spread
 
 ROUNDS = 4
@@ -28,7 +28,7 @@ def rounds(
     workers: int = 1,
     scheduler: str | None = None,
     what: str = "",
-) -> dict[str, tuple[Objective, Search]]:
+) -> dict[str, tuple[Objective, SearchResult]]:
     """The best search for each controller, and the objective that it minimises.
 
     `starts`: initial gains and stages, equally many for each. `reserve` (count, parameters): plants that are added if they are
@@ -82,12 +82,12 @@ def _extended(objective: Objective, gains: np.ndarray, reserve: np.ndarray | Non
     return extended
 
 
-def _best(names, jobs: Sequence[tuple], workers, scheduler, what: str) -> dict[str, Search]:
+def _best(names, jobs: Sequence[tuple], workers, scheduler, what: str) -> dict[str, SearchResult]:
     """The search of least cost for each name; jobs are ordered by name, equally many for each."""
     found = spread(_search, jobs, workers, scheduler, what)
     each = len(jobs) // len(names)
     return {name: min(found[k * each : (k + 1) * each], key=lambda s: s.cost) for k, name in enumerate(names)}
 
 
-def _search(job: tuple) -> Search:
+def _search(job: tuple) -> SearchResult:
     return search(*job)

@@ -33,7 +33,7 @@ RESOLVED = 10.0 * CLOSE
 
 
 @dataclass(frozen=True, eq=False)
-class Search:
+class SearchResult:
     """Result of a search: `gains` (n,), their `cost` with penalties, and the `curve` of costs of all evaluations.
 
     `stages`: (name, evaluations up to its end).
@@ -44,13 +44,13 @@ class Search:
     curve: np.ndarray
     stages: tuple[tuple[str, int], ...]
 
-    def after(self, before: "Search") -> "Search":
+    def after(self, before: "SearchResult") -> "SearchResult":
         """This search as the continuation of `before`."""
         stages = [(name, len(before.curve) + end) for name, end in self.stages]
         return replace(self, curve=np.r_[before.curve, self.curve], stages=(*before.stages, *stages))
 
 
-def search(objective: Objective, start: np.ndarray, stages: Sequence[str] = ("PI", "D", "all")) -> Search:
+def search(objective: Objective, start: np.ndarray, stages: Sequence[str] = ("PI", "D", "all")) -> SearchResult:
     """Search from the gains `start` (n,) through the stages; with a stage "PI", derivative gains start at 0."""
     curve: list[float] = []
     ends = []
@@ -60,7 +60,7 @@ def search(objective: Objective, start: np.ndarray, stages: Sequence[str] = ("PI
     for stage in stages:
         gains, cost = _stage(objective, gains, chosen[stage], derivative, curve)
         ends.append((stage, len(curve)))
-    return Search(gains, cost, np.array(curve), tuple(ends))
+    return SearchResult(gains, cost, np.array(curve), tuple(ends))
 
 
 def _stage(objective: Objective, start: np.ndarray, free: np.ndarray, derivative: np.ndarray, curve: list[float]):

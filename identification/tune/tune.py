@@ -13,7 +13,7 @@ from identification.tune.margins import Margins, least
 from identification.tune.objective import ALPHA, Objective, Point
 from identification.tune.operating import margins_at, operating_points
 from identification.tune.rounds import rounds
-from identification.tune.search import Search
+from identification.tune.search import SearchResult
 from identification.tune.verdict import Verdict, verdict
 from vpp_fmu.commands import idle
 from vpp_fmu.kernel.controller import CONTROLLER, speed_alone
@@ -50,7 +50,7 @@ def chain_of(parameters: ParameterSet, period: float) -> dict[str, float]:
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class TuningTask:
     """A tuning task. `parameters`: the plant's; `assumed`: names of those set by hand for the design.
 
     `chain`: changes to the measurement chain; `noise_std` N: of a reading. `overshoot` (share of a step) and `sensitivity` are
@@ -124,7 +124,7 @@ class Tuned:
 
     objective: Objective
     gains: Mapping[str, np.ndarray]
-    searches: Mapping[str, Search]
+    searches: Mapping[str, SearchResult]
     verdicts: Mapping[str, Verdict]
     points: Mapping[str, tuple[Point, ...]]
     margins: Mapping[str, tuple[Margins, ...]]
@@ -151,17 +151,17 @@ class Tuned:
 class Tuning:
     """Results for the controllers "dual" and "speed_only", or "allocated"; `plants` (JUDGED, parameters): hold-out plants."""
 
-    task: Task
+    task: TuningTask
     tuned: Mapping[str, Tuned]
     plants: np.ndarray | None
     seconds: float
 
 
-Found = Mapping[str, tuple[Objective, Search]]
+Found = Mapping[str, tuple[Objective, SearchResult]]
 """By controller: the best search, and the objective that it minimises."""
 
 
-def tune(task: Task, starts: Mapping[str, Mapping[str, float]], workers: int = 1, scheduler: str | None = None) -> Tuning:
+def tune(task: TuningTask, starts: Mapping[str, Mapping[str, float]], workers: int = 1, scheduler: str | None = None) -> Tuning:
     """Tune each controller of `starts`: settings, with initial gains, by the controller's name.
 
     `workers`, `scheduler` as in `identification.workers`; the gains do not depend on them.
@@ -204,7 +204,7 @@ def _nominal(objectives: Mapping[str, Objective], workers, scheduler) -> Found:
     return rounds(limited, starts, None, SHAKES[0], workers, scheduler, "tuning")
 
 
-def _robust(task: Task, found: Found, workers, scheduler) -> Found:
+def _robust(task: TuningTask, found: Found, workers, scheduler) -> Found:
     """Search on many plants, from the nominal and from the initial gains. For the worst case only the plants of largest cost
     are used; the others stay in reserve."""
     drawn = task.plants(task.draws, stream=0)

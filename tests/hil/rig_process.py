@@ -20,7 +20,7 @@ import numpy as np
 from hil.calibration import read_calibration
 from hil.emulator import pwm_tree
 from hil.emulator.faults import Saboteur
-from hil.emulator.rig import Rig as Emulated
+from hil.emulator.rig import EmulatedRig as Emulated
 from hil.run import ON_ALARM, run_on_rig
 from hil.safety.limits import Limits
 from hil.session import Setup

@@ -12,10 +12,10 @@ import numpy as np
 from hil.calibration import read_calibration
 from hil.columns import COLUMNS
 from hil.emulator.rig import LINE, virtual_bench
-from hil.emulator.rig import Rig as Emulated
+from hil.emulator.rig import EmulatedRig as Emulated
 from hil.emulator.serial_line import FAULTS
 from hil.emulator.shared import SharedNumbers
-from hil.rig import Rig
+from hil.rig import RigPlant
 from hil.safety.limits import Limits
 from hil.session import Setup
 from vpp_fmu.files import OutputFolder
@@ -50,7 +50,7 @@ class Rows:
 def virtual_rig(emulated=None, limits=LIMITS, columns=COLUMNS, **more):
     """(rig, its log) in virtual time."""
     log = Rows(columns)
-    return Rig(virtual_bench(emulated or Emulated(seed=1), CALIBRATION), limits, log, **more), log
+    return RigPlant(virtual_bench(emulated or Emulated(seed=1), CALIBRATION), limits, log, **more), log
 
 
 def steps(rig, count, omega_ref=3000.0) -> None:

@@ -22,7 +22,7 @@ from vpp_fmu.app.cli import main
 from vpp_fmu.app.day import day as days
 from vpp_fmu.app.day import flight
 from vpp_fmu.app.day.flight import GAINS, HOLDS, MISSION, measured_cost, mission, repeated
-from vpp_fmu.app.day.policy import FARTHEST, SENSITIVITY, Referee, Search, task
+from vpp_fmu.app.day.policy import FARTHEST, SENSITIVITY, GainSearch, Referee, task
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.parameters import ParameterSet, read_parameters
@@ -104,7 +104,7 @@ def test_the_referee_accepts_the_current_gains_and_refuses_oscillation(referee):
 def test_the_search_decreases_the_cost():
     """A paraboloid in the gains' logarithms about 1.3 times the first ones: ten generations decrease it by nine tenths."""
     best = np.log(1.3)
-    search = Search(SETTINGS, GAINS, seed=5)
+    search = GainSearch(SETTINGS, GAINS, seed=5)
     for _ in range(10):
         asked = search.asked()
         logs = np.log([[each[name] / SETTINGS[name] for name in GAINS] for each in asked])
@@ -193,7 +193,7 @@ def a_round(results, folder, hidden, before=None):
     day = days.new_day(read_parameters(results / "parameters.json", plant), SETTINGS)
     day.rounds += [before] if before else []
     setup = days_setup(results, hidden)
-    rig = days.Rig(
+    rig = days.RigAccess(
         lambda number, flight: replace(setup, emulated=replace(setup.emulated, seed=number)),
         lambda what: None,
         lambda number: (),
@@ -242,7 +242,7 @@ def test_a_flight_that_ends_early_is_the_last_one(results, tmp_path, monkeypatch
 
     monkeypatch.setattr(days, "fly", stopped)
     day = days.new_day(read_parameters(results / "parameters.json", plant), SETTINGS)
-    rig = days.Rig(lambda number, flight: None, lambda what: None, lambda number: ())
+    rig = days.RigAccess(lambda number, flight: None, lambda what: None, lambda number: ())
     with pytest.raises(RunEnded, match="Ctrl-C"):
         days.next_round(day, rig, read_band(results / "identification.json"), "both", tmp_path, 0, 1, lambda text: None)
     assert flown == ["flight_01"]

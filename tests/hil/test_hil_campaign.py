@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from rigs import LIMITS
 
-from hil.campaign import PARTS, Plan, measure, plan_for, recorded, same_commands, seconds, steep, step_responses
+from hil.campaign import PARTS, CampaignSize, measure, plan_for, recorded, same_commands, seconds, steep, step_responses
 from hil.campaign_folder import measured_so_far, partial
-from hil.commands import Step, grid, open_loop, steps, validation
+from hil.commands import StepCommand, grid, open_loop, steps, validation
 from hil.cycle import PERIOD
 from hil.physics.rig_model import FULL_RIG
-from hil.rig import Rig
+from hil.rig import RigPlant
 from hil.safety.faults import Fault, FaultKind
 from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import read_campaign
@@ -45,7 +45,7 @@ def test_the_grid_and_the_steps_are_the_papers():
     assert {s.after[0] for s in speed if s.before[0] == 2000.0} == set(np.linspace(2500.0, 6000.0, 5))
     assert {s.after[1] for s in pitch if s.before[1] == -10.0} == set(np.linspace(-6.0, 10.0, 5))
     assert {s.after[1] for s in pitch if s.before[1] == 10.0} == set(np.linspace(6.0, -10.0, 5))
-    assert seconds(Plan(), ["static"]) == 100 * 23.0  # 3 s and 5000 samples at 250 Hz
+    assert seconds(CampaignSize(), ["static"]) == 100 * 23.0  # 3 s and 5000 samples at 250 Hz
 
 
 def test_the_open_loop_moves_speed_then_pitch_then_both():
@@ -60,7 +60,7 @@ def test_the_open_loop_moves_speed_then_pitch_then_both():
 
 
 def test_a_static_point_is_the_mean_of_the_physical_model(rig):
-    found = measure(rig, "static", Plan(points=2, settle=2.0, samples=500), quiet)
+    found = measure(rig, "static", CampaignSize(points=2, settle=2.0, samples=500), quiet)
     physics = Simulation(FULL_RIG)
     for k, point in enumerate(zip(found["omega_ref"], found["beta_ref"], strict=True)):
         settled = physics.start(dict(zip(("omega_ref", "beta_ref"), point, strict=True)))
@@ -71,8 +71,8 @@ def test_a_static_point_is_the_mean_of_the_physical_model(rig):
 
 
 def test_a_step_starts_settled_and_responds_only_after_its_command(rig):
-    plan = Plan(settle=2.0, before=1.0, after=2.0)
-    found = step_responses(rig, [Step((3000.0, 5.0), (5000.0, 5.0))], plan, quiet)
+    plan = CampaignSize(settle=2.0, before=1.0, after=2.0)
+    found = step_responses(rig, [StepCommand((3000.0, 5.0), (5000.0, 5.0))], plan, quiet)
     time, thrust = found["time"], found["thrust"]
     assert (time[0], len(time)) == (0.0, 750)
     moved = int(np.argmax(found["omega_ref"] > 3000.0))
@@ -203,7 +203,7 @@ def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_no
     small = ["hil", "campaign", "--virtual", *SMALL, "--parts", "static", "steps", "validation"]
     whole, out = tmp_path / "whole", tmp_path / "out"
     assert main([*small, "-o", str(whole)]) == 0
-    left, step = [0], Rig.step
+    left, step = [0], RigPlant.step
 
     def cut(self, *commands):
         left[0] -= 1
@@ -211,7 +211,7 @@ def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_no
             self._cycle.fault(Fault("operator", FaultKind.INTERRUPTED, "Ctrl-C"))
         return step(self, *commands)
 
-    monkeypatch.setattr(Rig, "step", cut)
+    monkeypatch.setattr(RigPlant, "step", cut)
     resume = []
     for ticks, kept in ((700, "static.partial.csv"), (4000, "steps.partial.csv"), (3000, "steps.partial.csv")):
         left[0] = ticks

@@ -11,7 +11,7 @@ from rigs import CALIBRATION, LIMITS, setup, step_profile
 from hil.calibration import to_json
 from hil.columns import COLUMNS
 from hil.commands import PAPERS
-from hil.emulator.rig import Rig as Emulated
+from hil.emulator.rig import EmulatedRig as Emulated
 from hil.outcome import judged_steps
 from hil.run import ON_ALARM, LimitedPlant, run_on_rig
 from hil.runs import sha256_of

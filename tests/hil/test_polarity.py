@@ -8,7 +8,7 @@ from rigs import CALIBRATION, IDLE, LIMITS, duties, setup, step_profile, steps
 
 from hil.bench import locked
 from hil.commands import PAPERS
-from hil.emulator.rig import Rig as Emulated
+from hil.emulator.rig import EmulatedRig as Emulated
 from hil.rig import RunEnded
 from hil.run import run_on_rig
 from hil.safety.faults import FaultKind

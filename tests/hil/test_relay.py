@@ -9,7 +9,7 @@ from rigs import LIMITS, steps
 
 from hil.emulator.faults import children_of
 from hil.emulator.rig import BYSTANDER, SHOWN
-from hil.emulator.rig import Rig as Emulated
+from hil.emulator.rig import EmulatedRig as Emulated
 from hil.emulator.shared import SharedNumbers
 from hil.rig import RunEnded
 from tests.hil.injection import started, wait_for

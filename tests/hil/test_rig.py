@@ -9,9 +9,9 @@ from rigs import CALIBRATION, IDLE, LIMITS, Rows, asked, duties, serial_faults, 
 from hil.columns import COLUMNS, STATES
 from hil.emulator.process import real_time_bench
 from hil.emulator.rig import ZERO_SHIFT
-from hil.emulator.rig import Rig as Emulated
+from hil.emulator.rig import EmulatedRig as Emulated
 from hil.realtime import real_time
-from hil.rig import RAMP, Rig, RunEnded
+from hil.rig import RAMP, RigPlant, RunEnded
 from hil.safety.faults import Fault, FaultKind
 from hil.safety.limits import Cut, Limits
 from hil.safety.states import SafetyState
@@ -104,7 +104,7 @@ def test_the_operator_ends_a_run_in_order(new_rig):
 def test_in_real_time_the_same_rig_runs_in_a_separate_process():
     bench = real_time_bench(Emulated(seed=1), CALIBRATION)
     log, folder = Rows(COLUMNS), bench.esc.duty_file.parents[3]
-    rig = Rig(bench, Limits(late=0.1, missed_share=0.5), log)  # tolerates a busy machine
+    rig = RigPlant(bench, Limits(late=0.1, missed_share=0.5), log)  # tolerates a busy machine
     began = time.monotonic()
     with real_time():
         rig.idle(250)

@@ -10,7 +10,7 @@ from rigs import CALIBRATION
 
 from hil.calibration import read_calibration, to_json
 from hil.devices.supply import EVERY, Input
-from hil.emulator.rig import Rig as Emulated
+from hil.emulator.rig import EmulatedRig as Emulated
 from hil.emulator.world import AMBIENT, HEATS, WARMS, LoadCell, World
 from hil.outcome import energy
 from hil.physics.rig_model import POWERTRAIN

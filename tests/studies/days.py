@@ -22,16 +22,16 @@ import numpy as np
 
 from hil.calibration import read_calibration
 from hil.emulator.rig import CALIBRATION
-from hil.emulator.rig import Rig as Emulated
+from hil.emulator.rig import EmulatedRig as Emulated
 from hil.physics.rig_model import rig_model
 from hil.safety.limits import Limits
 from hil.session import Setup
 from identification.tune.objective import Objective
 from identification.tune.operating import operating_points
 from identification.tune.rounds import rounds
-from identification.tune.tune import STARTS, Task
+from identification.tune.tune import STARTS, TuningTask
 from identification.workers import spread
-from vpp_fmu.app.day.day import POLICIES, Rig, new_day, next_round
+from vpp_fmu.app.day.day import POLICIES, RigAccess, new_day, next_round
 from vpp_fmu.app.day.flight import GAINS, Law, fly
 from vpp_fmu.app.day.policy import task
 from vpp_fmu.kernel.controller import CONTROLLER
@@ -108,7 +108,9 @@ def days(change: str, count: int, seed: int) -> dict:
         results = {}
         for policy in POLICIES:
             one, began = new_day(parameters, settings), time.process_time()
-            rig = Rig(lambda number, flight: setup(number >= FROM, 50 * number + flight), lambda what: None, lambda number: ())
+            rig = RigAccess(
+                lambda number, flight: setup(number >= FROM, 50 * number + flight), lambda what: None, lambda number: ()
+            )
             for number in range(1, count + 1):
                 place = Path(folder) / policy / str(number)
                 place.mkdir(parents=True)
@@ -152,7 +154,7 @@ def _loop(hidden: tuple[str, ...]) -> ClosedLoop:
     return ClosedLoop(replace(model, effects=(*model.effects, SCALES)))
 
 
-def _known_in_full(wanted: Task, settings: Mapping[str, float], own: Mapping[str, float], hidden: tuple[str, ...]):
+def _known_in_full(wanted: TuningTask, settings: Mapping[str, float], own: Mapping[str, float], hidden: tuple[str, ...]):
     """Gains tuned with full knowledge, from these settings on; limits as for gains that are tuned on a model."""
     on_model = wanted.objective(settings)
     given = {f.name: getattr(on_model, f.name) for f in fields(on_model)}

@@ -19,8 +19,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hil.calibration import read_calibration
-from hil.campaign import PARTS, Plan, measure, seconds, steep
-from hil.emulator.rig import Rig
+from hil.campaign import PARTS, CampaignSize, measure, seconds, steep
+from hil.emulator.rig import EmulatedRig
 from hil.rig import RunEnded
 from hil.run import run_on_rig
 from hil.safety.limits import Limits
@@ -34,7 +34,7 @@ from identification.static.static_map import StaticFit, design, fit_static_map
 from identification.steps.response import StepSummary, fit_steps
 from identification.steps.run import StepRun
 from identification.tune.summary import step_error
-from identification.tune.tune import Task, chain_of, tune
+from identification.tune.tune import TuningTask, chain_of, tune
 from tests.tables import add_write, show, table
 from vpp_fmu.campaign import Campaign, StaticMap, read_campaign
 from vpp_fmu.files import OutputFolder
@@ -45,10 +45,10 @@ from vpp_fmu.plants import KernelController, KernelPlant
 from vpp_fmu.record import Record, write_record
 from vpp_fmu.response import smoothed, steps
 
-FULL, REPEATS = Plan(before=5.0), 6
+FULL, REPEATS = CampaignSize(before=5.0), 6
 """The paper's campaign; number of runs of each loop on the rig."""
 
-QUICK, FEWER = Plan(points=4, settle=1.0, samples=100, levels=2, before=0.4, after=2.5, section=8.0, validation=8.0), 1
+QUICK, FEWER = CampaignSize(points=4, settle=1.0, samples=100, levels=2, before=0.4, after=2.5, section=8.0, validation=8.0), 1
 """A smaller campaign of the same shape; its numbers are rough."""
 
 STATIC_MAP = {"c20": 0.21e-6, "c11": -5.7e-6, "c21": 0.023e-6, "c12": -1.25e-6, "c30": -2.15e-12}
@@ -137,7 +137,7 @@ class Study:
     loops: tuple[Mapping[str, tuple[Merit, Merit]], Mapping[str, tuple[Merit, Merit]]]
 
 
-def study(folder: Path, plan: Plan, repeats: int, seed: int) -> Study:
+def study(folder: Path, plan: CampaignSize, repeats: int, seed: int) -> Study:
     """Measure the campaign into `folder`, then repeat the paper's analysis; `repeats`: runs of each loop on the rig."""
     campaign = recorded(folder, plan, seed)
     found = identify(campaign, seed=seed)
@@ -156,10 +156,10 @@ def study(folder: Path, plan: Plan, repeats: int, seed: int) -> Study:
 def emulated(limits: Limits, seed: int, map_is_known: bool = True) -> Setup:
     """The emulated rig in virtual time, without hidden effects. `seed`: of its noise."""
     calibration = read_calibration(str(files("hil.emulator") / "calibration.json"))
-    return Setup(calibration, limits, Rig(seed=seed), virtual=True, map_is_known=map_is_known)
+    return Setup(calibration, limits, EmulatedRig(seed=seed), virtual=True, map_is_known=map_is_known)
 
 
-def recorded(folder: Path, plan: Plan, seed: int) -> Campaign:
+def recorded(folder: Path, plan: CampaignSize, seed: int) -> Campaign:
     """Measure a campaign into a folder, part by part as `vpp hil campaign --virtual --seed` does, and read it back."""
     for k, part in enumerate(PARTS):
         setup = emulated(steep(Limits()), 100 * seed + k, map_is_known=False)
@@ -230,7 +230,7 @@ def tuned_gains(found: Identification, seed: int) -> dict[str, dict[str, float]]
     """Controllers tuned for the rig's identified model, from the published gains, by name."""
     chain = chain_of(found.parameters, CONTROLLER.values()["sample_time"])
     starts = {"both": DUAL | {"speed_only": 0.0}, "speed": SPEED_ONLY}
-    tuned = tune(Task(found.parameters, profile(), chain=chain, noise_std=found.noise.std, seed=seed), starts).tuned
+    tuned = tune(TuningTask(found.parameters, profile(), chain=chain, noise_std=found.noise.std, seed=seed), starts).tuned
     return {name: each.objective.with_gains(each.final) for name, each in tuned.items()}
 
 

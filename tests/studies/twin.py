@@ -28,7 +28,7 @@ from threadpoolctl import threadpool_limits
 from hil import commands
 from hil.calibration import read_calibration
 from hil.emulator.rig import CALIBRATION
-from hil.emulator.rig import Rig as Emulated
+from hil.emulator.rig import EmulatedRig as Emulated
 from hil.emulator.world import LoadCell
 from hil.physics.rig_model import rig_model
 from hil.run import run_on_rig

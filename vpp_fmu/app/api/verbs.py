@@ -21,7 +21,7 @@ from identification.power.model import PowerModel
 from identification.tune.controllers import controllers, rig_controller
 from identification.tune.learn import learn as learned
 from identification.tune.profile import rig_profile
-from identification.tune.tune import Task, chain_of
+from identification.tune.tune import TuningTask, chain_of
 from identification.tune.tune import tune as tuned
 from vpp_fmu.app.api.objects import PathLike, as_campaign, as_gains, as_parameters, as_record, changed
 from vpp_fmu.app.api.results import (
@@ -212,7 +212,7 @@ def tune(
     wanted = rig_profile(held, own.settings) if profile is None else as_record(profile, ("time", "thrust_set"))
     if wanted.time[-1] < 10.0 * period:
         raise BadInput(wanted.source, "time", f"{wanted.time[-1]:g} s", f"{10.0 * period:g} s or more")
-    task = Task(
+    task = TuningTask(
         parameters=held,
         profile=wanted,
         assumed=tuple(assume or ()),

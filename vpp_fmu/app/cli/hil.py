@@ -20,7 +20,7 @@ from pathlib import Path
 from hil import calibrate
 from hil.bench import Wiring, check_limits
 from hil.calibration import Calibration, calibration_file, check, never_measured, read_calibration, to_json
-from hil.campaign import PARTS, Plan, limits_for, plan_for
+from hil.campaign import PARTS, CampaignSize, limits_for, plan_for
 from hil.campaign_folder import Measuring, commands_of, records_of
 from hil.commands import PAPERS
 from hil.cycle import PERIOD
@@ -28,7 +28,7 @@ from hil.emulator.faults import check_fault
 from hil.emulator.rig import CALIBRATION, POWERED, calibrated_for, effects_to_hide, with_effects
 from hil.outcome import (
     Outcome,
-    Task,
+    RunSetup,
     carry_out,
     finish,
     finish_fmu,
@@ -170,7 +170,7 @@ PLAN = (
     ("settle", "settle", real(0.1, 60.0, "s"), "before a point or a step counts"),
     ("validation-seconds", "validation", real(5.0, 3600.0, "s"), "of the validation record"),
 )
-"""Options of a campaign's plan: name, field of `Plan`, kind, help."""
+"""Options of a campaign's plan: name, field of `CampaignSize`, kind, help."""
 
 
 def _add_campaign(parser) -> None:
@@ -183,7 +183,7 @@ def _add_campaign(parser) -> None:
     )
     for name, field, kind, text in PLAN:
         longer = f" {kind.unit}, longer for a rig slower than the paper's" if kind.unit else ""
-        add(f"--{name}", type=kind, metavar="N", help=f"{text} (default: {getattr(Plan(), field):g}{longer})")
+        add(f"--{name}", type=kind, metavar="N", help=f"{text} (default: {getattr(CampaignSize(), field):g}{longer})")
     again = parser.add_mutually_exclusive_group()
     again.add_argument("--resume", action="store_true", help="go on with the campaign in DIR: with the same options as before")
     again.add_argument("--replace", action="store_true", help="delete the campaign in DIR, and measure anew")
@@ -251,7 +251,7 @@ def _run(options) -> Answer:
     twin = _twin(options, setup.allowed)
     other = (Path(options.beside).name, _fmu_loop(options.beside, options, profile)[0]) if options.beside else None
     inject = _injected(options, setup, float(profile.time[-1] - profile.time[0]))
-    task = Task(setup, controller, profile, start, twin, other, ON_ALARM[options.on_alarm], inject)
+    task = RunSetup(setup, controller, profile, start, twin, other, ON_ALARM[options.on_alarm], inject)
     parent = OutputFolder(options.output)
     lines.append(allowed_words(setup.allowed))
     content = _begun(options, setup) | task.summary()

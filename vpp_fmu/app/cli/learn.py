@@ -13,7 +13,7 @@ from tqdm import tqdm
 from identification.tune.controllers import controllers
 from identification.tune.learn import LearnedLaw, learn, random_steps
 from identification.tune.profile import rig_profile
-from identification.tune.tune import Task, chain_of, tune
+from identification.tune.tune import TuningTask, chain_of, tune
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.inputs import add_gains, add_knowledge, knowledge_of, noise_in, read_gains, read_plant
 from vpp_fmu.app.cli.options import SEED, Number, whole
@@ -83,13 +83,13 @@ def write_learning(folder: OutputFolder, found: LearnedLaw, source: str) -> None
 
 def task_of(
     parameters: ParameterSet, gains: tuple[ParameterSet | None, str | None], **known
-) -> tuple[Task, Mapping[str, float]]:
+) -> tuple[TuningTask, Mapping[str, float]]:
     """The task and all values of the PID: the given `gains` (values, their source), or tuned on set-points of the same kind.
     `known`: fields of the task."""
     given, source = gains
     own = controllers(parameters, given, source=source or "gains")
     name, settings = next(iter(own.settings.items()))
-    task = Task(
+    task = TuningTask(
         parameters=parameters,
         profile=rig_profile(parameters, own.settings),
         chain=chain_of(parameters, settings["sample_time"]),

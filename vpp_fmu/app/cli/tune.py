@@ -15,7 +15,7 @@ from identification.tune.controllers import POWERS, controllers
 from identification.tune.objective import ALPHA
 from identification.tune.profile import common_reach, rig_profile
 from identification.tune.summary import NAMES, change_rows, headline, key_figures, margin_rows, summary
-from identification.tune.tune import Task, Tuning, chain_of, tune
+from identification.tune.tune import Tuning, TuningTask, chain_of, tune
 from identification.tune.verdict import UNITS
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.inputs import (
@@ -152,7 +152,7 @@ def write_tuning(folder: OutputFolder, found: Tuning, **came: tuple[str | os.Pat
     folder.write("report.html", tuning_page(found).html())
 
 
-def _setting(task: Task, starts) -> list[str]:
+def _setting(task: TuningTask, starts) -> list[str]:
     """Conditions from the rig: limits, sampling, the profile, and controllers that it does not allow."""
     rig, settings = task.parameters.rig, next(iter(starts.values()))
     ends = ((f"{settings[f'{u}_min']:.6g}", f"{settings[f'{u}_max']:.6g}", unit) for u, unit in UNITS_OF.items())
@@ -168,7 +168,7 @@ def _setting(task: Task, starts) -> list[str]:
     return lines + [f"no gains for {NAMES[name]}: {why}" for name, why in task.left_out.items()]
 
 
-def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping[str, float]]]:
+def _task(options, parameters: ParameterSet) -> tuple[TuningTask, Mapping[str, Mapping[str, float]]]:
     given = read_gains(options)
     assumed = dict(_assumed(text, parameters) for text in options.assume)
     known_in, knowledge = knowledge_of(options, parameters)
@@ -189,7 +189,7 @@ def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping
     chain = chain_of(parameters, period) | {"time_constant": options.lag, "delay": options.delay / period}
     if options.resolution is not None:
         chain["resolution"] = options.resolution
-    task = Task(
+    task = TuningTask(
         parameters=parameters,
         effects_from=tuple(options.effects_from),
         profile=profile,

@@ -21,7 +21,7 @@ from vpp_fmu.app.cli.hil import allowed_words
 from vpp_fmu.app.cli.inputs import add_gains, read_gains, read_plant
 from vpp_fmu.app.cli.options import WORKERS, whole
 from vpp_fmu.app.cli.output import dated, stages, written
-from vpp_fmu.app.day.day import BOTH, POLICIES, Day, Rig, Round, diagnosed, new_day, next_round
+from vpp_fmu.app.day.day import BOTH, POLICIES, Day, RigAccess, Round, diagnosed, new_day, next_round
 from vpp_fmu.app.report.pages.day import day_page
 from vpp_fmu.app.report.sentences import change
 from vpp_fmu.errors import BadInput
@@ -70,7 +70,7 @@ def run(options):
     return Answer(headline(day), content, shown, written=written(options, folder))
 
 
-def _round(options, day: Day, rig: Rig, band: Band, number: int, folder: OutputFolder, shown: Lines) -> dict:
+def _round(options, day: Day, rig: RigAccess, band: Band, number: int, folder: OutputFolder, shown: Lines) -> dict:
     """Fly a round and write its files; returns the content of day.json so far."""
     own = OutputFolder(folder.path / f"round_{number}")
     with stages("vpp twin", options.quiet) as stage:
@@ -104,7 +104,7 @@ def _check_new(path: str) -> None:
         raise BadInput("command line", "DAY", found, "a new or empty folder")
 
 
-def _rig(options, setup: Setup) -> Rig:
+def _rig(options, setup: Setup) -> RigAccess:
     """The rig of the options. Hidden effects of the emulated rig appear in a later round; each flight has its own noise."""
     hidden = setup.emulated.hidden if setup.emulated else ()
 
@@ -120,7 +120,7 @@ def _rig(options, setup: Setup) -> Rig:
     def word(what: str) -> None:
         hil.confirm(setup, [what])
 
-    return Rig(flown, word, there)
+    return RigAccess(flown, word, there)
 
 
 def said(done: Round) -> list[str]:

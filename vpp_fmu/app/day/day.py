@@ -26,7 +26,7 @@ from identification.diagnose.validation import CHANGED
 from identification.tune.learn import learn
 from identification.tune.profile import common_reach, rig_profile
 from vpp_fmu.app.day.flight import GAINS, Flight, Law, Twins, fly, mission
-from vpp_fmu.app.day.policy import Referee, Search, retuned, task
+from vpp_fmu.app.day.policy import GainSearch, Referee, retuned, task
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.kernel.twin import watched
@@ -59,7 +59,7 @@ UNITS, GENERATIONS, JUDGED = 6, 300, 40
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class CandidateModel:
     """A candidate model of the rig: `name`, `parameters`, and its rms thrust error [N] in the mission of its fit (`fitted`) and
     in the next one, a hold-out (`unseen`)."""
 
@@ -84,8 +84,8 @@ class Modelled:
 
     mission: Flight
     alarm: tuple[float, str] | None
-    models: tuple[Model, ...]
-    chosen: Model
+    models: tuple[CandidateModel, ...]
+    chosen: CandidateModel
     verdict: str
     named: tuple[str, ...]
     wanted: Record
@@ -127,7 +127,7 @@ class Day:
     settings: Mapping[str, float]
     profile: Record
     rounds: list[Round] = field(default_factory=list)
-    search: Search | None = None
+    search: GainSearch | None = None
 
     @property
     def parameters(self) -> ParameterSet:
@@ -141,7 +141,7 @@ class Day:
 
 
 @dataclass(frozen=True, eq=False)
-class Rig:
+class RigAccess:
     """Access to the rig: `setup(round, flight)` returns it, `word(what)` waits for the operator's consent to `what`,
     `hidden(round)` returns the names of its hidden effects."""
 
@@ -156,7 +156,7 @@ def new_day(parameters: ParameterSet, settings: Mapping[str, float]) -> Day:
 
 
 def next_round(
-    day: Day, rig: Rig, band: Band, policy: str, folder: Path, seed: int, workers: int, stage: Callable[[str], None]
+    day: Day, rig: RigAccess, band: Band, policy: str, folder: Path, seed: int, workers: int, stage: Callable[[str], None]
 ) -> Round:
     """Fly one round; its logs go to `folder`. BadInput; RunEnded for a flight that ended early."""
     number, flights = len(day.rounds) + 1, _Flights(rig, len(day.rounds) + 1, folder)
@@ -225,7 +225,7 @@ def _modelled(day: Day, flights: "_Flights", band: Band, seed: int, workers: int
     alarm = first.alarms[0] if first.alarms else None
     if not alarm and improbable(model) < WORSE:
         alarm = float(first.record.time[-1] - first.record.time[0]), "predicted worse than when it was flown before"
-    models, verdict = [Model("as it was", model, error(model, first.record), np.nan)], ""
+    models, verdict = [CandidateModel("as it was", model, error(model, first.record), np.nan)], ""
     named: tuple[str, ...] = ()
     if _moved(model, first):
         models.append(_adapted(model, first))
@@ -248,7 +248,7 @@ def _modelled(day: Day, flights: "_Flights", band: Band, seed: int, workers: int
             named = tuple(e for e in best.effects if e not in model.model.optional)
             own = found.parameters(best)
             own = replace(own, source={**model.source, **own.source})
-            models.append(Model(DIAGNOSED, own, error(own, first.record), np.nan))
+            models.append(CandidateModel(DIAGNOSED, own, error(own, first.record), np.nan))
     if last is not first:
         models = [replace(m, unseen=error(m.parameters, last.record)) for m in models]
     chosen = min(models, key=lambda m: m.unseen) if len(models) > 1 else models[0]
@@ -331,7 +331,7 @@ def _moved(model: ParameterSet, flight: Flight) -> bool:
     return any(abs(value - before[name]) > CERTAIN * std[name] for name, value in own.items())
 
 
-def _adapted(model: ParameterSet, flight: Flight) -> Model:
+def _adapted(model: ParameterSet, flight: Flight) -> CandidateModel:
     """The model with those adapted parameters that predict the mission best. Statically visible ones are taken together, as
     they are correlated, each dynamic one separately: a lag that was adapted at an actuator's limit is wrong elsewhere."""
     wider, (own, std) = adaptable(model, "vpp twin"), _learned(flight)
@@ -343,13 +343,13 @@ def _adapted(model: ParameterSet, flight: Flight) -> Model:
     )
     tried = [wider.replaced({n: own[n] for n in names}, {n: std[n] for n in names}) for names in kept if names]
     errors = [error(one, flight.record) for one in tried]
-    return Model("adapted", tried[int(np.argmin(errors))], min(errors), np.nan)
+    return CandidateModel("adapted", tried[int(np.argmin(errors))], min(errors), np.nan)
 
 
 class _Flights:
     """Flights of a round, each with a folder of its own in `folder`."""
 
-    def __init__(self, rig: Rig, number: int, folder: Path):
+    def __init__(self, rig: RigAccess, number: int, folder: Path):
         self._rig, self._number, self.folder, self._count = rig, number, folder, 0
 
     def __call__(self, what: str, law: Law, profile: Record, twins: Twins | None = None, times: int = 1) -> Flight:
@@ -372,7 +372,7 @@ def _searched(
     Rejected gains get the cost that the model predicts, relative to the present gains. The mean is used, because the cheapest
     of a generation is so by noise."""
     if day.search is None:
-        day.search = Search(flies, GAINS, seed)
+        day.search = GainSearch(flies, GAINS, seed)
     generation = day.search.asked()
     predicted = [referee.predicted(each) for each in generation]
     costs = [

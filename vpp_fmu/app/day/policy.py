@@ -13,7 +13,7 @@ import numpy as np
 
 from identification.tune.controllers import controllers
 from identification.tune.operating import operating_points
-from identification.tune.tune import Task, chain_of, tune
+from identification.tune.tune import TuningTask, chain_of, tune
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
@@ -39,13 +39,13 @@ COSTLIER = 1.5
 """Maximum ratio of the predicted cost to that of the present gains: a search also needs worse gains."""
 
 
-def task(parameters: ParameterSet, profile: Record, noise: float, period: float, seed: int) -> Task:
+def task(parameters: ParameterSet, profile: Record, noise: float, period: float, seed: int) -> TuningTask:
     """The tuning task: the model with the rig's measurement chain, `noise` [N] of a reading."""
     chain = chain_of(parameters, period)
-    return Task(parameters, profile, chain=chain, noise_std=noise, reference="what flies", seed=seed)
+    return TuningTask(parameters, profile, chain=chain, noise_std=noise, reference="what flies", seed=seed)
 
 
-def retuned(wanted: Task, settings: Mapping[str, float]) -> dict[str, float]:
+def retuned(wanted: TuningTask, settings: Mapping[str, float]) -> dict[str, float]:
     """A controller's values with gains tuned on the model, from its `settings` on; unchanged if none are better."""
     known = {p.name for p in CONTROLLER.parameters}
     given = ParameterSet(CONTROLLER).replaced({n: v for n, v in settings.items() if n in known})
@@ -58,7 +58,7 @@ class Referee:
     """The model's check of gains before a flight: it rejects a cost ratio above COSTLIER, and a sensitivity above both
     SENSITIVITY and that of the present gains."""
 
-    def __init__(self, wanted: Task, settings: Mapping[str, float]):
+    def __init__(self, wanted: TuningTask, settings: Mapping[str, float]):
         objective = wanted.objective(settings)
         self._objective = replace(objective, points=operating_points(objective, objective.gains))
         self._flies = self._objective.cost(objective.gains)
@@ -75,7 +75,7 @@ class Referee:
         return costs, bool(costs <= COSTLIER and self.sensitivity(settings) <= self._most)
 
 
-class Search:
+class GainSearch:
     """Search around the gains in use at its start: `asked` returns the next generation, `tell` takes its costs."""
 
     def __init__(self, settings: Mapping[str, float], names: Iterable[str], seed: int):
