@@ -337,12 +337,12 @@ def test_an_impossibly_early_response_leaves_the_default_logger():
 
 @pytest.mark.parametrize(("offset", "again"), [(-1.0, True), (-0.1, False)])
 def test_the_logger_is_estimated_again_beside_the_effects_found(monkeypatch, offset, again):
-    """The records are searched once more if the offset differs by more than 4.4 of its standard errors of 0.1 rows. A delay is
-    part of each estimate of a logger."""
+    """The records are searched once more if the offset differs by more than two of its standard errors of 0.1 rows: a lag of the
+    thrust may stand in for it. The estimate is without the lag first, then with it. A delay is part of each estimate."""
     beside = []
 
     def searched(task, gate):
-        final = SimpleNamespace(effects=("inflow_lag", "pitch_delay"), values={})
+        final = SimpleNamespace(effects=("inflow_lag", "sensor_lag", "pitch_delay"), values={})
         parts = {"final": final, "word": "attributed", "held_out_after": SimpleNamespace(rmse_thrust=2.0 + gate.logger.rows)}
         return SimpleNamespace(logger=gate.logger, selection=lambda: SimpleNamespace(final=final), **parts)
 
@@ -358,9 +358,9 @@ def test_the_logger_is_estimated_again_beside_the_effects_found(monkeypatch, off
     monkeypatch.setattr(diagnosing, "_concluded", lambda task, found: found)
     monkeypatch.setattr(diagnosing, "replace", lambda found, **_: found)
     monkeypatch.setattr(diagnosing, "_power", lambda found: None)
-    library = [SimpleNamespace(name=name) for name in ("inflow_lag", "pitch_delay")]
+    library = [SimpleNamespace(name=name) for name in ("inflow_lag", "sensor_lag", "pitch_delay")]
     assert diagnosing.diagnose(None, library).logger.rows == (offset if again else 0.0)
-    assert beside == [("inflow_lag",)]
+    assert beside == [("inflow_lag",), ("inflow_lag", "sensor_lag")][: 1 if again else 2]
 
 
 @pytest.mark.parametrize(("speed", "pitch", "offset"), [(1.9, 2.9, 1.9), (4.0, 6.0, 0.0), (1.9, 0.0, 0.0), (1.9, 1.9, 1.9)])

@@ -69,8 +69,8 @@ if TYPE_CHECKING:
 LATE = ("reading_delay", "sensor_lag")
 """Effects that read the thrust later than the speed."""
 
-DELAYS = (*LATE, "row_clock", "speed_reading_delay", "speed_delay", "pitch_delay")
-"""Effects that an estimate of the logger has itself, to first order."""
+DELAYS = ("row_clock", "reading_delay", "speed_reading_delay", "speed_delay", "pitch_delay")
+"""Effects that an estimate of the logger has itself."""
 
 
 @dataclass(frozen=True)
@@ -230,15 +230,18 @@ def diagnose(
         task = _Task(campaign, library, pool, seed, effort, given, Smallest(smallest, smallest_speed))
         stage("logger")
         found = _searched(task, as_logged(gate, *present, each=pool.map))
-        beside = [n for n in found.selection().final.effects if n in {e.name for e in library} and n not in DELAYS]
-        if beside and effort.allows(f"another logger beside {' + '.join(beside)}"):
+        final, kept = found.selection().final, given.without_power.model.optional if given else ()
+        named = [n for n in final.effects if n in {e.name for e in library} and n not in DELAYS]
+        # A lag of the thrust may come from a logger that was estimated without the other effects, or the other way round.
+        for beside in dict.fromkeys((tuple(n for n in named if n not in LATE), tuple(named))):
+            if not beside or not effort.allows(f"another logger beside {' + '.join(beside)}"):
+                continue
             stage("logger")
-            kept = given.without_power.model.optional if given else ()
-            again = as_logged(gate, [*kept, *beside], library, found.selection().final.values, pool.map)
-            # A delay of the thrust may come from a logger that was estimated without the other effects.
-            errors = SIGNIFICANT if len(beside) == len(found.selection().final.effects) else NORMAL_95
+            again = as_logged(gate, [*kept, *beside], library, final.values, pool.map)
+            errors = SIGNIFICANT if len(beside) == len(final.effects) else NORMAL_95
             if not again.logger.agrees_with(found.logger, errors):
                 found = _simpler(found, _searched(task, again))
+                break
         done = _concluded(task, found)
         return replace(done, not_tried=tuple(effort.not_tried), power=_power(done))
 
