@@ -337,8 +337,8 @@ def test_an_impossibly_early_response_leaves_the_default_logger():
 
 @pytest.mark.parametrize(("offset", "again"), [(-1.0, True), (-0.1, False)])
 def test_the_logger_is_estimated_again_beside_the_effects_found(monkeypatch, offset, again):
-    """The records are searched once more if the offset differs by more than two of its standard errors of 0.1 rows: a lag of the
-    thrust may stand in for it. The estimate is without the lag first, then with it. A delay is part of each estimate."""
+    """The records are searched once more if the offset differs by more than two of its standard errors of 0.1 rows: a lag of
+    the thrust may stand in for it. The estimate is without the lag first, then with it. A delay is part of each estimate."""
     beside = []
 
     def searched(task, gate):
