@@ -89,12 +89,17 @@ ALL_DELAYS = tuple(f"{name}.delay" for name in DELAYS.values())
 
 @threadpool_limits.wrap(limits=1)  # threads do not help with ten columns
 def as_logged(
-    gate: Passed, effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, values=None, each: Callable = map
+    gate: Passed,
+    effects: Iterable[str] = (),
+    library: Iterable[Effect] = LIBRARY,
+    values=None,
+    each: Callable = map,
+    rows: float | None = None,
 ) -> Passed:
     """The records that passed the gate, corrected for their logger and without run-ins.
 
     The logger is estimated from the fitted records, beside `effects` of a `library` at `values`. Without records it has no
-    offset, and run-ins are not searched. `each`: as `map`, for fits that may run in parallel."""
+    offset, and run-ins are not searched. `each`: as `map`, for fits that may run in parallel. `rows`: the offset, if known."""
     campaign, declared = gate.campaign, gate.campaign.rig.sensor
     if not any((campaign.open_loop, campaign.repeat, campaign.validation, *gate.further.values())):
         found = Logger(sensor=SpeedSensor(**declared) if "kind" in declared else SpeedSensor())
@@ -110,6 +115,7 @@ def as_logged(
         if {(f.code, f.where) for f in settled.findings} == {(f.code, f.where) for f in before.findings}:
             break
     found = of.logger(each)
+    found = found if rows is None else replace(found, rows=rows, std=0.0)
     return replace(settled.changed(found.applied), logger=found)
 
 

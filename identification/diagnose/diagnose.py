@@ -49,7 +49,7 @@ from identification.gate.finding import Finding
 from identification.gate.gate import Passed, passed
 from identification.identify import Identification, off_bounds
 from identification.logger import SIGNIFICANT, Logger
-from identification.logger_fit import as_logged
+from identification.logger_fit import LATEST_ROW, as_logged
 from identification.logs.commands import FILE as SPEED_MAP
 from identification.logs.speed_map import read_speed_map
 from identification.roles import Fitted, Unseen, roles
@@ -242,6 +242,9 @@ def diagnose(
             if not again.logger.agrees_with(found.logger, errors):
                 found = _simpler(found, _searched(task, again))
                 break
+        if found.logger.rows > LATEST_ROW and final.effects and effort.allows("no offset of the logger"):
+            # A late thrust and shorter lags look like an offset of all readings; a logger's is rarely so long.
+            found = _simpler(found, _searched(task, as_logged(gate, *present, each=pool.map, rows=0.0)))
         done = _concluded(task, found)
         return replace(done, not_tried=tuple(effort.not_tried), power=_power(done))
 
