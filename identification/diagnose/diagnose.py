@@ -36,6 +36,7 @@ from identification.diagnose.selection import Selection, nearest, without
 from identification.diagnose.stages import Stage, joined, lack_of, searched, selection_of, verdict_of
 from identification.diagnose.validation import (
     CHANGED,
+    NAMED,
     UNEXPLAINED,
     Replacement,
     at_supported_thresholds,
@@ -326,8 +327,11 @@ class _Searched:
 
 
 def _simpler(one: _Searched, other: _Searched) -> _Searched:
-    """The one with fewer effects, if its held-out mean square error exceeds that of the other by at most the share FORM."""
+    """The one with fewer effects, if these explain everything and more effects do not, or if its held-out mean square error
+    exceeds that of the other by at most the share FORM."""
     few, many = sorted((one, other), key=lambda s: (len(s.final.effects), s.word != "none", s.held_out_after.rmse_thrust))
+    if few.word in NAMED and many.word not in NAMED:
+        return few
     powers = [found.held_out_after.rmse_thrust**2 for found in (few, many)]
     return few if powers[0] <= (1.0 + FORM) * powers[1] else many
 
