@@ -172,12 +172,14 @@ def test_a_wrong_speed_is_a_lack_of_fit_though_the_thrust_is_right(monkeypatch, 
 TIME = np.arange(0.0, 60.0, 0.01)
 
 
-def fit_with_transients(monkeypatch, std=1.0, verified=False, count=0.0):
+def fit_with_transients(monkeypatch, std=1.0, verified=False, count=0.0, slow=0.0):
     """A fit whose residual is noise of 1 and a sine of 3 in the first half of each hold of 4 s: its power is 4.5 / 2 in all and
-    none at rest. Thrust is read by a converter of `count` N; the sensor of the speed has the uncertainty `std`."""
+    none at rest. Thrust is read by a converter of `count` N; the sensor of the speed has the uncertainty `std`. `slow`: size of
+    noise that is constant for a hold, in the thrust."""
     record = {"time": TIME, "omega_ref": np.floor(TIME / 4.0), "beta_ref": np.zeros(len(TIME)), "thrust": np.zeros(len(TIME))}
     # The noise of means over 0.05 s, which is that below 10 Hz, is 1 too.
     noise = [RNG.standard_normal(len(TIME)), RNG.standard_normal(len(TIME) // 5).repeat(5)]
+    noise[1] = noise[1] + slow * (-1.0) ** np.floor(TIME / 4.0)
     speed, thrust = (np.where(TIME % 4.0 < 2.0, 3.0 * np.sin(2.0 * np.pi * TIME), 0.0) + each for each in noise)
     sensor = SimpleNamespace(rows=np.arange(len(TIME)), measured=np.zeros(len(TIME)), std=std, shows=lambda omega: omega)
     record = Record(record, "")
@@ -216,6 +218,13 @@ def test_a_thrust_residual_that_is_absent_during_holds_is_not_noise(monkeypatch,
     share, size = lack_of_fit.transient_power_share(fit_with_transients(monkeypatch, verified=verified, count=count), "thrust")
     assert share == pytest.approx(beyond / (1.0 + beyond), abs=0.05)
     assert size == pytest.approx(np.sqrt(beyond), abs=0.1)
+
+
+def test_noise_slower_than_a_hold_is_there_at_rest_too(monkeypatch):
+    """Its power of 9 is part of the whole, and of the reference."""
+    share, size = lack_of_fit.transient_power_share(fit_with_transients(monkeypatch, slow=3.0), "thrust")
+    assert share == pytest.approx(POWER / (1.0 + 9.0 + POWER), abs=0.05)
+    assert size == pytest.approx(np.sqrt(POWER), abs=0.2)
 
 
 @pytest.mark.parametrize(

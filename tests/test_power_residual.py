@@ -14,6 +14,8 @@ from identification.power.effects import HEATING, Signals
 from identification.power.records import respond
 from vpp_fmu.campaign import write_static
 from vpp_fmu.files import OutputFolder
+from vpp_fmu.kernel.plant import ADDS_POWER
+from vpp_fmu.kernel.power import EFFECTS as POWER_EFFECTS
 from vpp_fmu.record import write_record
 
 
@@ -123,3 +125,7 @@ def test_a_diagnosis_has_the_power_beside_an_unchanged_thrust(campaign, monkeypa
     pages = {name: (campaign / f"out_{name}" / "report.html").read_text() for name in found}
     assert [f"Power: {line}" in text[name] and line in pages[name] for name in ("with", "without")] == [True, False]
     assert [">Power</h2>" in pages[name] for name in ("with", "without")] == [True, False]
+
+
+def test_a_plant_knows_the_effects_of_power_without_importing_them():
+    assert {e.name for e in POWER_EFFECTS} == ADDS_POWER

@@ -8,7 +8,7 @@ import pytest
 from studies.synthetic import TRUTH, commands
 
 from identification.demo import example_folder
-from identification.diagnose import given_speed
+from identification.diagnose import given_speed, stages
 from identification.diagnose.diagnose import _channels, _with, diagnose
 from identification.diagnose.given_speed import with_given_speed
 from identification.diagnose.lack_of_fit import LackOfFit
@@ -145,6 +145,48 @@ def test_a_stage_that_explains_less_than_half_gives_no_effect_to_the_model(monke
     for word, accepted in (("unexplained", "base"), ("partly", "final"), ("none", "base")):
         monkeypatch.setattr(Stage, "word", word)
         assert stage.accepted == accepted
+
+
+@pytest.mark.parametrize(
+    ("channel", "effects", "significant", "turns", "lacks"),
+    [
+        ("speed", ("lag",), False, False, True),
+        ("speed", (), False, False, False),
+        ("thrust", ("drift",), False, False, False),  # slow noise of a single record may look like it
+        ("thrust", ("drift",), True, False, True),
+        ("thrust", ("drift",), False, True, True),
+    ],
+)
+def test_what_is_missing_if_a_set_is_refuted(monkeypatch, channel, effects, significant, turns, lacks):
+    monkeypatch.setattr(Stage, "accepted", SimpleNamespace(effects=effects))
+    lack = SimpleNamespace(significant=significant, turns=turns)
+    at = SimpleNamespace(channels=("omega",) if channel == "speed" else ("thrust",))
+    assert Stage(at, (), (), None, None, lack, SimpleNamespace(significant=False, turns=False)).lacks is lacks
+
+
+@pytest.mark.parametrize(("map_error", "expected"), [(0.0, 1.5), (3.4, 3.4), (1.0, 1.5)])
+def test_the_error_of_a_speed_map_bounds_what_the_thrust_shows(monkeypatch, map_error, expected):
+    """The standard error of the known speed is 1.5 rpm, from its readings."""
+    errors = []
+
+    def stage(groups, runs, at, speed_error, *_):
+        errors.append(speed_error)
+        fit = SimpleNamespace(effects=(), values={})
+        noise = SimpleNamespace(experiments=[SimpleNamespace(noise=None)])
+        selection = SimpleNamespace(rivals={}, judgements={}, whole=fit, final=fit, base=fit)
+        return SimpleNamespace(judge=SimpleNamespace(searcher=noise), selection=selection, corroborated=False)
+
+    at = SimpleNamespace(library=(), values={}, of_channels=lambda *_, **__: at)
+    monkeypatch.setattr(stages, "_stage", stage)
+    monkeypatch.setattr(stages, "_keeping", lambda at, *_: at)
+    monkeypatch.setattr(stages, "_takes_pitch", lambda fit: False)
+    monkeypatch.setattr(stages, "with_given_speed", lambda library: library)
+    monkeypatch.setattr(stages, "with_speed_of", lambda groups, *_: (groups, 1.5))
+    monkeypatch.setattr(stages, "fitted_base", lambda *_: (None, SimpleNamespace(deviance=0.0)))
+    monkeypatch.setattr(stages, "replace", lambda found, **_: found)
+    groups = [[SimpleNamespace(record={"omega": np.ones(3)})]]
+    stages.searched(groups, [], at, [], None, None, None, map_error)
+    assert errors == [0.0, expected]
 
 
 def test_the_lack_of_fit_of_the_speed_is_that_of_its_stage():

@@ -19,7 +19,7 @@ from identification.diagnose.lack_of_fit import LackOfFit, with_rotor_order
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.selection import Selection, select, without
-from identification.diagnose.validation import CHANGED, UNEXPLAINED, verdict
+from identification.diagnose.validation import CHANGED, UNEXPLAINED, unnamed, verdict
 from identification.fit.noise import Noise
 from identification.roles import Fitted
 from vpp_fmu.kernel.types import Effect
@@ -64,7 +64,8 @@ class Stage:
     def lacks(self) -> bool:
         """Whether something is missing if validation refutes the selected set: there is lack of fit, without or with it. In the
         speed the set itself shows it; in a single record of the thrust, slow noise may look like an effect."""
-        return self.before.significant or self.after.significant or bool(self.name == "speed" and self.accepted.effects)
+        found = "unexplained" in (unnamed(self.before), unnamed(self.after))
+        return found or bool(self.name == "speed" and self.accepted.effects)
 
     @property
     def accepted(self) -> Fit:
