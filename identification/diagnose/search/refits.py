@@ -25,10 +25,6 @@ CONVERGED, FEWEST = 1.0 / 3.0, 8
 LEADERS = 3
 """Best candidates that are also started from fits of their special cases, and with switched-off sizes on."""
 
-DOUBLE, SPLIT = 0.3, (0.82, 0.28)
-"""Relative difference below which two lags count as a double pole, at which a missing lead or lag is invisible to first order;
-shares of their sum at which a fit starts beside it."""
-
 
 @dataclass(frozen=True)
 class CandidateFit:
@@ -100,10 +96,6 @@ def _first_look(searcher: Searcher, fit: Fit, candidate: Candidate, at: Screenin
     for u in free if acts_within else ():
         if u in candidate.effect.channels:
             further += [_flipped(u, *point) for point in points]
-    for u in free:
-        one, two = fit.values[f"tau_{u}_1"], fit.values[f"tau_{u}_2"]
-        if abs(one / two - 1.0) < DOUBLE:
-            further += [_split(u, one + two, *point) for point in [*points, *further]]
     return min([*found, *(look for point in further if (look := _look(searcher, fit, candidate, *point)))], key=Fit.bic)
 
 
@@ -125,13 +117,6 @@ def _flipped(u: str, values: Mapping[str, float], order: Mapping[str, bool]) -> 
     """A start with the lags of a channel in the other order."""
     one, two = f"tau_{u}_1", f"tau_{u}_2"
     return {**values, one: values[two], two: values[one]}, {**order, u: not order.get(u, True)}
-
-
-def _split(u: str, both: float, values: Mapping[str, float], order: Mapping[str, bool]) -> Start:
-    """A start beside a double pole, whose lags have the sum `both` [s]."""
-    slow, fast = (both * share for share in SPLIT)
-    first = order.get(u, True)
-    return {**values, f"tau_{u}_1": slow if first else fast, f"tau_{u}_2": fast if first else slow}, dict(order)
 
 
 def _exchangeable(fit: Fit, channels: Iterable[str]) -> bool:
