@@ -309,8 +309,8 @@ class Searcher:
         return replace(found, idle=fit.idle or found.idle)
 
     def known(self, model: Model, values: Mapping[str, float], names: Sequence[str]) -> Prior | None:
-        """Prior of the free parameters of a model, widened by the factor."""
-        prior = self.knowledge and self.knowledge(model, values, names)
+        """Prior of the free parameters of a model, widened by the factor. The widest has no influence: effects do not change it."""
+        prior = self.knowledge and self.knowledge(model, values, self.names if self.factor == WIDEST else names)
         return prior and prior.loosened(self.factor)
 
     def biased(self, fit: Fit) -> bool:
