@@ -309,7 +309,7 @@ class Searcher:
         return replace(found, idle=fit.idle or found.idle)
 
     def known(self, model: Model, values: Mapping[str, float], names: Sequence[str]) -> Prior | None:
-        """Prior of the free parameters of a model, widened by the factor. The widest has no influence: effects change it not."""
+        """Prior of the free parameters of a model, widened by the factor. The widest has no influence, with any effects."""
         prior = self.knowledge and self.knowledge(model, values, self.names if self.factor == WIDEST else names)
         return prior and prior.loosened(self.factor)
 
