@@ -33,9 +33,10 @@ from vpp_fmu.app.report.figures.residual import (
 )
 from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted, planned_commands, stacked, two_records
 from vpp_fmu.app.report.page import Page
-from vpp_fmu.app.report.pages.diagnosis import headline
+from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult
 from vpp_fmu.app.report.summary import LEFT_OUT
 from vpp_fmu.kernel.plant import plant
+from vpp_fmu.parameters import ParameterSet
 
 HOSTILE = '</script><a href="http://evil.example">x</a>'
 
@@ -240,6 +241,7 @@ def test_an_effect_left_out_of_the_model_is_in_the_headline_with_the_reason(ship
     fit = {"problem": SimpleNamespace(model=model), "values": model.values({"rotor_vibration.amplitude": 0.31})}
     base, final = SimpleNamespace(effects=()), SimpleNamespace(effects=shipped, **fit)
     found = SimpleNamespace(
+        parameters=lambda fit: ParameterSet(model),
         errors=lambda fit: (0.3 if fit is base and shipped else 0.2, None),
         base=base,
         final=final,
@@ -252,7 +254,7 @@ def test_an_effect_left_out_of_the_model_is_in_the_headline_with_the_reason(ship
         left_out=("rotor_vibration",),
         best_guess=None,
     )
-    said = headline(found)
+    said = DiagnoseResult(found).headline()
     for part in ("he rotor shakes the load cell by 0.31 N once a revolution (", LEFT_OUT, *errors):
         assert part in said
     assert ("backlash" in said) == ("->" in said) == bool(shipped)

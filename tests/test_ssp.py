@@ -16,8 +16,8 @@ from fmpy.ssp.ssd import read_ssd
 from fmpy.validation import validate_fmu
 from initial_graph import initial_graph
 
+from vpp_fmu.app.api.export import exported
 from vpp_fmu.app.cli import main
-from vpp_fmu.app.cli.export import exported
 from vpp_fmu.export import python_fmu
 from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.controller import CONTROLLER
@@ -218,7 +218,7 @@ def test_libcosim_runs_it_with_its_values(parts, tmp_path):
 
 def test_export_names_both_flavours_and_makes_all_before_it_writes(monkeypatch, tmp_path):
     parts = [ParameterSet(BASE), ParameterSet(CONTROLLER)]
-    monkeypatch.setattr("vpp_fmu.app.cli.export.native_fmu", lambda *_, **__: b"compiled")
+    monkeypatch.setattr("vpp_fmu.app.api.export.native_fmu", lambda *_, **__: b"compiled")
     files = exported(parts, ["python", "native"], flat=True)
     assert {name for name in files if name.endswith((".fmu", ".ssp"))} == {
         *("VppPlant.fmu", "VppController.fmu", "VppLoop.ssp", "VppLoop.flat.ssp"),

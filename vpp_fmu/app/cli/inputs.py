@@ -1,19 +1,12 @@
 """Inputs that several verbs read: the plant's parameters, a controller's gains, and the uncertainty of the parameters."""
 
-import warnings
-
-from identification.assessment.information import read_knowledge, read_noise
-from identification.fit.problem import Prior
 from vpp_fmu.app.cli.output import add_effects_from
-from vpp_fmu.errors import BadInput, RecordWarning
 from vpp_fmu.files import InFolder
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.own_effects import library_with
 from vpp_fmu.parameters import (
     ParameterSet,
-    beside,
-    check_same_model,
     gains_file,
     knowledge_file,
     parameters_file,
@@ -61,28 +54,3 @@ def read_plant(options) -> ParameterSet:
 def read_gains(options) -> ParameterSet | None:
     """The controller's values of --gains, None without them. BadInput."""
     return read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
-
-
-def knowledge_of(options, parameters: ParameterSet) -> tuple[str | None, tuple[Prior, float] | None]:
-    """(the file, from --knowledge or beside --parameters; its content by `read_knowledge`); None twice if neither exists.
-
-    BadInput for a named file that can't be read, or is of another model. Such a file that is not named is ignored with a note.
-    """
-    of = options.parameters or "the paper's fine-tuned set"
-    if options.knowledge:
-        check_same_model(options.knowledge, parameters, of)
-        return options.knowledge, read_knowledge(options.knowledge)
-    if not options.parameters or not (found := beside(options.parameters)).is_file():
-        return None, None
-    try:
-        check_same_model(found, parameters, of)
-        return str(found), read_knowledge(found)
-    except BadInput as error:
-        warnings.warn(f"not used: {' '.join(str(error).split())}", RecordWarning, stacklevel=2)
-        return None, None
-
-
-def noise_in(known_in: str | None) -> float:
-    """Noise of a thrust reading [N] from an identification.json; 0 if there is none in it. BadInput."""
-    found = read_noise(known_in) if known_in else None
-    return found[0] if found else 0.0

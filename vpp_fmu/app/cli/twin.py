@@ -20,9 +20,10 @@ from vpp_fmu.app.cli.answer import Answer, Lines
 from vpp_fmu.app.cli.hil import allowed_words
 from vpp_fmu.app.cli.inputs import add_gains, read_gains, read_plant
 from vpp_fmu.app.cli.options import WORKERS, whole
-from vpp_fmu.app.cli.output import dated, stages, written
+from vpp_fmu.app.cli.output import stages, written
 from vpp_fmu.app.day.day import BOTH, POLICIES, Day, RigAccess, Round, diagnosed, new_day, next_round
 from vpp_fmu.app.report.pages.day import day_page
+from vpp_fmu.app.report.result import dated
 from vpp_fmu.app.report.sentences import change
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder

@@ -1,6 +1,8 @@
 """The report of a diagnosis. The first screen names the effect, its size with interval, and the error before and after."""
 
+import os
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -9,6 +11,7 @@ from identification.diagnose.guess import Guess
 from identification.diagnose.judgement import ALPHA
 from identification.diagnose.learned.description import sentence as described
 from identification.fit.noise import blocks
+from identification.fit.problem import Prior
 from identification.fit.uncertainty import NORMAL_95
 from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures.parameters import parameter_change
@@ -17,9 +20,13 @@ from vpp_fmu.app.report.page import Link, Page
 from vpp_fmu.app.report.pages.effect import add_attempt, add_effects, add_learned, around
 from vpp_fmu.app.report.pages.identification import add_quality, quality_tile
 from vpp_fmu.app.report.pages.residual import add_correlations, add_spectrum
+from vpp_fmu.app.report.result import Knowledge, Result
 from vpp_fmu.app.report.sentences import change, clause, labelled, limited, sentence, size, thrust_error, titled, words
-from vpp_fmu.app.report.summary import LEFT_OUT, NEXT, artefact, summary, why_not
+from vpp_fmu.app.report.summary import LEFT_OUT, NEXT, artefact, summary, why_not, write_diagnosis
 from vpp_fmu.digits import chance, interval, number, signed, with_uncertainty
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.linear import Linearisable
+from vpp_fmu.parameters import ParameterSet
 
 SURE = {
     "attributed": "exactly one set of effects explains the lack of fit",
@@ -52,14 +59,140 @@ def not_tried(found: Diagnosis) -> str:
     return f"not tried within the time budget: {'; '.join(found.not_tried)}" if found.not_tried else ""
 
 
-def headline(found: Diagnosis) -> str:
-    """The finding, after a warning if several effects together explain too little."""
-    if len(found.final.effects) > 1 and found.explained is not None and found.explained < TRUSTED:
+class DiagnoseResult(Result, Linearisable):
+    """The effects that the model lacks, and the model with them. `found`: the whole diagnosis."""
+
+    verb = "diagnose"
+    found: Diagnosis
+
+    def __init__(self, found: Diagnosis, file: str | os.PathLike[str] | None = None):
+        super().__init__(found, found.parameters(found.final), file)
+
+    @property
+    def verdict(self) -> str:
+        """`attributed`, `family`, `learned`, `partly`, `unexplained` or `none`; see the README."""
+        return self.found.verdict
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the final model's effects."""
+        return self.parameters.model.optional
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """Parameters of the final model."""
+        return self._parameters
+
+    @property
+    def base(self) -> ParameterSet:
+        """Parameters of the model without the found effects."""
+        return self.found.parameters(self.found.base)
+
+    @property
+    def knowledge(self) -> Knowledge:
+        """The uncertainty of the final model's parameters."""
+        own = self.found.final.uncertainty.renamed(self.found.renamed(self.found.final))
+        known = [k for k, std in enumerate(own.std) if np.isfinite(std) and std > 0.0]
+        prior = Prior(tuple(own.names[k] for k in known), own.values[known], own.covariance[np.ix_(known, known)])
+        noise = self.found.noise.floor, self.found.reading_noise.basis
+        return Knowledge(prior, float(np.median(own.inflation)), noise)
+
+    def headline(self) -> str:
+        """The finding, after a warning if several effects together explain too little."""
+        found = self.found
+        if len(found.final.effects) > 1 and found.explained is not None and found.explained < TRUSTED:
+            (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
+            error = thrust_error(found.unseen is not None, change(before, after, "N"), found.noise.floor)
+            share = f"explain {100.0 * found.explained:.0f} % of the error beyond the noise"
+            return f"Do not trust the names: together {_and(found.final.effects)} {share}. {error}"
+        return _finding(found)
+
+    def key_figures(self) -> list[tuple[str, str, str]]:
+        found = self.found
+        figures = []
+        for effect in summary(found)["effects"]:
+            if found.learned and effect["name"] == found.learned.term.effect.name and found.learned.term.lead.shape == "curve":
+                figures.append(("learned", "a curve", f"{described(found.learned.term)}; shown below with its 95 % band"))
+                continue
+            for name, p in effect["parameters"].items():
+                if name == "form":
+                    continue
+                unit = p["unit"]
+                note = _known(p, effect["intervals"].get(name))
+                if "acts_times" in p:
+                    times = "once" if p["acts_times"] == 1 else f"{p['acts_times']} times"
+                    note += f"; the fitted commands reach it {times}, {number(p['acts_seconds'], 2)} s in all"
+                value = "no limit" if p.get("acts_times") == 0 else size(p["value"], unit)
+                figures.append((words(f"{effect['name']}.{name}"), value, note))
         (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
-        error = thrust_error(found.unseen is not None, change(before, after, "N"), found.noise.floor)
-        share = f"explain {100.0 * found.explained:.0f} % of the error beyond the noise"
-        return f"Do not trust the names: together {_and(found.final.effects)} {share}. {error}"
-    return _finding(found)
+        both = f"{number(before)} → {size(after, 'N')}" if found.final.effects else size(before, "N")
+        noise = f"noise of one reading {size(found.noise.floor, 'N')}: {found.reading_noise.basis}"
+        figures.append((f"thrust error {_where_judged(found)}".rstrip(","), both, noise))
+        if found.given is not None:
+            as_given = summary(found)["given"]["rmse_thrust"]
+            note = f"thrust error on {found.shown_name}, before any fit"
+            figures.append(("the model as it was given", f"{number(as_given)} N", note))
+        if found.explained is not None:
+            figures.append(
+                (
+                    "of the error beyond the noise",
+                    f"{100 * found.explained:.0f} %",
+                    f"removed {_where_judged(found)}".rstrip(","),
+                )
+            )
+        rivals = [
+            f"{words(name)} could as well be {' or '.join(map(words, others))}"
+            for name, others in found.selection.family.items()
+            if others
+        ]
+        note = found.refuted or "; ".join(rivals) or SURE[found.verdict]
+        figures.append(("verdict", found.verdict, note))
+        figures.append(_lack(found))
+        figures += [quality_tile(found.quality)] if found.quality else []
+        figures += [_where(found)] if found.verdict in UNEXPLAINED else []
+        return [*figures, _guess(found.best_guess)] if found.best_guess else figures
+
+    def to_dict(self) -> dict[str, Any]:
+        return summary(self.found)
+
+    def lines(self) -> list[str]:
+        found = self.found
+        lines = [finding.text for finding in found.quality] + ([text] if (text := not_tried(found)) else [])
+        if found.power:
+            from vpp_fmu.app.report.pages.power import power_line  # noqa: PLC0415 most campaigns measure no power
+
+            lines.append(power_line(found.power))
+        lines += [f"your logger: {line}" for line in found.logger.lines]
+        return [*lines, f"next_experiment.csv: commands within {', '.join(found.rig.command_lines())}"]
+
+    def write(self, folder: OutputFolder) -> None:
+        write_diagnosis(folder, self.found, self._file)
+        folder.write("report.html", self.page().html())
+
+    def page(self) -> Page:
+        found = self.found
+        page = Page(f"Diagnosis of {found.campaign.folder.name}", self.headline(), found.campaign.label)
+        page.tiles(tiles(found))
+        page.findings(findings(found))
+        if text := not_tried(found):
+            page.note(f"{text[0].upper()}{text[1:]}.")
+        for effect in found.left_out:
+            page.note(f"{titled(effect)}: {LEFT_OUT}.")
+        for effect in found.final.effects:
+            if text := artefact(found, effect):
+                page.note(f"{titled(effect)}: {text}.")
+        add_quality(page, found.quality)
+        _add_effect(page, found)
+        page.section("Before and after" if found.final.effects else "The model")
+        _add_whole(page, found)
+        _add_rest(page, found)
+        if found.power:
+            from vpp_fmu.app.report.pages.power import add_power  # noqa: PLC0415 most campaigns measure no power
+
+            add_power(page, found.power)
+        lines = [*(f"Rig: {line}." for line in found.rig.lines()), *(f"Logger: {line}." for line in found.logger.lines)]
+        page.section("The rig and its logger", "\n\n".join(lines))
+        return page
 
 
 def _guessed(guess: Guess) -> str:
@@ -159,51 +292,9 @@ def _where_judged(found: Diagnosis) -> str:
     return f"on {found.unseen.name}.csv, which no fit saw," if found.unseen is not None else "in cross-validation"
 
 
-def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
-    """(label, value, note) of the figures of the first screen."""
-    figures = []
-    for effect in summary(found)["effects"]:
-        if found.learned and effect["name"] == found.learned.term.effect.name and found.learned.term.lead.shape == "curve":
-            figures.append(("learned", "a curve", f"{described(found.learned.term)}; shown below with its 95 % band"))
-            continue
-        for name, p in effect["parameters"].items():
-            if name == "form":
-                continue
-            unit = p["unit"]
-            note = _known(p, effect["intervals"].get(name))
-            if "acts_times" in p:
-                times = "once" if p["acts_times"] == 1 else f"{p['acts_times']} times"
-                note += f"; the fitted commands reach it {times}, {number(p['acts_seconds'], 2)} s in all"
-            value = "no limit" if p.get("acts_times") == 0 else size(p["value"], unit)
-            figures.append((words(f"{effect['name']}.{name}"), value, note))
-    (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
-    both = f"{number(before)} → {size(after, 'N')}" if found.final.effects else size(before, "N")
-    noise = f"noise of one reading {size(found.noise.floor, 'N')}: {found.reading_noise.basis}"
-    figures.append((f"thrust error {_where_judged(found)}".rstrip(","), both, noise))
-    if found.given is not None:
-        as_given = summary(found)["given"]["rmse_thrust"]
-        note = f"thrust error on {found.shown_name}, before any fit"
-        figures.append(("the model as it was given", f"{number(as_given)} N", note))
-    if found.explained is not None:
-        figures.append(
-            ("of the error beyond the noise", f"{100 * found.explained:.0f} %", f"removed {_where_judged(found)}".rstrip(","))
-        )
-    rivals = [
-        f"{words(name)} could as well be {' or '.join(map(words, others))}"
-        for name, others in found.selection.family.items()
-        if others
-    ]
-    note = found.refuted or "; ".join(rivals) or SURE[found.verdict]
-    figures.append(("verdict", found.verdict, note))
-    figures.append(_lack(found))
-    figures += [quality_tile(found.quality)] if found.quality else []
-    figures += [_where(found)] if found.verdict in UNEXPLAINED else []
-    return [*figures, _guess(found.best_guess)] if found.best_guess else figures
-
-
 def tiles(found: Diagnosis) -> list[tuple[str, str, str]]:
     """At most six (label, value, note) for the page: the finding, the errors, and the first sizes of the effects."""
-    figures = key_figures(found)
+    figures = DiagnoseResult(found).key_figures()
     where = "unseen record" if found.unseen is not None else "cross-validated"
     (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
     both = f"{number(before)} → {size(after, 'N')}" if found.final.effects else size(before, "N")
@@ -278,32 +369,6 @@ def _where(found: Diagnosis) -> tuple[str, str, str]:
     note = f"largest while {_moving(section)}; correlates with {strongest['signal']} ({strongest['correlation']:+.2f}); "
     note += f"up to {number(abs(largest['thrust']), 3)} N; input: {location['input']}"
     return "residual", f"{band} Hz", note
-
-
-def diagnosis_page(found: Diagnosis) -> Page:
-    """The page of one diagnosis."""
-    page = Page(f"Diagnosis of {found.campaign.folder.name}", headline(found), found.campaign.label)
-    page.tiles(tiles(found))
-    page.findings(findings(found))
-    if text := not_tried(found):
-        page.note(f"{text[0].upper()}{text[1:]}.")
-    for effect in found.left_out:
-        page.note(f"{titled(effect)}: {LEFT_OUT}.")
-    for effect in found.final.effects:
-        if text := artefact(found, effect):
-            page.note(f"{titled(effect)}: {text}.")
-    add_quality(page, found.quality)
-    _add_effect(page, found)
-    page.section("Before and after" if found.final.effects else "The model")
-    _add_whole(page, found)
-    _add_rest(page, found)
-    if found.power:
-        from vpp_fmu.app.report.pages.power import add_power  # noqa: PLC0415 most campaigns measure no power
-
-        add_power(page, found.power)
-    lines = [*(f"Rig: {line}." for line in found.rig.lines()), *(f"Logger: {line}." for line in found.logger.lines)]
-    page.section("The rig and its logger", "\n\n".join(lines))
-    return page
 
 
 def add_diagnosis(page: Page, found: Diagnosis) -> None:

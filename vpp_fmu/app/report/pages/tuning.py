@@ -1,18 +1,38 @@
 """The report of a tuning: improvement by the search, benefit of the second actuator, stability margins, robustness."""
 
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from identification.tune.linear import MOVE
 from identification.tune.operating import open_loop
-from identification.tune.summary import NAMES, against, change_rows, headline, key_figures, labels, margin_rows, settling
+from identification.tune.summary import (
+    NAMES,
+    against,
+    change_rows,
+    headline,
+    key_figures,
+    labels,
+    margin_rows,
+    settling,
+    summary,
+)
 from identification.tune.tune import JUDGED, Tuned, Tuning
+from identification.tune.verdict import UNITS
 from vpp_fmu.app.report.figures.loop import Cloud, bode, cost_ranks, margins_over_thrust, nyquist, response_clouds
 from vpp_fmu.app.report.figures.time import closed_loop as loop_figure
 from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.result import Result
 from vpp_fmu.digits import number
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.parameters import ParameterSet, to_json
+from vpp_fmu.record import write_record
 from vpp_fmu.response import BAND
+from vpp_fmu.structured import as_json
+
+FILES = {"dual": "gains.json", "speed_only": "gains_speed_only.json", "allocated": "gains.json"}
 
 DRAWN = 40
 """Number of plants whose responses are drawn."""
@@ -24,28 +44,92 @@ STEPS, SEEN = 2, (0.2, 2.2)
 """Number of steps that are drawn, and time scales before and after them."""
 
 
-def tuning_page(found: Tuning) -> Page:
-    """The page of one tuning."""
-    task = found.task
-    assumed = ", ".join(f"{name} = {task.parameters.values[name]:g}" for name in task.assumed)
-    page = Page("Gains for the model", headline(found), task.parameters.label)
-    figures = key_figures(found)
-    page.tiles([each for each in figures if each[0].startswith(("step", "cost", "phase"))])
-    for name, tuned in found.tuned.items():
-        _add_controller(page, found, name, tuned)
-    if len(found.tuned) > 1:
-        _add_comparison(page, found)
-    if found.plants is not None:
-        _add_robust(page, found)
-    page.section(
-        "How the gains were found",
-        f"The search (Nelder and Mead, on the compiled loop) minimises the squared thrust error over the test signal plus "
-        f"{task.alpha:g} times the squared norm of the gains. Limits: overshoot {100 * task.overshoot:g} %, sensitivity at the "
-        f"operating points {task.sensitivity:g}, and the settling and ringing of each step under the initial gains."
-        + (f" Assumed for the design: {assumed}." if assumed else ""),
-    )
-    page.table(("figure", "value", "note"), figures, "All figures of this tuning.")
-    return page
+class TuneResult(Result):
+    """Gains for both actuators and for speed alone. `found`: the whole tuning."""
+
+    verb = "tune"
+    found: Tuning
+
+    def __init__(
+        self,
+        found: Tuning,
+        parameters: ParameterSet | None = None,
+        file: str | os.PathLike[str] | None = None,
+        setting: Sequence[str] = (),
+    ):
+        """`parameters`: before the design's assumptions; `setting`: lines about the conditions."""
+        super().__init__(found, parameters or found.task.parameters, file)
+        self._setting = setting
+
+    @property
+    def gains(self) -> dict[str, ParameterSet]:
+        """The controllers' values by name, "dual" and "speed_only", for export_fmu and run_loop."""
+        return {name: self._gains(name) for name in self.found.tuned}
+
+    def _gains(self, name: str) -> ParameterSet:
+        task, tuned = self.found.task, self.found.tuned[name]
+        source = {
+            "made_by": "vpp tune",
+            "assumed": {n: task.parameters.values[n] for n in task.assumed},
+            "robust": task.robust,
+            "cost": tuned.cost(tuned.chosen),
+            "verdict": {which: each.words() for which, each in tuned.verdicts.items()},
+            "rig": task.parameters.rig.summary(),
+        }
+        return ParameterSet(task.controller, source=source).replaced(tuned.objective.with_gains(tuned.final))
+
+    def headline(self) -> str:
+        return headline(self.found)
+
+    def key_figures(self) -> list[tuple[str, str, str]]:
+        return key_figures(self.found)
+
+    def to_dict(self) -> dict[str, Any]:
+        return summary(self.found)
+
+    def lines(self) -> list[str]:
+        return list(self._setting)
+
+    def details(self) -> list[str]:
+        """Every step and margin, before and after."""
+        lines = []
+        for name, tuned in self.found.tuned.items():
+            for which, verdict in tuned.verdicts.items():
+                lines.append(f"{NAMES[name]}, {self.found.task.reference} → {which}")
+                for step, *changes in change_rows(verdict):
+                    lines.append(f"  {step}: " + ", ".join(f"{n} {c}" for n, c in zip(UNITS, changes, strict=True)))
+                lines.append("  " + ", ".join(f"{margin} {change}" for margin, change in margin_rows(verdict)))
+        return [*lines, f"tuned in {self.found.seconds:.1f} s"]
+
+    def write(self, folder: OutputFolder) -> None:
+        for name, gains in self.gains.items():
+            folder.write(FILES[name], to_json(self._dated(gains)))
+        folder.write("tuning.json", as_json(self.to_dict()))
+        write_record(folder, "profile.csv", self.found.task.profile)
+        folder.write("report.html", self.page().html())
+
+    def page(self) -> Page:
+        found = self.found
+        task = found.task
+        assumed = ", ".join(f"{name} = {task.parameters.values[name]:g}" for name in task.assumed)
+        page = Page("Gains for the model", headline(found), task.parameters.label)
+        figures = key_figures(found)
+        page.tiles([each for each in figures if each[0].startswith(("step", "cost", "phase"))])
+        for name, tuned in found.tuned.items():
+            _add_controller(page, found, name, tuned)
+        if len(found.tuned) > 1:
+            _add_comparison(page, found)
+        if found.plants is not None:
+            _add_robust(page, found)
+        page.section(
+            "How the gains were found",
+            f"The search (Nelder and Mead, on the compiled loop) minimises the squared thrust error over the test signal plus "
+            f"{task.alpha:g} times the squared norm of the gains. Limits: overshoot {100 * task.overshoot:g} %, sensitivity at "
+            f"the operating points {task.sensitivity:g}, and the settling and ringing of each step under the initial gains."
+            + (f" Assumed for the design: {assumed}." if assumed else ""),
+        )
+        page.table(("figure", "value", "note"), figures, "All figures of this tuning.")
+        return page
 
 
 def _names(found: Tuning, tuned: Tuned) -> dict[str, str]:
