@@ -71,4 +71,4 @@ def diagnose(
             accept=accept,
             budget=budget,
         )
-    return DiagnoseResult(found, parameters if isinstance(parameters, str | os.PathLike) else None)
+    return DiagnoseResult(found, file=parameters if isinstance(parameters, str | os.PathLike) else None)

@@ -7,7 +7,7 @@ from identification.thrust_steps import step_profile
 from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted
 from vpp_fmu.app.report.page import Page
-from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult, add_diagnosis, findings, tiles
+from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult, add_diagnosis, findings
 from vpp_fmu.app.report.pages.identification import add_map
 from vpp_fmu.app.report.pages.loop import STEP_COLUMNS, LoopResult, row, sentence
 from vpp_fmu.app.report.result import Result, dated
@@ -67,7 +67,7 @@ class DemoResult(Result):
         found, validation = done.diagnosis, done.validation
         before, after = (size(done.rmse[when], "N") for when in ("before", "after"))
         page = Page("From rig data to FMUs", self.headline(), found.campaign.label)
-        page.tiles(_through_fmus(done, tiles(found)))
+        page.tiles(_through_fmus(done, self.diagnosis.tiles()))
         page.findings(findings(found))
         page.section("The plant FMUs against measurement")
         title = (

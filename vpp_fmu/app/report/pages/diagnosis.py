@@ -1,6 +1,5 @@
 """The report of a diagnosis. The first screen names the effect, its size with interval, and the error before and after."""
 
-import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -65,9 +64,6 @@ class DiagnoseResult(Result, Linearisable):
     verb = "diagnose"
     found: Diagnosis
 
-    def __init__(self, found: Diagnosis, file: str | os.PathLike[str] | None = None):
-        super().__init__(found, found.parameters(found.final), file)
-
     @property
     def verdict(self) -> str:
         """`attributed`, `family`, `learned`, `partly`, `unexplained` or `none`; see the README."""
@@ -81,7 +77,11 @@ class DiagnoseResult(Result, Linearisable):
     @property
     def parameters(self) -> ParameterSet:
         """Parameters of the final model."""
-        return self._parameters
+        return self.found.parameters(self.found.final)
+
+    @property
+    def identity(self) -> str:
+        return self.parameters.identity
 
     @property
     def base(self) -> ParameterSet:
@@ -107,9 +107,9 @@ class DiagnoseResult(Result, Linearisable):
             return f"Do not trust the names: together {_and(found.final.effects)} {share}. {error}"
         return _finding(found)
 
-    def key_figures(self) -> list[tuple[str, str, str]]:
-        found = self.found
-        figures = []
+    def _sizes(self) -> list[tuple[str, str, str]]:
+        """(label, value, note) of each parameter of the effects that were found."""
+        found, figures = self.found, []
         for effect in summary(found)["effects"]:
             if found.learned and effect["name"] == found.learned.term.effect.name and found.learned.term.lead.shape == "curve":
                 figures.append(("learned", "a curve", f"{described(found.learned.term)}; shown below with its 95 % band"))
@@ -117,47 +117,43 @@ class DiagnoseResult(Result, Linearisable):
             for name, p in effect["parameters"].items():
                 if name == "form":
                     continue
-                unit = p["unit"]
                 note = _known(p, effect["intervals"].get(name))
                 if "acts_times" in p:
                     times = "once" if p["acts_times"] == 1 else f"{p['acts_times']} times"
                     note += f"; the fitted commands reach it {times}, {number(p['acts_seconds'], 2)} s in all"
-                value = "no limit" if p.get("acts_times") == 0 else size(p["value"], unit)
+                value = "no limit" if p.get("acts_times") == 0 else size(p["value"], p["unit"])
                 figures.append((words(f"{effect['name']}.{name}"), value, note))
+        return figures
+
+    def _errors(self) -> list[tuple[str, str, str]]:
+        """(label, value, note) of the verdict, the errors, the lack of fit and the quality."""
+        found, lack = self.found, self.found.after
         (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
         both = f"{number(before)} → {size(after, 'N')}" if found.final.effects else size(before, "N")
-        noise = f"noise of one reading {size(found.noise.floor, 'N')}: {found.reading_noise.basis}"
-        figures.append((f"thrust error {_where_judged(found)}".rstrip(","), both, noise))
-        if found.given is not None:
-            as_given = summary(found)["given"]["rmse_thrust"]
-            note = f"thrust error on {found.shown_name}, before any fit"
-            figures.append(("the model as it was given", f"{number(as_given)} N", note))
+        where = "on the unseen record" if found.unseen is not None else "in cross-validation"
+        figures = [("verdict", found.verdict, found.refuted or SURE[found.verdict])]
+        figures.append((f"thrust error {where}", both, f"noise of one reading {size(found.noise.floor, 'N')}"))
         if found.explained is not None:
-            figures.append(
-                (
-                    "of the error beyond the noise",
-                    f"{100 * found.explained:.0f} %",
-                    f"removed {_where_judged(found)}".rstrip(","),
-                )
-            )
-        rivals = [
-            f"{words(name)} could as well be {' or '.join(map(words, others))}"
-            for name, others in found.selection.family.items()
-            if others
-        ]
-        note = found.refuted or "; ".join(rivals) or SURE[found.verdict]
-        figures.append(("verdict", found.verdict, note))
-        figures.append(_lack(found))
-        figures += [quality_tile(found.quality)] if found.quality else []
-        figures += [_where(found)] if found.verdict in UNEXPLAINED else []
-        return [*figures, _guess(found.best_guess)] if found.best_guess else figures
+            figures.append(("error beyond the noise", f"{100 * found.explained:.0f} %", f"removed {where}"))
+        note = f"p {chance(lack.p, '= ')}; the minimum size of interest is {number(lack.least, 2)} N below 10 Hz"
+        figures.append(("lack of fit", f"{number(lack.size, 2)} N" if lack.certain else "not significant", note))
+        return [*figures, quality_tile(found.quality)] if found.quality else figures
+
+    def key_figures(self) -> list[tuple[str, str, str]]:
+        return [*self._sizes(), *self._errors()]
+
+    def tiles(self) -> list[tuple[str, str, str]]:
+        """At most six key figures for the page: the errors, and the first sizes of the effects."""
+        errors = self._errors()
+        return [*self._sizes()[: MOST_TILES - len(errors)], *errors]
 
     def to_dict(self) -> dict[str, Any]:
         return summary(self.found)
 
     def lines(self) -> list[str]:
         found = self.found
-        lines = [finding.text for finding in found.quality] + ([text] if (text := not_tried(found)) else [])
+        lines = [*(finding.text for finding in found.quality), *findings(found)]
+        lines += [text] if (text := not_tried(found)) else []
         if found.power:
             from vpp_fmu.app.report.pages.power import power_line  # noqa: PLC0415 most campaigns measure no power
 
@@ -172,7 +168,7 @@ class DiagnoseResult(Result, Linearisable):
     def page(self) -> Page:
         found = self.found
         page = Page(f"Diagnosis of {found.campaign.folder.name}", self.headline(), found.campaign.label)
-        page.tiles(tiles(found))
+        page.tiles(self.tiles())
         page.findings(findings(found))
         if text := not_tried(found):
             page.note(f"{text[0].upper()}{text[1:]}.")
@@ -219,16 +215,6 @@ def _sized(guess: Guess) -> str:
 
 def _and(names: Sequence[str]) -> str:
     return " and ".join(map(words, names))
-
-
-def _guess(guess: Guess) -> tuple[str, str, str]:
-    """Evidence for and against the best guess, and the model from which the next experiment distinguishes it."""
-    share = f"would explain {100.0 * guess.explains:.0f} % of the lack of fit; ± is one standard error"
-    rival = words(guess.rival) or "the model without it"
-    plan = f"{NEXT} distinguishes it from {rival}: their thrusts differ by {number(guess.there, 2)} N rms there, by"
-    plan += f" {number(guess.here, 2)} N so far"
-    value = _sized(guess) if guess.near else f"none is close; the most likely is {_sized(guess)}"
-    return "best guess", value, f"{share}; against it: {'; '.join(guess.against)}; {plan}"
 
 
 def _finding(found: Diagnosis) -> str:
@@ -288,44 +274,23 @@ def _rivals(found: Diagnosis) -> str:
     return f"; these records do not distinguish it from {' or '.join(map(words, names))}" if names else ""
 
 
-def _where_judged(found: Diagnosis) -> str:
-    return f"on {found.unseen.name}.csv, which no fit saw," if found.unseen is not None else "in cross-validation"
-
-
-def tiles(found: Diagnosis) -> list[tuple[str, str, str]]:
-    """At most six (label, value, note) for the page: the finding, the errors, and the first sizes of the effects."""
-    figures = DiagnoseResult(found).key_figures()
-    where = "unseen record" if found.unseen is not None else "cross-validated"
-    (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
-    both = f"{number(before)} → {size(after, 'N')}" if found.final.effects else size(before, "N")
-    shown = [("verdict", found.verdict, SURE[found.verdict])]
-    shown.append(("thrust error", both, f"{where}; noise {size(found.noise.floor, 'N')}"))
-    if found.explained is not None:
-        shown.append(("error beyond the noise", f"{100 * found.explained:.0f} %", f"removed, {where}"))
-    shown.append(("lack of fit", _lack(found)[1], f"p {chance(found.after.p, '= ')}"))
-    if found.quality:
-        label, value, _ = quality_tile(found.quality)
-        shown.append((label, value, "listed below"))
-    sizes = [figure for figure in figures[: MOST_TILES - len(shown)] if figure[0].startswith(_titles(found))]
-    return [*((label, value, note.partition(";")[0]) for label, value, note in sizes), *shown]
-
-
-def _titles(found: Diagnosis) -> tuple[str, ...]:
-    return tuple(words(name) for name in (*found.final.effects, *found.left_out))
-
-
 def findings(found: Diagnosis) -> list[str]:
     """The list under the tiles: channels, noise, residual, the best guess, what speaks against it, the next step."""
     lines = [f"{name.capitalize()}: {_channel(one)}." for name, one in found.channels.items()]
     lines.append(f"Noise of one reading: {size(found.noise.floor, 'N')}, {found.reading_noise.basis}.")
-    lines += [f"{words(n)} could as well be {' or '.join(map(words, o))}." for n, o in found.selection.family.items() if o]
+    if found.given is not None:
+        error = number(summary(found)["given"]["rmse_thrust"])
+        lines.append(f"The model as it was given: {error} N on {found.shown_name}, before any fit.")
+    lines += [f"{titled(n)} could as well be {' or '.join(map(words, o))}." for n, o in found.selection.family.items() if o]
     if found.missed:
         lines.append(f"{found.missed[0].upper()}{found.missed[1:]}.")
     if found.verdict in UNEXPLAINED:
-        _, band, note = _where(found)
-        lines.append(f"Residual: {band}, {note}.")
+        lines.append(f"Residual: {_where(found)}.")
     if guess := found.best_guess:
         lines += [_guessed(guess), f"Against it: {'; '.join(guess.against)}."]
+        apart = f"{number(guess.there, 2)} N rms there, by {number(guess.here, 2)} N so far"
+        rival = words(guess.rival) or "the model without it"
+        lines.append(f"{NEXT} distinguishes it from {rival}: their thrusts differ by {apart}.")
     if found.verdict not in ("none", "attributed"):
         ranges = ", ".join(found.rig.command_lines())
         text = f"Next step: run {NEXT} on the rig twice, and diagnose with both records (--record), within {ranges}."
@@ -342,12 +307,6 @@ def _channel(one: Mapping) -> str:
     return f"{names} ({one['verdict']})"
 
 
-def _lack(found: Diagnosis) -> tuple[str, str, str]:
-    lack = found.after
-    note = f"p {chance(lack.p, '= ')}; the minimum size of interest is {number(lack.least, 2)} N below 10 Hz"
-    return "lack of fit", f"{number(lack.size, 2)} N" if lack.certain else "not significant", note
-
-
 def _known(parameter: Mapping, ends: Sequence[float] | None) -> str:
     """The 95 % interval of a parameter, scanned or from its standard error, in its unit."""
     unit = "" if parameter["unit"] == "1" else parameter["unit"]
@@ -361,14 +320,13 @@ def _known(parameter: Mapping, ends: Sequence[float] | None) -> str:
     return f"95 %: {interval(parameter['value'] - half, parameter['value'] + half, unit)}"
 
 
-def _where(found: Diagnosis) -> tuple[str, str, str]:
+def _where(found: Diagnosis) -> str:
     """Location of the unexplained error."""
     location = found.location
     band, section = (max(location[k], key=location[k].get) for k in ("share_by_band_hz", "mean_square_by_section"))
     strongest, largest = location["strongest_correlate"], location["largest"]
-    note = f"largest while {_moving(section)}; correlates with {strongest['signal']} ({strongest['correlation']:+.2f}); "
-    note += f"up to {number(abs(largest['thrust']), 3)} N; input: {location['input']}"
-    return "residual", f"{band} Hz", note
+    note = f"largest while {_moving(section)}; correlates with {strongest['signal']} ({strongest['correlation']:+.2f})"
+    return f"{band} Hz, {note}; up to {number(abs(largest['thrust']), 3)} N; input: {location['input']}"
 
 
 def add_diagnosis(page: Page, found: Diagnosis) -> None:
