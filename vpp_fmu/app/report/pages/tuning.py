@@ -21,7 +21,7 @@ from identification.tune.summary import (
 )
 from identification.tune.tune import JUDGED, Tuned, Tuning
 from identification.tune.verdict import UNITS
-from vpp_fmu.app.report.figures.loop import Cloud, bode, cost_ranks, margins_over_thrust, nyquist, response_clouds
+from vpp_fmu.app.report.figures.loop import cost_ranks, margins_over_thrust, nyquist
 from vpp_fmu.app.report.figures.time import closed_loop as loop_figure
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
@@ -29,19 +29,9 @@ from vpp_fmu.digits import number
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.parameters import ParameterSet, to_json
 from vpp_fmu.record import write_record
-from vpp_fmu.response import BAND
 from vpp_fmu.structured import as_json
 
 FILES = {"dual": "gains.json", "speed_only": "gains_speed_only.json", "allocated": "gains.json"}
-
-DRAWN = 40
-"""Number of plants whose responses are drawn."""
-
-EVERY = 2
-"""Samples between the points of a cloud."""
-
-STEPS, SEEN = 2, (0.2, 2.2)
-"""Number of steps that are drawn, and time scales before and after them."""
 
 
 class TuneResult(Result):
@@ -196,16 +186,10 @@ def _add_margins(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
     )
     points = tuned.points[last][: (len(tuned.points[last]) + 1) // 2]
     loops = {f"{p.thrust:.3g} N": open_loop(tuned.objective, gains, p) for p in points}
-    omega = next(iter(loops.values()))[0]
     shown = {label: loop for label, (_, loop) in loops.items()}
     title = f"{NAMES[name].capitalize()}: distance of the open loops from -1"
     page.figure(nyquist(shown, found.task.sensitivity, title), f"Open loops of the {own[last]} gains on increasing levels.")
-    crossed = [m.crossover for m in tuned.margins[last] if m.crossover is not None]
-    crossover = f"cross over between {min(crossed):.3g} and {max(crossed):.3g} rad/s" if crossed else "never reach a gain of 1"
-    title = f"{NAMES[name].capitalize()}: the open loops {crossover}"
-    page.figure(bode(omega, shown, title), f"The same loops, {own[last]} gains, up to half the sampling frequency.")
-    for which in dict.fromkeys(("start", *tuned.gains)):
-        _add_margin_table(page, tuned, which, own[which])
+    _add_margin_table(page, tuned, last, own[last])
 
 
 def _add_margin_table(page: Page, tuned: Tuned, which: str, label: str) -> None:
@@ -253,40 +237,9 @@ def _add_robust(page: Page, found: Tuning) -> None:
         title = f"{NAMES[name].capitalize()}: worst cost of {JUDGED} plants under nominal and robust gains {worst}"
         shown = {label: tuned.judged[which] for label, which in gains.items()}
         page.figure(cost_ranks(shown, title), "Costs, sorted for each gain set. The search used none of these plants.")
-        _add_clouds(page, found, name, gains)
         rows = []
         for which, label in _names(found, tuned).items():
             costs, overshoot = tuned.judged[which], 100.0 * tuned.overshoots[which].max()
             rows.append((label, tuned.cost(which), costs.mean(), costs.max(), overshoot))
         columns = ("gains", "cost, nominal plant", "mean", "worst", "largest overshoot [%]")
         page.table(columns, rows, f"Costs on the nominal plant and on {JUDGED} others.")
-
-
-def _add_clouds(page: Page, found: Tuning, name: str, gains: Mapping[str, str]) -> None:
-    tuned = found.tuned[name]
-    course, found_steps = tuned.objective.course, tuned.objective.steps(tuned.gains["tuned"])[:STEPS]
-    seen = [share * tuned.objective.time_scale for share in SEEN]
-    before, after = (round(seconds / course.dt) for seconds in seen)
-    thrust = {label: _cloud(found, tuned, which) for label, which in gains.items()}
-    clouds, time = [], np.arange(-before, after, EVERY) * course.dt
-    for step in found_steps:
-        rows = round(step.time / course.dt) + np.arange(-before, after, EVERY)
-        rows = np.clip(rows, 0, len(course.wanted) - 1)
-        label = f"{step.before:.3g} → {step.after:.3g} N"
-        clouds += [Cloud(label, which, course.wanted[rows], own[:, rows]) for which, own in thrust.items()]
-    if clouds:
-        first = found_steps[0]
-        near = BAND * abs(first.after - first.before)
-        there = [int(np.sum(np.abs(c.thrust[:, -1] - first.after) <= near)) for c in clouds[: len(gains)]]
-        reached = f"{there[0]} of {DRAWN} plants are at {first.after:.3g} N under nominal gains, {there[1]} under robust ones"
-        title = f"{NAMES[name].capitalize()}: {seen[1]:.3g} s after the step {reached}"
-        caption = "Thrust around the first steps, under nominal gains above, robust ones below. At: within 2 % of the step."
-        page.figure(response_clouds(time, clouds, title, DRAWN), caption)
-
-
-def _cloud(found: Tuning, tuned: Tuned, which: str) -> np.ndarray:
-    """Thrust (DRAWN, points) N of the first DRAWN judged plants."""
-    objective = tuned.objective
-    loop = objective.loop
-    _, chain, controller = loop.vectors({}, objective.chain, objective.with_gains(tuned.gains[which]))
-    return np.array([loop.run((own, chain, controller), objective.course)["thrust"] for own in found.plants[:DRAWN]])
