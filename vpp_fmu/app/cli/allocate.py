@@ -3,9 +3,8 @@
 gains.json is a controller that comes to rest on these pairs (mode 2), for vpp export --gains and vpp cosim."""
 
 from vpp_fmu.app.api.control import allocate
-from vpp_fmu.app.cli.inputs import add_plant
-from vpp_fmu.app.cli.options import SEED, Number, whole
-from vpp_fmu.app.cli.output import add_output, answer
+from vpp_fmu.app.cli.options import SEED, Number, add_output, add_plant, whole
+from vpp_fmu.app.cli.output import answer
 
 EXAMPLE = "vpp allocate --parameters out/parameters.json -o pairs"
 

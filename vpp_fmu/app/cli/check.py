@@ -14,7 +14,8 @@ from identification.gate.template import write_template
 from vpp_fmu.app.api.check import check
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.next_command import next_step
-from vpp_fmu.app.cli.output import add_accept, called, output, written
+from vpp_fmu.app.cli.options import add_accept
+from vpp_fmu.app.cli.output import called, output, written
 from vpp_fmu.app.report.pages.check import FORMAT
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder

@@ -5,9 +5,8 @@ An FMU runs its author's code, with your rights."""
 from tqdm import tqdm
 
 from vpp_fmu.app.api.loop import run_loop
-from vpp_fmu.app.cli.inputs import controller_file, plant_file, profile_file, twin_file
-from vpp_fmu.app.cli.options import real
-from vpp_fmu.app.cli.output import add_output, answer
+from vpp_fmu.app.cli.options import Number, add_output, controller_file, plant_file, profile_file, twin_file
+from vpp_fmu.app.cli.output import answer
 from vpp_fmu.plants import USUAL_STEP
 
 EXAMPLE = "vpp cosim fmus/VppPlant.fmu fmus/VppController.fmu --profile step.csv -o out"
@@ -22,7 +21,7 @@ def configure(parser):
     text = "twin FMU that monitors the loop (vpp export --twin): its outputs in the CSV and on the page"
     parser.add_argument("--twin", type=twin_file, metavar="TWIN", help=text)
     text = f"communication step in s (default: the controller's sample_time, else {USUAL_STEP:g})"
-    parser.add_argument("--step", dest="dt", type=real(1e-6, 1.0, "s"), metavar="S", help=text)
+    parser.add_argument("--step", dest="dt", type=Number(1e-6, 1.0, "s"), metavar="S", help=text)
     add_output(parser)
 
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 from identification.demo import demo, example_folder
 from vpp_fmu.app.api.export import exported
 from vpp_fmu.app.cli.answer import Answer
-from vpp_fmu.app.cli.options import WORKERS
-from vpp_fmu.app.cli.output import add_output, answered, output, stages
+from vpp_fmu.app.cli.options import WORKERS, add_output
+from vpp_fmu.app.cli.output import answered, output, stages
 from vpp_fmu.app.report.pages.demo import DemoResult
 from vpp_fmu.campaign import read_campaign
 

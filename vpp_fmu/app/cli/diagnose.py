@@ -12,18 +12,8 @@ from pathlib import Path
 from identification.workers import spread
 from vpp_fmu.app.api.diagnose import candidates, diagnose
 from vpp_fmu.app.cli.answer import Answer
-from vpp_fmu.app.cli.options import SEED, WORKERS, Number
-from vpp_fmu.app.cli.output import (
-    add_accept,
-    add_effects_from,
-    add_output,
-    add_records,
-    answer,
-    called,
-    output,
-    stages,
-    written,
-)
+from vpp_fmu.app.cli.options import SEED, WORKERS, Number, add_accept, add_effects_from, add_output, add_records
+from vpp_fmu.app.cli.output import answer, called, output, stages, written
 from vpp_fmu.app.report.pages.fleet import Entry, as_csv, as_parquet, compared, entry, fleet_page, refusal
 from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.parameters import parameters_file

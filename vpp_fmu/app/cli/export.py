@@ -7,14 +7,13 @@ from collections.abc import Callable, Mapping
 
 from vpp_fmu.app.api.export import FLAVOURS, PLATFORMS, VERSIONS, export_fmu
 from vpp_fmu.app.cli.answer import Answer
-from vpp_fmu.app.cli.inputs import ADAPT, GAINS, add_gains, add_plant
-from vpp_fmu.app.cli.options import real
-from vpp_fmu.app.cli.output import add_output, called, output, written
+from vpp_fmu.app.cli.options import ADAPT, GAINS, Number, add_gains, add_output, add_plant
+from vpp_fmu.app.cli.output import called, output, written
 from vpp_fmu.export.own_model import FORM
 from vpp_fmu.parameters import knowledge_file, policy_file
 
 EXAMPLE = "vpp export --parameters out/parameters.json --flavour both -o fmus"
-SECONDS = real(0.0, 1e9, "s", above=True)
+SECONDS = Number(0.0, 1e9, "s", above=True)
 
 FIELDS: Mapping[str, tuple[Callable, str]] = {
     "author": (str, "who made the model; this and the next ones are for the FMUs (default: as the model declares)"),
@@ -24,7 +23,7 @@ FIELDS: Mapping[str, tuple[Callable, str]] = {
     "description": (str, "the model in words"),
     "stop_time": (SECONDS, "end of the default experiment, s"),
     "step_size": (SECONDS, "its communication step, s"),
-    "tolerance": (real(0.0, 1.0, above=True), "its relative tolerance"),
+    "tolerance": (Number(0.0, 1.0, above=True), "its relative tolerance"),
 }
 """Fields of a Model that an export may replace, with their types."""
 

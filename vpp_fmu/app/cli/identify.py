@@ -4,8 +4,8 @@ from tqdm import tqdm
 
 from identification.fit.refine import METHODS
 from vpp_fmu.app.api.identify import identify
-from vpp_fmu.app.cli.options import SEED, whole
-from vpp_fmu.app.cli.output import add_accept, add_output, add_records, answer
+from vpp_fmu.app.cli.options import SEED, add_accept, add_output, add_records, whole
+from vpp_fmu.app.cli.output import answer
 
 EXAMPLE = "vpp identify campaigns/monday -o out"
 

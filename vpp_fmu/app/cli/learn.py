@@ -7,9 +7,8 @@ outside the range of the training."""
 from tqdm import tqdm
 
 from vpp_fmu.app.api.control import learn
-from vpp_fmu.app.cli.inputs import add_gains, add_knowledge
-from vpp_fmu.app.cli.options import SEED, Number, whole
-from vpp_fmu.app.cli.output import add_effects_from, add_output, answer
+from vpp_fmu.app.cli.options import SEED, Number, add_effects_from, add_gains, add_knowledge, add_output, whole
+from vpp_fmu.app.cli.output import answer
 from vpp_fmu.parameters import parameters_file
 
 EXAMPLE = "vpp learn out/parameters.json --generations 500 -o policy"

@@ -18,30 +18,6 @@ from vpp_fmu.files import OutputFolder
 from vpp_fmu.outputs import OutputSet
 
 
-def add_output(parser) -> None:
-    """The option -o."""
-    parser.add_argument("-o", "--output", default="out", metavar="DIR", help="folder to write to (default: out)")
-
-
-def add_accept(parser) -> None:
-    """The option that overrides the quality gate."""
-    text = "go on in spite of a finding of the quality gate, by its code, and keep its rows; may be repeated (vpp check --help)"
-    parser.add_argument("--accept", action="append", default=[], metavar="CODE", help=text)
-
-
-def add_records(parser) -> None:
-    """The option that adds records to fit."""
-    text = "fit this record too; may be repeated"
-    parser.add_argument("--record", dest="records", action="append", default=[], metavar="FILE", help=text)
-
-
-def add_effects_from(parser) -> None:
-    """The option that adds user-defined effects to the library."""
-    text = "a Python file with an effect of one's own, such as learned_effect.py, added to the library; "
-    text += "it runs its author's code; may be repeated"
-    parser.add_argument("--effects-from", action="append", default=[], metavar="FILE.py", help=text)
-
-
 def called(verb: Callable, options: argparse.Namespace, **more):
     """The result of a verb's function on the options that are named as its arguments. BadInput names the option."""
     given = {name: value for name, value in vars(options).items() if name in signature(verb).parameters}

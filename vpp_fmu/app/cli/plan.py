@@ -6,9 +6,8 @@ import sys
 
 from identification.plan.plan import NOISE
 from vpp_fmu.app.api.plan import plan
-from vpp_fmu.app.cli.inputs import add_knowledge, add_plant
-from vpp_fmu.app.cli.options import SEED, Number
-from vpp_fmu.app.cli.output import add_output, answer
+from vpp_fmu.app.cli.options import SEED, Number, add_knowledge, add_output, add_plant
+from vpp_fmu.app.cli.output import answer
 from vpp_fmu.app.cli.prompts import Prompts
 from vpp_fmu.kernel.signals import BETA_REF, OMEGA_REF
 from vpp_fmu.rig import rig_file

@@ -1,8 +1,8 @@
 """Predict the open-loop response to the commands of a record."""
 
 from vpp_fmu.app.api.loop import simulate
-from vpp_fmu.app.cli.inputs import add_plant, commands_file
-from vpp_fmu.app.cli.output import add_output, answer
+from vpp_fmu.app.cli.options import add_output, add_plant, commands_file
+from vpp_fmu.app.cli.output import answer
 
 EXAMPLE = "vpp simulate campaigns/monday/validation.csv --parameters out/parameters.json -o out"
 

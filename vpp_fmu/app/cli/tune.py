@@ -10,9 +10,8 @@ import argparse
 from identification.tune.objective import ALPHA
 from vpp_fmu.app.api.control import tune
 from vpp_fmu.app.api.objects import PAPERS
-from vpp_fmu.app.cli.inputs import add_gains, add_knowledge, add_plant, profile_file
-from vpp_fmu.app.cli.options import SEED, WORKERS, Number, whole
-from vpp_fmu.app.cli.output import add_output, answer
+from vpp_fmu.app.cli.options import SEED, WORKERS, Number, add_gains, add_knowledge, add_output, add_plant, profile_file, whole
+from vpp_fmu.app.cli.output import answer
 from vpp_fmu.kernel.measurement import CONVERSIONS
 
 EXAMPLE = "vpp tune --parameters out/parameters.json --assume tau_beta_2=0.05 -o out"
