@@ -107,6 +107,20 @@ def test_coupling_is_the_transfer_function_under_scipy(gain):
     np.testing.assert_allclose(shown[:, 2], 0.0, atol=1e-12)
 
 
+@pytest.mark.parametrize("inertia", [0.05, 0.25, 3.0])
+@pytest.mark.parametrize(
+    ("name", "u", "lags"), [("pitch_overshoot", 2, (0.207, 0.374)), ("speed_overshoot", 1, (0.172, 0.053))]
+)
+def test_overshoot_is_the_transfer_function_under_scipy(name, u, lags, inertia):
+    """From command to channel: 1 / ((tau_2 s + 1)(inertia tau_1^2 s^2 + tau_1 s + 1))."""
+    (outer, inner), command = lags, ("omega_ref", "beta_ref")[u - 1]
+    inputs, time = random_steps(1000, 200), np.arange(1000) * 0.004
+    shown = reference(plant([name]), {f"{name}.inertia": inertia}, inputs, np.full(999, 0.004))[:, u]
+    poles = np.polymul([inner, 1.0], [inertia * outer**2, outer, 1.0])
+    moved = lsim(([1.0], poles), inputs[command] - inputs[command][0], time, interp=False)[1]
+    np.testing.assert_allclose(shown - inputs[command][0], moved, rtol=0, atol=2e-4 * np.ptp(inputs[command]))
+
+
 @pytest.mark.parametrize(("frequency", "damping"), [(3.0, 0.05), (10.0, 0.3), (1.0, 0.005)])
 def test_stand_resonance_is_the_oscillator_of_scipy(frequency, damping):
     inputs, steps = random_steps(1000, 200), np.full(999, 0.004)

@@ -16,6 +16,7 @@ from identification.diagnose.score_test import ScoreTest
 from identification.diagnose.selection import Selection
 from identification.diagnose.stages import Stage, lack_of, verdict_of
 from vpp_fmu.campaign import Campaign
+from vpp_fmu.kernel.effects.measured_speed import AHEAD
 from vpp_fmu.kernel.plant import LIBRARY, plant
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
@@ -35,6 +36,9 @@ def test_a_known_speed_replaces_that_of_the_model_between_rows():
     values = model.values(TRUTH)
     shown = Simulator(model).simulate(values, *given.run)
     np.testing.assert_allclose(shown[:, 1], known, rtol=1e-9)  # the start settles for a nanosecond
+    late = given.with_columns(speed_instant_within=np.full(len(known), 0.002))
+    shown_late = Simulator(model).simulate({**values, AHEAD: -0.5}, *late.run)[1:, 1]
+    np.testing.assert_allclose(shown_late, known[1:] + 0.001 * np.diff(known) / np.diff(record.time), rtol=1e-6)
     plain = Simulator(plant()).simulate(plant().values(TRUTH), *record.run)
     np.testing.assert_allclose(shown[:, 2], plain[:, 2], rtol=1e-12)
     np.testing.assert_allclose(Simulator(model).simulate(values, *record.run), plain, rtol=1e-12)
@@ -73,14 +77,14 @@ def test_a_fast_remainder_is_kept():
     assert np.std(np.delete(found, slice(2800, 3210))) < 3.0
 
 
-def rig(seed=0, **values) -> Campaign:
+def rig(seed=0, noise=NOISE, **values) -> Campaign:
     """Records with an encoder's speed, a repeat and a validation record."""
     rng = np.random.default_rng(seed)
     first, other = commands(rng, 16.0), commands(rng, 8.0)
     model, records = plant({name.partition(".")[0] for name in values}), []
     for record, name in ((first, "open_loop"), (first, "repeat"), (other, "validation")):
         shown = Simulator(model).simulate(model.values(TRUTH | values), *record.run)
-        noisy = shown[:, :2] + [NOISE, SPEED_NOISE] * rng.standard_normal((len(record), 2))
+        noisy = shown[:, :2] + [noise, SPEED_NOISE] * rng.standard_normal((len(record), 2))
         measured = record.with_columns(thrust=noisy[:, 0], omega=noisy[:, 1])
         records.append(replace(measured, source=f"{name}.csv", sensor=ENCODER))
     sensor = {"kind": "encoder"}
@@ -99,6 +103,21 @@ def test_the_thrust_decides_whether_the_speed_or_its_reading_is_late():
     assert {name: (one["verdict"], one["effects"]) for name, one in found.channels.items()} == shown
     found = diagnose(rig(**{"speed_reading_delay.delay": 0.05}), DELAYS)
     assert (found.verdict, found.logger.sensor.delay) == ("none", pytest.approx(0.05, abs=0.003))
+
+
+def test_readings_of_speed_early_by_part_of_a_row_are_no_fault_of_the_thrust():
+    """An encoder's instant within the row of 4 ms is unknown. The thrust then seems to be late, by 1.6 ms."""
+    lags = [e for e in LIBRARY if e.off is None or e.name in ("inflow_lag", "pitch_rate_feedthrough", "sensor_lag")]
+    campaign = rig(noise=0.02)
+
+    def early(record):
+        return record.with_columns(omega=np.interp(record.time + 0.0016, record.time, record["omega"]))
+
+    records = {name: early(getattr(campaign, name)) for name in ("open_loop", "repeat", "validation")}
+    found = diagnose(replace(campaign, **records), lags)
+    assert found.verdict == "none"
+    assert found.logger.sensor.delay == pytest.approx(-0.0016, abs=2e-4)
+    assert found.final.values["tau_omega_1"] == pytest.approx(TRUTH["tau_omega_1"], abs=5e-4)
 
 
 def test_a_fault_of_the_thrust_leaves_the_speed_alone():
@@ -176,7 +195,7 @@ def test_the_error_of_a_speed_map_bounds_what_the_thrust_shows(monkeypatch, map_
         selection = SimpleNamespace(rivals={}, judgements={}, whole=fit, final=fit, base=fit)
         return SimpleNamespace(judge=SimpleNamespace(searcher=noise), selection=selection, corroborated=False)
 
-    at = SimpleNamespace(library=(), values={}, of_channels=lambda *_, **__: at)
+    at = SimpleNamespace(library=(), names=(), first={}, values={}, of_channels=lambda *_, **__: at)
     monkeypatch.setattr(stages, "_stage", stage)
     monkeypatch.setattr(stages, "_keeping", lambda at, *_: at)
     monkeypatch.setattr(stages, "_takes_pitch", lambda fit: False)

@@ -343,15 +343,20 @@ def _simpler(one: _Searched, other: _Searched) -> _Searched:
     return few if powers[0] <= (1.0 + FORM) * powers[1] else many
 
 
-def _searched(task: _Task, gate: Passed) -> _Searched:
-    """Search a campaign whose records passed the `gate`, corrected for its logger."""
+def _started(task: _Task, gate: Passed) -> tuple[list[list[Fitted]], Unseen | None, InitialModel]:
+    """(the fitted records, the unseen one, the start of the search) of a campaign that passed the `gate`."""
     task.effort.stage("identify")
     groups, unseen = roles(gate.campaign, gate.further)
-    records = [one.record for group in groups for one in group]
     if task.given:
-        at = from_given(gate.campaign, task.given.without_power, task.library, records)
-    else:
-        at = from_identification(task.campaign, gate, task.library, task.seed)
+        records = [one.record for group in groups for one in group]
+        return groups, unseen, from_given(gate.campaign, task.given.without_power, task.library, records)
+    return groups, unseen, from_identification(task.campaign, gate, task.library, task.seed)
+
+
+def _searched(task: _Task, gate: Passed) -> _Searched:
+    """Search a campaign whose records passed the `gate`, corrected for its logger."""
+    groups, unseen, at = _started(task, gate)
+    records = [one.record for group in groups for one in group]
     options, runs = candidates(at.library, records), gate.campaign.steps
     map_error, speed_map = 0.0, gate.campaign.folder / SPEED_MAP
     if speed_map.exists():
@@ -359,6 +364,10 @@ def _searched(task: _Task, gate: Passed) -> _Searched:
         options, map_error = [c for c in options if c.name != "speed_command_resolution"], read_speed_map(speed_map).rms
     give_back()
     stages = searched(groups, runs, at, options, task.smallest, task.effort, task.pool, map_error)
+    if ahead := stages[-1].speed_ahead:  # the readings are as much earlier than their sensor says
+        sensor = replace(gate.logger.sensor, delay=gate.logger.sensor.delay - ahead)
+        gate = replace(gate, logger=replace(gate.logger, sensor=sensor)).changed(Logger(sensor=sensor).applied)
+        groups, unseen, at = _started(task, gate)
     noises = [s.judge.searcher.experiments[0].noise for s in stages]
     searcher, base = fitted_base(groups, at, replace(noises[-1], speed=noises[0].speed), at.values, agreed=True)
     searcher.points = max(s.judge.searcher.points for s in stages)

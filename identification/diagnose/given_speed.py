@@ -46,6 +46,8 @@ def given_speed(records: Sequence[Record], first: Fit, readings: bool = True) ->
     if beyond:
         speed = np.maximum(speed + np.mean([rows for rows, _ in beyond], axis=0), 0.0)
     columns = {"speed_at_row": speed, "speed_at_next_row": np.append(speed[1:], speed[-1:])}
+    within = max(_instant_within(record) for record in records)
+    columns[measured_speed.WITHIN] = np.full(len(speed), within)
     return [record.with_columns(**columns) for record in records], error
 
 
@@ -57,6 +59,12 @@ def with_speed_of(groups: Sequence[Sequence[Fitted]], first: Fit, readings: bool
         for group, (records, _) in zip(groups, given, strict=True)
     ]
     return known, max(error for _, error in given)
+
+
+def _instant_within(record: Record) -> float:
+    """Uncertainty [s] of the instants of a record's speed readings: half a row at least."""
+    read = "omega" in record and np.isfinite(record["omega"]).sum() > 1
+    return max(0.5 * record.period, Tachometer(record).unknown if read else 0.0)
 
 
 def _beyond(record: Record, shown: np.ndarray) -> tuple[np.ndarray, float] | None:

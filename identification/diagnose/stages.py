@@ -21,7 +21,9 @@ from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.selection import Selection, select, without
 from identification.diagnose.validation import CHANGED, UNEXPLAINED, unnamed, verdict
 from identification.fit.noise import Noise
+from identification.logger import SIGNIFICANT
 from identification.roles import Fitted
+from vpp_fmu.kernel.effects.measured_speed import AHEAD, WITHIN
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native import Simulator
 from vpp_fmu.native.memory import give_back
@@ -66,6 +68,14 @@ class Stage:
         speed the set itself shows it; in a single record of the thrust, slow noise may look like an effect."""
         found = "unexplained" in (unnamed(self.before), unnamed(self.after))
         return found or bool(self.name == "speed" and self.accepted.effects)
+
+    @property
+    def speed_ahead(self) -> float:
+        """How far the known speed leads that of the rotor, s; 0 where it is not significant, or no speed is known."""
+        fit = self.selection.whole
+        share = fit.values.get(AHEAD, 0.0)
+        significant = abs(share) > SIGNIFICANT * (fit.std().get(AHEAD) or 0.0)
+        return share * max(float(one.record[WITHIN][0]) for group in self.groups for one in group) if significant else 0.0
 
     @property
     def accepted(self) -> Fit:
@@ -132,8 +142,10 @@ def searched(
         return _stage(groups, [], at, 0.0, own, smallest, effort, pool, " of the speed")
 
     def known_from(first: Fit) -> InitialModel:
-        """The start of the thrust's search. Effects that delay the readings of speed and of thrust are part of it."""
+        """The start of the thrust's search. Effects that delay the readings of speed and of thrust are part of it. So is a
+        shift of the known speed, within the uncertainty of its instants: it would look like an effect."""
         both = _keeping(at, first, lambda e: "thrust" in e.reading)
+        both = replace(both, names=(*both.names, AHEAD), first={**both.first, AHEAD: 0.0})
         return both.of_channels("thrust", library=with_given_speed(both.library), values=first.values)
 
     def misfit(fit: Fit, readings: bool, noise: Noise, beside: Fit | None = None) -> float:

@@ -159,6 +159,11 @@ LISTED = (
         _same("speed_asym", "asymmetry"),
     ),
     Hidden(
+        "speed_overshoot",
+        lambda g: {"hunt_hz": g.size(3.0, 1.5), "hunt_zeta": g.size(0.4, 0.15)},
+        lambda s, size: {"inertia": 0.25 / s["hunt_zeta"] ** 2},
+    ),
+    Hidden(
         "speed_dependent_lag",
         _either_lag("speed_last", "damping", 0.15, 1.2),
         _same("damping", "sensitivity", lambda size: 1.0 / size.speed),
@@ -266,7 +271,6 @@ OUTSIDE = (
     Hidden("warming_actuator", _some("warm", 0.4, 1.2)),  # the pitch becomes slower within 40 s
     # The servo has whole steps of about 1 deg, counted from a normalised pitch of 0, not from 0 deg.
     Hidden("servo_steps", _some("pitch_step", 0.05, 0.1), relatives=("pitch_command_resolution",)),
-    Hidden("speed_hunting", lambda g: {"hunt_hz": g.size(3.0, 1.5), "hunt_zeta": g.size(0.4, 0.15)}),
     Hidden("one_sided_delay", lambda g: {"late_up": g.signed(0.05, 0.15)}),  # only steps up, or only steps down, are late
     Hidden("speed_ramp", _some("ramp", 2.0, 0.8)),  # the speed controller limits acceleration
     Hidden("stall_hysteresis", _some("stall", 0.06, 0.2)),  # thrust falls at high pitch and low speed, and recovers late

@@ -72,6 +72,7 @@ RIGHT = {
     "pitch_delay": ({"pitch_command"}, {"pitch_rate", "pitch_to_go"}),
     "speed_delay": ({"speed_command"}, {"speed_rate", "speed_to_go"}),
     "speed_asymmetry": (_MOTOR, {"speed_to_go", "speed_rate"}),
+    "speed_overshoot": (_MOTOR, {"speed_to_go", "speed_rate"}),
     "speed_dependent_lag": (_MOTOR, {"speed"}),
     "speed_saturation": (_SPEED_IN, {"speed_command", "speed"}),
     "supply_sag": (_SPEED_IN, {"pitch", "pitch_command", "thrust", "speed_command", "speed"}),

@@ -86,7 +86,7 @@ def screened(
     problem, simulator = fit.problem, fit.problem.simulator
     x = fit.solution.value if values is None else problem.coordinates.vector({**fit.values, **values})
     at = {**fit.values, **problem.coordinates.values(x)}
-    residual, jacobian = problem.evaluate(x)
+    residual, jacobian = fit.tangent() if values is None else problem.evaluate(x)
     about = Linearised(problem, x, residual, jacobian)
     fitted = problem.experiments[0].channels
     ports = [n for n, place in PORTS.items() if _of_channels(place, fitted) and channel in (None, place.channel)]

@@ -189,8 +189,13 @@ class Fit:
         return any(effect.full(p.name) in self.uncertainty.left_open for p in effect.parameters)
 
     def tangent(self) -> tuple[np.ndarray, np.ndarray]:
-        """(residual, Jacobian) at the solution, as `Problem.evaluate`."""
-        return self.problem.evaluate(self.solution.value)
+        """(residual, Jacobian) at the solution, as `Problem.evaluate`. A parameter that a bound holds does not follow: two lags
+        that would be complex stay a double pole."""
+        x, bounds = self.solution.value, self.problem.coordinates
+        residual, jacobian = self.problem.evaluate(x)
+        slope = jacobian.T @ residual
+        held = (x <= bounds.lower) & (slope > 0.0) | (x >= bounds.upper) & (slope < 0.0)
+        return residual, np.where(held, 0.0, jacobian) if held.any() else jacobian
 
     def linearised(self) -> Linearised:
         """The model, linear in its smooth parameters about the solution."""
@@ -304,8 +309,8 @@ class Searcher:
         return replace(found, idle=fit.idle or found.idle)
 
     def known(self, model: Model, values: Mapping[str, float], names: Sequence[str]) -> Prior | None:
-        """Prior of the free parameters of a model, widened by the factor."""
-        prior = self.knowledge and self.knowledge(model, values, names)
+        """Prior of the free parameters of a model, widened by the factor. The widest has no influence, with any effects."""
+        prior = self.knowledge and self.knowledge(model, values, self.names if self.factor == WIDEST else names)
         return prior and prior.loosened(self.factor)
 
     def biased(self, fit: Fit) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.screening import Screening, ScreeningResult
-from identification.fit.coordinates import CHANNELS
+from identification.fit.coordinates import CHANNELS, SHORTEST
 from vpp_fmu.native.memory import give_back
 
 SAME_RESPONSE = 1e-6
@@ -24,10 +24,6 @@ CONVERGED, FEWEST = 1.0 / 3.0, 8
 
 LEADERS = 3
 """Best candidates that are also started from fits of their special cases, and with switched-off sizes on."""
-
-DOUBLE, SPLIT = 0.3, (0.82, 0.28)
-"""Relative difference below which two lags count as a double pole, at which a missing lead or lag is invisible to first order;
-shares of their sum at which a fit starts beside it."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +84,8 @@ def _first_look(searcher: Searcher, fit: Fit, candidate: Candidate, at: Screenin
     """The best fit of a candidate after two steps from each start; None if all diverge.
 
     Starts are the point that screening predicts, with the fitted parameters there and as they were, and the first grid of
-    shapes at the plausible size; then, if the order of lags matters, the same with the other order, and a double pole split."""
+    shapes at the plausible size; then, if the order of lags matters, the same with the other order, and with hardly any second
+    lag: an effect with a lag of its own replaces it."""
     points = [({**fit.values, **at.values}, at.slow_first)]
     points.append(({**fit.values, **{n: at.values[n] for n in candidate.free}}, fit.slow_first))
     points += [({**fit.values, **shape, **candidate.within(candidate.probe)}, fit.slow_first) for shape in candidate.shapes()]
@@ -100,10 +97,7 @@ def _first_look(searcher: Searcher, fit: Fit, candidate: Candidate, at: Screenin
     for u in free if acts_within else ():
         if u in candidate.effect.channels:
             further += [_flipped(u, *point) for point in points]
-    for u in free:
-        one, two = fit.values[f"tau_{u}_1"], fit.values[f"tau_{u}_2"]
-        if abs(one / two - 1.0) < DOUBLE:
-            further += [_split(u, one + two, *point) for point in [*points, *further]]
+            further += [_alone(u, slow_first, *points[-1]) for slow_first in (True, False)]
     return min([*found, *(look for point in further if (look := _look(searcher, fit, candidate, *point)))], key=Fit.bic)
 
 
@@ -127,11 +121,12 @@ def _flipped(u: str, values: Mapping[str, float], order: Mapping[str, bool]) -> 
     return {**values, one: values[two], two: values[one]}, {**order, u: not order.get(u, True)}
 
 
-def _split(u: str, both: float, values: Mapping[str, float], order: Mapping[str, bool]) -> Start:
-    """A start beside a double pole, whose lags have the sum `both` [s]."""
-    slow, fast = (both * share for share in SPLIT)
-    first = order.get(u, True)
-    return {**values, f"tau_{u}_1": slow if first else fast, f"tau_{u}_2": fast if first else slow}, dict(order)
+def _alone(u: str, slow_first: bool, values: Mapping[str, float], order: Mapping[str, bool]) -> Start:
+    """A start with nearly all of a channel's lag in one of its two lags: the outer one if `slow_first`."""
+    both = values[f"tau_{u}_1"] + values[f"tau_{u}_2"]
+    long, short = both / (1.0 + SHORTEST), both * SHORTEST / (1.0 + SHORTEST)
+    lags = (long, short) if slow_first else (short, long)
+    return {**values, **dict(zip((f"tau_{u}_1", f"tau_{u}_2"), lags, strict=True))}, {**order, u: slow_first}
 
 
 def _exchangeable(fit: Fit, channels: Iterable[str]) -> bool:
