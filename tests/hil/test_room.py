@@ -1,12 +1,9 @@
 import json
-import os
 
 import pytest
 from rigs import setup, step_profile
 
 from hil import room
-from hil.columns import COLUMNS
-from hil.room import Reserve, check_room
 from hil.run import run_on_rig
 from vpp_fmu.app.cli import main
 from vpp_fmu.errors import BadInput
@@ -22,44 +19,12 @@ def test_a_disk_too_small_for_the_run_is_refused_before_the_rig_is_opened(tmp_pa
     assert not list(tmp_path.iterdir())
 
 
-def test_the_room_grows_with_the_run_by_the_log_and_the_record(tmp_path):
-    """By 250 rows a second of 24 columns and 8 exact ones; a campaign's packed log needs less than half."""
-    seconds = [least(tmp_path / "log.csv", length) for length in (100.0, 200.0)]
-    grown = (seconds[1] - seconds[0]) / 100.0 / 250.0
-    assert 24 * 8 + 8 * 20 < grown < (24 + 8) * 26
-    assert least(tmp_path / "log.csv.gz", 3600.0) < 0.75 * least(tmp_path / "log.csv", 3600.0)
-
-
-def least(log, seconds):
-    """Least free bytes that a run is allowed with, by bisection."""
-    low, high = 0, 10**10
-    while high - low > 1000:
-        free = (low + high) // 2
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(room, "free_bytes", lambda folder, free=free: free)
-            try:
-                check_room(log, COLUMNS, seconds)
-            except BadInput:
-                low = free
-            else:
-                high = free
-    return high
-
-
 def test_a_campaign_too_long_for_its_disk_is_refused_before_its_first_part(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(room, "free_bytes", lambda folder: 20_000_000)  # enough for each part, not for five
     small = ["--points", "2", "--samples", "250", "--settle", "0.5", "--validation-seconds", "120"]
     assert main(["hil", "campaign", "--virtual", *small, "-o", str(tmp_path)]) == 2
     assert "free space" in capsys.readouterr().err
     assert not list(tmp_path.glob("*.csv*"))
-
-
-def test_the_reserve_takes_real_blocks_and_has_no_name(tmp_path):
-    reserve = Reserve(tmp_path, 60.0)
-    size = os.fstat(reserve._file.fileno())
-    assert 512 * size.st_blocks >= size.st_size > 60.0 * 250 * 8 * 20
-    assert not list(tmp_path.iterdir())
-    reserve.free()
 
 
 @pytest.mark.usefixtures("short_waits")
