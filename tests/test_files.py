@@ -15,12 +15,6 @@ def names(folder):
     return sorted(path.name for path in Path(folder).iterdir())
 
 
-def test_output_folder_is_created_with_its_parents(tmp_path):
-    folder = OutputFolder(tmp_path / "a" / "b")
-    assert folder.path.is_dir()
-    assert names(folder.path) == []
-
-
 @pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt(), RuntimeError()])
 @pytest.mark.parametrize("where", ["replace", "fsync"])
 def test_a_failed_write_leaves_what_was_there(tmp_path, monkeypatch, failure, where):
@@ -39,22 +33,6 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, monkeypatch, failure, wh
     assert folder.replaced == ()
     if expected is BadInput:
         assert "no space left on device" in str(error.value)
-
-
-def test_a_folder_in_the_place_of_an_output_file_is_refused(tmp_path):
-    (tmp_path / "run.csv").mkdir()
-    with pytest.raises(BadInput, match=r"run\.csv: output file: found not writable"):
-        OutputFolder(tmp_path).write("run.csv", "x")
-    assert names(tmp_path) == ["run.csv"]
-
-
-@pytest.mark.parametrize(("below", "found"), [("", "a file"), ("out", "not writable"), ("out/deeper", "not writable")])
-def test_an_output_folder_on_or_below_a_file_is_refused(tmp_path, below, found):
-    (tmp_path / "taken").write_text("")
-    path = tmp_path / "taken" / below
-    said = refusal(OutputFolder, path)
-    assert said.startswith(f"{path}: output folder: found {found}")
-    assert said.endswith("expected a folder that can be written")
 
 
 @pytest.mark.parametrize(("name", "data"), [("a.csv", b"%s"), ("a.csv.gz", None)])

@@ -12,7 +12,6 @@ import pytest
 from processes import VPP, cpu_seconds, group, signalled
 
 from identification.workers import spread
-from vpp_fmu.app.cli import main
 from vpp_fmu.errors import WorkerLost
 from vpp_fmu.fmu import Fmu, FmuInstance
 from vpp_fmu.scratch import Scratch
@@ -23,22 +22,6 @@ has_proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /
 
 def told(verb, number):
     return f"{verb}: stopped by {number.name}; files that were not complete are not kept"
-
-
-@has_proc
-def test_a_search_and_its_workers_end_and_write_nothing(tmp_path):
-    words = [*VPP, "tune", "--robust", "mean", "--draws", "10000", "--workers", "2", "-o", str(tmp_path / "out")]
-    ended = signalled(words, signal.SIGTERM, at_work)
-    assert (ended.code, ended.left) == (143, ())
-    assert told("vpp tune", signal.SIGTERM) in ended.error.splitlines()  # Python 3.10 counts semaphores behind it
-    assert "Traceback" not in ended.error
-    assert os.listdir(tmp_path / "out") == []
-
-
-def at_work(process):
-    """Whether both workers have finished their imports."""
-    workers = [pid for pid in group(process.pid) if pid != process.pid]
-    return sum(cpu_seconds(pid) > 1.0 for pid in workers) == 2
 
 
 SPREAD = """
@@ -131,12 +114,6 @@ def test_the_first_signal_raises_and_the_next_does_nothing(number):
     assert let_go == ["all of it"]
     assert stopped.value.code == 128 + number
     assert {each: signal.getsignal(each) for each in SIGNALS} == before
-
-
-def test_the_command_reports_a_signal_in_one_line_and_the_exit_code(monkeypatch, capsys):
-    monkeypatch.setattr("vpp_fmu.app.cli._run", lambda arguments: signal.raise_signal(signal.SIGTERM))
-    assert main(["identify", "x"]) == 143
-    assert capsys.readouterr().err.splitlines() == [told("vpp identify", signal.SIGTERM)]
 
 
 def test_a_signal_waits_for_an_unbroken_section():
