@@ -15,6 +15,12 @@ def names(folder):
     return sorted(path.name for path in Path(folder).iterdir())
 
 
+def test_output_folder_is_created_with_its_parents(tmp_path):
+    folder = OutputFolder(tmp_path / "a" / "b")
+    assert folder.path.is_dir()
+    assert names(folder.path) == []
+
+
 @pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt(), RuntimeError()])
 @pytest.mark.parametrize("where", ["replace", "fsync"])
 def test_a_failed_write_leaves_what_was_there(tmp_path, monkeypatch, failure, where):

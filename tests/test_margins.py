@@ -5,7 +5,7 @@ import pytest
 from builders import FAST_PITCH
 from scipy.signal import cont2discrete, freqz
 
-from identification.tune.linear import plant_response, pulse_response
+from identification.tune.linear import controller_response, plant_response, pulse_response
 from identification.tune.margins import frequencies, margins
 from identification.tune.objective import Objective, closed_loop
 from identification.tune.operating import margins_at, operating_points
@@ -18,6 +18,7 @@ from vpp_fmu.native.closed_loop import Course
 DT = 0.004
 TIME_SCALE = 0.5
 OMEGA = frequencies(DT, TIME_SCALE)
+SETTINGS = CONTROLLER.values(DUAL)
 
 
 def sampled_integrator(k):
@@ -53,6 +54,25 @@ def test_the_plants_response_is_the_maps_slope_times_the_held_lags(channel, omeg
     np.testing.assert_allclose(found, exact, rtol=1e-4, atol=2e-6)
     wide = plant_response(pulse_response(BASE, values, (omega, beta), channel, DT, TIME_SCALE), OMEGA, DT)
     assert np.max(np.abs(wide / exact - 1.0)[OMEGA < 100.0]) < 0.01
+
+
+@pytest.mark.parametrize("channel", ["omega", "beta"])
+@pytest.mark.parametrize("frequency", [2.0, 300.0])
+def test_the_controllers_response_is_what_a_sine_shows(channel, frequency):
+    """Amplitude and phase of the command under a small sine of the error, after the initial transient."""
+    simulation = Simulation(
+        CONTROLLER, {**SETTINGS, "omega_min": 0.0, "omega_max": 30000.0, "beta_min": -45.0, "beta_max": 45.0}
+    )
+    time = np.arange(4000) * DT
+    shown = []
+    for error in 1e-3 * np.cos(frequency * time) + np.where(time < 0.4, 0.05, 0.0):
+        command = simulation.advance({"thrust_set": 15.0 * error, "thrust": 0.0}, DT)[f"{channel}_ref"]
+        shown.append(command / 6000.0 if channel == "omega" else (command + 5.0) / 15.0)
+    kept = time > 2.0
+    basis = np.column_stack([np.cos(frequency * time), -np.sin(frequency * time), np.ones_like(time)])[kept]
+    real, imaginary, _ = np.linalg.lstsq(basis, np.array(shown)[kept], rcond=None)[0]
+    expected = controller_response(SETTINGS, channel, np.array([frequency]))[0]
+    assert complex(real, imaginary) / 1e-3 == pytest.approx(expected, rel=1e-6)
 
 
 def an_objective(gains, effects=(), changes=None, course=None):

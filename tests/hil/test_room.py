@@ -1,9 +1,11 @@
 import json
+import os
 
 import pytest
 from rigs import setup, step_profile
 
 from hil import room
+from hil.room import Reserve
 from hil.run import run_on_rig
 from vpp_fmu.app.cli import main
 from vpp_fmu.errors import BadInput
@@ -11,10 +13,10 @@ from vpp_fmu.plants import KernelController
 
 
 def test_a_disk_too_small_for_the_run_is_refused_before_the_rig_is_opened(tmp_path, monkeypatch):
-    """Two minutes have 30 000 rows of 24 cells and their commas, of which ten are never empty or one digit: more than 2 MB."""
-    monkeypatch.setattr(room, "free_bytes", lambda folder: 2_000_000)
+    """The log: 45 000 rows, 24 cells of up to ten characters, 11 MB. The record behind it: 30 000 rows, 8 of 20, 5 MB."""
+    monkeypatch.setattr(room, "free_bytes", lambda folder: 12_000_000)
     monkeypatch.setattr("hil.session.Setup.bench", lambda self: pytest.fail("opened"))
-    with pytest.raises(BadInput, match=r"free space: found 2\.0 MB, expected .* 120 s of log"):
+    with pytest.raises(BadInput, match=r"free space: found 12\.0 MB, expected .* 120 s of log"):
         run_on_rig(setup(), KernelController(), step_profile(hold=40.0), tmp_path)
     assert not list(tmp_path.iterdir())
 
@@ -25,6 +27,14 @@ def test_a_campaign_too_long_for_its_disk_is_refused_before_its_first_part(tmp_p
     assert main(["hil", "campaign", "--virtual", *small, "-o", str(tmp_path)]) == 2
     assert "free space" in capsys.readouterr().err
     assert not list(tmp_path.glob("*.csv*"))
+
+
+def test_the_reserve_takes_real_blocks_and_has_no_name(tmp_path):
+    reserve = Reserve(tmp_path, 60.0)
+    size = os.fstat(reserve._file.fileno())
+    assert 512 * size.st_blocks >= size.st_size > 60.0 * 250 * 8 * 20
+    assert not list(tmp_path.iterdir())
+    reserve.free()
 
 
 @pytest.mark.usefixtures("short_waits")
