@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from builders import Slave
 from fmpy.ssp.ssd import read_ssd
+from fmpy.util import read_ref_opt_file
 from fmpy.validation import validate_fmu
 from initial_graph import initial_graph
 
@@ -162,6 +163,8 @@ def test_the_cross_check_has_its_folders_and_its_numbers(tmp_path):
     subprocess.run([Path(sys.executable).parent / command[0], *command[1:]], cwd=folder, check=True, capture_output=True)
     shown, exact = (np.genfromtxt(folder / f"VppPlant_{which}.csv", delimiter=",", names=True) for which in ("out", "ref"))
     np.testing.assert_allclose(shown["thrust"], exact["thrust"], rtol=1e-9, atol=1e-9)
+    options = read_ref_opt_file(folder / "VppPlant_ref.opt")
+    assert options["StopTime"] == pytest.approx((len(exact) - 1) * options["StepSize"])
 
 
 def test_export_names_both_flavours_and_makes_all_before_it_writes(monkeypatch, tmp_path):
