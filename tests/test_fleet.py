@@ -14,7 +14,7 @@ from vpp_fmu.app.api import diagnose as command
 from vpp_fmu.app.cli import main
 from vpp_fmu.app.report.pages.fleet import Entry, ThrustMap, compared, fleet_page
 
-FEW = ["--effects", "pitch_command_deadband,sensor_drift"]
+FEW = ["--effects", "pitch_command_deadband"]
 SHORT = {"size": "paper", "rate": 100, "noise": "white", "level": 1.0, "strength": 1.0, "seconds": 20.0} | WHOLE
 
 

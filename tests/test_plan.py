@@ -34,20 +34,6 @@ def narrow():
     return plan(BASE, SORTED, NARROW, 12.0, 0.3, seed=3, evaluations=50, step=0.005)
 
 
-def test_limits_and_slew_hold_at_every_row(narrow):
-    commands = narrow.commands
-    assert len(commands) == 2401
-    np.testing.assert_allclose(commands.steps, 0.005, rtol=0, atol=0)
-    assert commands.time[-1] == 12.0
-    assert commands["omega_ref"].min() >= 2500.0
-    assert commands["omega_ref"].max() <= 5000.0
-    assert commands["beta_ref"].min() >= -2.0
-    assert commands["beta_ref"].max() <= 8.0
-    speed, pitch = (np.abs(np.diff(commands[name])).max() / 0.005 for name in ("omega_ref", "beta_ref"))
-    assert speed == pytest.approx(6000.0, rel=1e-9)  # used to the full, and not beyond
-    assert pitch == pytest.approx(45.0, rel=1e-9)
-
-
 def test_it_beats_the_paper_s_plan(planned, narrow):
     """Steps every 0.2 to 0.8 s on both channels cut the error of tau_beta_1 and of the weakest direction to a third (notes)."""
     assert planned.gain > 2.0
