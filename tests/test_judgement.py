@@ -542,22 +542,24 @@ def test_when_a_learned_term_is_accepted(monkeypatch, ahead, leaves, elsewhere, 
 
 
 @pytest.mark.parametrize(
-    ("beaten", "by", "left", "doubted"),
+    ("beaten", "needed", "by", "left", "doubted"),
     [
-        ((), 20.0, (("a", "b"), ("c", "sensor_lag")), set()),
-        (("b",), 20.0, (("a",), ("c", "sensor_lag")), {"speed"}),
-        (("b",), 200.0, (("a",), ("c",)), {"speed"}),  # more than the evidence of the delay
-        (("a", "b"), 20.0, (("a",), ("c", "sensor_lag")), {"speed"}),  # the first of a stage stays
-        (("a",), 20.0, (("a", "b"), ("c", "sensor_lag")), {"speed"}),
-        (("sensor_lag",), 20.0, (("a", "b"), ("c",)), {"thrust"}),
+        ((), (), 20.0, (("b", "a"), ("c", "sensor_lag")), set()),
+        (("b",), (), 20.0, (("a",), ("c", "sensor_lag")), {"speed"}),
+        (("b",), (), 200.0, (("a",), ("c",)), {"speed"}),  # more than the evidence of the delay
+        (("b",), ("b",), 20.0, (("b", "a"), ("c", "sensor_lag")), {"speed"}),  # the term is something else
+        (("a", "b"), (), 20.0, (("a",), ("c", "sensor_lag")), {"speed"}),  # the strongest of a stage stays
+        (("a",), (), 20.0, (("b", "a"), ("c", "sensor_lag")), {"speed"}),
+        (("sensor_lag",), (), 20.0, (("b", "a"), ("c",)), {"thrust"}),
     ],
 )
-def test_names_that_stand_in_for_something_else_are_dropped(monkeypatch, beaten, by, left, doubted):
-    """Effects with 100 nats each. A learned term beats some of them `by` so many nats; a delay of the thrust is no finding
-    where more is missing in the speed."""
+def test_names_that_stand_in_for_something_else_are_dropped(monkeypatch, beaten, needed, by, left, doubted):
+    """Effects with 100 nats and more. A learned term beats some of them `by` so many nats; some are `needed` beside it. A delay
+    of the thrust is no finding where more is missing in the speed."""
+    evidence = {"a": 130.0, "b": 110.0, "c": 120.0, "sensor_lag": 100.0}
 
     def stage(name, effects):
-        judged = {n: SimpleNamespace(evidence=100.0) for n in effects}
+        judged = {n: SimpleNamespace(evidence=evidence[n]) for n in effects}
         fit = SimpleNamespace(effects=effects)
         judge = SimpleNamespace(searcher=None)
         return SimpleNamespace(name=name, accepted=fit, judge=judge, selection=SimpleNamespace(judgements=judged, base=None))
@@ -574,9 +576,10 @@ def test_names_that_stand_in_for_something_else_are_dropped(monkeypatch, beaten,
 
     monkeypatch.setattr(diagnose, "without", lambda searcher, base, fit, name: name)
     monkeypatch.setattr(diagnose, "better_than", better)
+    monkeypatch.setattr(diagnose, "remains_beside", lambda term, searcher, rest, fit: rest in needed)
     monkeypatch.setattr(diagnose, "evidence_over", lambda term, other: by)
     task = SimpleNamespace(pool=None, effort=SimpleNamespace(allows=lambda step: True, stage=lambda step: None))
-    stages = [stage("speed", ("a", "b")), stage("thrust", ("c", "sensor_lag"))]
+    stages = [stage("speed", ("b", "a")), stage("thrust", ("c", "sensor_lag"))]
     found, doubts = diagnose._undoubted(task, Found(stages=stages, at=SimpleNamespace(rig=SimpleNamespace(scales=None))))
     assert tuple(s.accepted.effects for s in found.stages) == left
     assert set(doubts) == doubted

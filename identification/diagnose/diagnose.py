@@ -27,7 +27,7 @@ from identification.diagnose.initial_model import (
 )
 from identification.diagnose.judgement import FORM, MIN_EVIDENCE, Smallest
 from identification.diagnose.lack_of_fit import LackOfFit
-from identification.diagnose.learned.learn import NAME, Attempt, Learned, better_than, learn
+from identification.diagnose.learned.learn import NAME, Attempt, Learned, better_than, learn, remains_beside
 from identification.diagnose.locate import locate
 from identification.diagnose.search.candidates import candidates
 from identification.diagnose.search.fits import Fit
@@ -485,13 +485,16 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
 def _undoubted(task: _Task, found: _Searched) -> tuple[_Searched, dict[str, str]]:
     """The search without the effects that stand in for something else; for each stage with such, in words.
 
-    A learned term that fits better in the place of an effect shows that it stands in for one outside the library: a later one
-    often corrects the law of an earlier one. The first effect stays: it explains a part. The instants of the speed readings are
-    uncertain where a learned term is missing in the speed: a delay of the thrust with less evidence than that is no finding."""
+    A learned term that fits better in the place of an effect shows that it stands in for one outside the library: a weaker one
+    often corrects the law of a stronger one. An effect that is as much needed beside the term stays, as does the strongest one
+    of a stage, which explains a part. The instants of the speed readings are uncertain where a learned term is missing in the
+    speed: a delay of the thrust with less evidence than that is no finding."""
     doubts: dict[str, str] = {}
     missing = 0.0
     for k in range(len(found.stages)):
-        for name in reversed(found.stages[k].accepted.effects):
+        judged = found.stages[k].selection.judgements
+        weakest_first = sorted(found.stages[k].accepted.effects, key=lambda name, judged=judged: judged[name].evidence)
+        for name in weakest_first:
             stage = found.stages[k]
             if k and name in LATE and stage.selection.judgements[name].evidence < missing:
                 found = found.less(k, name, "the instants of the speed readings are not known where the speed is not explained")
@@ -507,7 +510,8 @@ def _undoubted(task: _Task, found: _Searched) -> tuple[_Searched, dict[str, str]
                 doubts[stage.name] = (
                     f"a learned term at {PORTS[term.lead.port].words} fits better than {name}, by {number(missing, 3)} nats"
                 )
-                found = found.less(k, name, doubts[stage.name]) if name != fit.effects[0] else found
+                if name != weakest_first[-1] and not remains_beside(term, stage.judge.searcher, rest, fit):
+                    found = found.less(k, name, doubts[stage.name])
     return found, doubts
 
 

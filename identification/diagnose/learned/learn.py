@@ -13,7 +13,16 @@ import numpy as np
 from identification.diagnose.acceptance import Judge
 from identification.diagnose.crossval import HeldOut, contiguous_folds, cross_validated, p_no_decrease
 from identification.diagnose.effort import Effort
-from identification.diagnose.judgement import ALPHA, ALPHA_HELD_OUT, ALTERNATIVE_WINDOW, FORM, MIN_EVIDENCE, Judgement, Smallest
+from identification.diagnose.judgement import (
+    ALPHA,
+    ALPHA_HELD_OUT,
+    ALTERNATIVE_WINDOW,
+    FORM,
+    MAJORITY,
+    MIN_EVIDENCE,
+    Judgement,
+    Smallest,
+)
 from identification.diagnose.learned.laws import laws_of
 from identification.diagnose.learned.refit import Term, refitted
 from identification.diagnose.learned.score import ESTIMABLE
@@ -146,6 +155,19 @@ def better_than(known: Judge, rest: Fit, with_it: Fit, scales: Scales, pool) -> 
     best = max(terms, key=lambda t: evidence_over(t.fit, with_it), default=None)
     needed = MIN_EVIDENCE + FORM * max(evidence_over(with_it, rest), 0.0)
     return best if best and evidence_over(best.fit, with_it) > needed else None
+
+
+def remains_beside(term: Term, searcher: Searcher, rest: Fit, with_it: Fit) -> bool:
+    """Whether an effect keeps most of its evidence beside a learned term, which then explains something else. `rest`,
+    `with_it`: the fits without and with the effect."""
+    (name,) = set(with_it.effects) - set(rest.effects)
+    free = [n for n in with_it.free if n.startswith(f"{name}.")]
+    forms = {n: v for n, v in with_it.forms.items() if n.startswith(f"{name}.")}
+    fit, own = term.fit, {n: with_it.values[n] for n in free}
+    both = term.searcher(searcher).fit(
+        [*fit.effects, name], fit.forms | forms, [*fit.free, *free], fit.values | own, fit.slow_first, thorough=False
+    )
+    return evidence_over(both, fit) > MAJORITY * evidence_over(with_it, rest)
 
 
 def _place(term: Term) -> tuple[str, str]:
