@@ -46,9 +46,13 @@ MODELS = {"plain": (BASE, {}), "all_on": (ALL_ON, PROBES), "controller": (CONTRO
 
 
 @cache
+def _native(name: str, version: str) -> bytes:
+    return native_fmu(*MODELS[name], version=version)
+
+
 def native(name: str, version: str = "2.0") -> bytes:
     """The native FMU of one of MODELS, compiled once in a process; with every effect that takes seconds."""
-    return native_fmu(*MODELS[name], version=version)
+    return _native(name, version)
 
 
 _simulators: dict[tuple, Simulator] = {}

@@ -111,9 +111,9 @@ def test_a_loop_of_fmus_is_the_loop_of_their_parameters(identified, tmp_path):
     assert by_kernel.to_dict()["steps"][0]["after"] == 8.0
 
 
-def test_a_plan_uses_the_given_knowledge(identified, tmp_path):
-    blind = vpp.plan(identified, seconds=20)
-    told = vpp.plan(identified, seconds=20, knowledge=identified)
+def test_a_plan_uses_the_knowledge_of_a_result(identified, tmp_path):
+    blind = vpp.plan(identified.parameters, seconds=20)
+    told = vpp.plan(identified, seconds=20)
     assert blind.to_dict()["before"] is None
     assert told.to_dict()["before"] is not None
     assert told.found.noise_std == identified.found.noise.std
@@ -138,7 +138,7 @@ def test_a_plan_uses_the_given_knowledge(identified, tmp_path):
         (lambda found: vpp.diagnose(vpp.example_campaign(), parameters=3), "a int"),
         (lambda found: vpp.check(vpp.example_campaign(), accept=["nothing"]), "found nothing"),
         (lambda found: vpp.export_fmu(found, "fmus", flavour="native", fmi="4.0"), "2.0 or 3.0"),
-        (lambda found: vpp.export_fmu(found, "fmus", platforms="all"), "host with flavour python"),
+        (lambda found: vpp.export_fmu(found, "fmus", platforms="all"), "all with --flavour python"),
         (lambda found: vpp.run_loop("no.fmu", {}, {"time": [0.0, 1.0], "thrust_set": [1.0, 2.0]}), "no such file"),
         (lambda found: vpp.run_loop(found, {"kp": 1.0}, {"time": [0.0, 1.0], "thrust_set": [1.0, 2.0]}), "kp_omega"),
         (lambda found: vpp.run_loop(found, {}, {"time": [0.0, 1.0], "thrust_set": [1.0, 2.0]}, dt=0.0), "dt: found 0 s"),

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from bad_fmus import CHANGED, FORGED, bad_fmus
 
-from vpp_fmu.archive import ENTRIES, LARGEST, RATIO
 from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.fmu import Fmu, simulate_in_fmpy
 from vpp_fmu.plants import FmuController, FmuPlant
@@ -73,12 +72,3 @@ def test_a_simulation_in_fmpy_leaves_no_files(fmu_files, temporary, bad):
         with pytest.raises(VppError, match=bad[what][0].name):
             simulate_in_fmpy(bad[what][0], record)
     assert os.listdir(temporary) == []
-
-
-def test_exported_fmus_are_far_below_the_limits_of_size(fmu_files):
-    for path in fmu_files.values():
-        with zipfile.ZipFile(path) as archive:
-            size = sum(entry.file_size for entry in archive.infolist())
-            assert len(archive.infolist()) < ENTRIES / 100
-        assert size < LARGEST / 50
-        assert size < RATIO / 10 * path.stat().st_size

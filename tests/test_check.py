@@ -22,13 +22,12 @@ from identification.gate.files import (
     pole_pairs,
     said_of_size,
     speed_ratio,
-    turns_a_value,
 )
 from identification.gate.finding import ERROR, KINDS, acceptable
 from identification.gate.gate import look, passed
 from identification.gate.response import FOLLOWS, Look, Response, Span
 from identification.gate.sensors import screen
-from identification.gate.synthetic import one_mark, write_campaign
+from identification.gate.synthetic import write_campaign
 from identification.gate.template import COLUMNS, FILES
 from identification.identify import identify
 from identification.static.static_map import TERMS
@@ -260,19 +259,6 @@ def test_an_electrical_speed_is_recognised_from_its_ratio_to_the_command(times, 
     files = files_of(campaign_of(record), {})
     found = [f for f in of_files(files, campaign_of(record).rig) if f.code == "speed_unit"]
     assert [f.cause for f in found] == ([cause] if cause else [])
-
-
-@pytest.mark.parametrize("marks", [1, 3])
-def test_turns_per_new_value_are_the_inverse_of_the_number_of_marks(marks):
-    """A rotor that speeds up and slows down; the sensor counts turns, whatever the speed is called."""
-    time = np.arange(0.0, 40.0, 0.002)
-    omega = 1500.0 + 600.0 * np.sin(0.7 * time)
-    shown = one_mark(time, marks * omega, np.random.default_rng(0)) / marks
-    columns = {"time": time, "omega_ref": omega, "beta_ref": 0.0 * time, "omega": shown, "thrust": 0.0 * time}
-    record = Record(columns, "made")
-    assert turns_a_value(record) == pytest.approx(1.0 / marks, rel=0.015)
-    assert turns_a_value(record.with_columns(omega=shown * np.pi / 30.0)) == pytest.approx(np.pi / 30.0 / marks, rel=0.015)
-    assert turns_a_value(record.with_columns(omega=omega)) is None  # every row renews it: nothing counts turns
 
 
 def test_the_least_diameter_is_that_of_the_largest_thrust_coefficient():

@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from vpp_fmu.app.cli import VERBS, cosim, main, parser_of
+from vpp_fmu.app.cli import VERBS, main, parser_of
+from vpp_fmu.app.report.pages.loop import sentence
 from vpp_fmu.record import Record, read_record
 from vpp_fmu.response import steps
 
@@ -109,4 +110,4 @@ def rises_to(level, tau):
 def test_a_set_point_out_of_reach_is_reported_with_the_thrust_reached(omega, thrust, said):
     """Out of reach: both commands on a limit, and the thrust at rest beside the set-point."""
     (step,) = steps(stepped(lambda time: omega, lambda time: 13.6, thrust), limits=LIMITS)
-    assert cosim.sentence(step).startswith(f"The step from 2 to 12 N at 2 s{said}")
+    assert sentence(step).startswith(f"The step from 2 to 12 N at 2 s{said}")

@@ -161,14 +161,6 @@ def test_no_command_leaves_its_range_or_slew_on_random_rigs():
     assert all(count.checked[name] > 25 for name in names)
 
 
-def test_commands_outside_the_range_and_the_slew_are_counted():
-    count, rig = Count(), Rig(speed_slew=1000.0)
-    count.add("good", rig, np.array([[2000.0, 10.0], [2010.0, -5.0]]), 0.01)
-    count.add("bad", rig, np.array([[2000.0, 10.0], [2010.1, -5.0], [6000.1, 10.0001]]), 0.01)
-    assert (count.outside["good"], count.steeper["good"]) == (0, 0)
-    assert (count.outside["bad"], count.steeper["bad"]) == (4, 2)  # two cells outside, as they are and as a file shows them
-
-
 def test_a_step_becomes_a_ramp_of_the_slews_slope_in_whole_tenths():
     rig = Rig(speed=(2013.37, 5987.7), speed_slew=6000.0)
     told = commanded(rig, np.array([[0.0, 1.23456]] + [[1e9, 1.23456]] * 200), 0.005)

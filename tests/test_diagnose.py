@@ -18,10 +18,9 @@ from identification.diagnose.diagnose import diagnose
 from identification.diagnose.judgement import ALPHA_BASE
 from identification.identify import identify
 from identification.static.static_map import TERMS, design
-from vpp_fmu.app.cli.diagnose import write_diagnosis
-from vpp_fmu.app.report.pages.diagnosis import diagnosis_page, findings, headline, key_figures
+from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult, findings
 from vpp_fmu.app.report.pages.effect import at_rest
-from vpp_fmu.app.report.summary import identification_of, summary
+from vpp_fmu.app.report.summary import identification_of, summary, write_diagnosis
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
@@ -156,12 +155,12 @@ def test_the_parameters_name_the_given_model_as_their_origin(tmp_path):
 
 
 def test_first_screen_says_effect_error_and_verdict(example):
-    html = diagnosis_page(example).html()
+    html = DiagnoseResult(example).page().html()
     tiles = html[html.index('class="tiles"') : html.index("<nav>")].replace("<wbr>", "")
     assert 'class="findings"><li>Speed: ' in tiles
     assert tiles.count('class="tile"') <= 6
     assert 0 < html.count("<figure>") <= 7
-    for label, value, _ in key_figures(example)[:1]:
+    for label, value, _ in DiagnoseResult(example).key_figures()[:1]:
         assert label in tiles
         assert value.split(" ")[0] in tiles
     (before, _), (after, _) = example.errors(example.base), example.errors(example.final)
@@ -175,7 +174,7 @@ def test_effects_that_explain_too_little_are_not_to_be_trusted():
     base, final = SimpleNamespace(effects=()), SimpleNamespace(effects=effects)
     found = SimpleNamespace(base=base, final=final, unseen=None, noise=SimpleNamespace(floor=1.0), explained=0.5)
     found.errors = lambda fit: (2.0 if fit is base else np.sqrt(2.5), None)
-    said = headline(found)
+    said = DiagnoseResult(found).headline()
     assert said.startswith("Do not trust the names: together pitch backlash and speed delay explain 50 %")
     assert len(re.findall(r"\.(?: |$)", said)) == 2
 
@@ -184,11 +183,11 @@ def test_a_channel_has_the_effects_that_act_on_it(example):
     told = summary(example)["channels"]
     assert sorted(name for one in told.values() for name in one["effects"]) == sorted(example.final.effects)
     assert all(name.startswith("speed") for name in told.get("speed", {"effects": []})["effects"])
-    assert "Thrust: " in diagnosis_page(example).html()
+    assert "Thrust: " in DiagnoseResult(example).page().html()
 
 
 def test_every_figure_of_the_page_has_a_title_of_its_own(example):
-    html = diagnosis_page(example).html()
+    html = DiagnoseResult(example).page().html()
     titles = re.findall(r'class="plot" data-title="(.*?)"', html)
     assert 4 <= len(titles) <= 7
     assert len(set(titles)) == len(titles)
@@ -216,7 +215,7 @@ def test_nothing_is_added_where_nothing_is_missing(nothing_missing, tmp_path):
     write_diagnosis(OutputFolder(tmp_path), nothing_missing)
     assert json.loads((tmp_path / "parameters.json").read_text())["effects"] == []
     assert json.loads((tmp_path / "diagnosis.json").read_text())["next_experiment"] is None
-    assert "Nothing is missing" in diagnosis_page(nothing_missing).html()
+    assert "Nothing is missing" in DiagnoseResult(nothing_missing).page().html()
 
 
 def test_an_effect_outside_the_library_is_a_lack_of_fit():
@@ -271,7 +270,7 @@ def test_one_record_is_enough_and_all_of_it_is_used():
     assert len(found.base.problem.experiments[0].record) == len(record)
     assert summary(found)["before"]["from"] == "cross-validation"
     assert summary(found)["before"]["rmse_thrust"] == pytest.approx(NOISE, rel=0.05)
-    assert found.reading_noise.source in diagnosis_page(found).html()
+    assert found.reading_noise.source in DiagnoseResult(found).page().html()
 
 
 def test_no_record_to_fit_is_bad_input():
@@ -318,12 +317,13 @@ def test_a_refuted_effect_is_reported_as_the_best_guess_with_the_reason():
     with_it, without = (Simulator(f.problem.model).simulate(f.values, commands.columns, commands.steps)[:, 0] for f in fits)
     assert told["next_experiment"]["difference"]["value"] == pytest.approx(np.sqrt(np.mean((with_it - without) ** 2)), rel=1e-4)
     shown = number(size.value, 2)
-    label, value, note = key_figures(found)[-1]  # the command's last lines
-    assert (label, shown in value, found.refuted in note) == ("best guess", True, True)
-    assert "next_experiment.csv distinguishes it from the model without it" in note
-    page = diagnosis_page(found).html()
+    lines = "\n".join(DiagnoseResult(found).lines())
+    assert f"half gap {shown}" in lines
+    assert f"Against it: {found.refuted}" in lines
+    assert "next_experiment.csv distinguishes it from the model without it" in lines
+    page = DiagnoseResult(found).page().html()
     assert f"Best guess: {name.replace('_', ' ')}, half gap {shown}" in page.replace("\u00a0", " ")
-    assert headline(found) in page.replace("\u00a0", " ")
+    assert DiagnoseResult(found).headline() in page.replace("\u00a0", " ")
     assert "refuted" in page
     assert '<a href="next_experiment.csv">' in page
 
@@ -348,7 +348,7 @@ def test_the_report_says_if_no_candidate_explains_the_lack_of_fit():
 
 
 def test_the_answer_comes_before_what_was_refuted(nothing_missing):
-    said = headline(replace(nothing_missing, refuted="the error increases"))
+    said = DiagnoseResult(replace(nothing_missing, refuted="the error increases")).headline()
     assert said.startswith("Nothing is missing; the best set of effects is refuted and not used: the error increases. ")
 
 
@@ -357,8 +357,8 @@ def test_a_validation_record_of_another_logger_is_reported(nothing_missing):
     record = nothing_missing.unseen.record
     late = record.with_columns(thrust=np.roll(record["thrust"], round(1.0 / record.period)))
     other = replace(nothing_missing, unseen=replace(nothing_missing.unseen, record=late))
-    assert "another logger" not in headline(nothing_missing)
-    assert headline(other).endswith(f"does {other.unseen.name} have another logger or rig?")
+    assert "another logger" not in DiagnoseResult(nothing_missing).headline()
+    assert DiagnoseResult(other).headline().endswith(f"does {other.unseen.name} have another logger or rig?")
 
 
 def test_no_guess_is_made_where_nothing_is_missing(nothing_missing, example):
@@ -373,7 +373,7 @@ def test_a_spent_budget_ends_the_search_and_lists_the_steps_not_tried(banded):
     name = "pitch_command_deadband"
     steps = [f"a further effect + {name}", f"another logger beside {name}", f"a learned term in place of {name}"]
     assert summary(found)["not_tried"] == steps
-    assert "a further effect + pitch_command_deadband" in diagnosis_page(found).html()
+    assert "a further effect + pitch_command_deadband" in DiagnoseResult(found).page().html()
     assert summary(banded)["not_tried"] == []
 
 

@@ -4,7 +4,7 @@ from functools import reduce
 
 import numpy as np
 import pytest
-from builders import ALL_ON, OPTIONAL, PROBES, named, random_steps, reference, simulator, slope_errors, stepped
+from builders import ALL_ON, OPTIONAL, PROBES, named, random_steps, reference, simulator, stepped
 from scipy.signal import lsim
 
 from vpp_fmu.export import python_fmu
@@ -54,18 +54,6 @@ def test_with_all_effects_the_communication_step_does_not_matter():
         fine = {name: np.repeat(column, split)[: 2199 * split + 1] for name, column in coarse.items()}
         shown = simulator(ALL_ON).simulate(PROBES, fine, np.full(2199 * split, 0.008 / split))[::split]
         np.testing.assert_allclose(shown[:, 0], at_8_ms[:, 0], rtol=0, atol=1e-3)
-
-
-@sampled
-@each_effect
-@pytest.mark.parametrize("step", [STEP, 0.0037])
-def test_tangents_are_central_differences_away_from_kinks(effect, step):
-    """Also where a threshold makes the curve flat: the tangent is 0 there."""
-    model = plant([effect.name])
-    wrt = (*(effect.full(p.name) for p in effect.parameters), "tau_omega_1", "tau_beta_1", "tau_beta_2", "c21")
-    inputs, steps = random_steps(2000, 150, model=model), np.full(1999, step)
-    errors = slope_errors(model, named(effect, effect.probe), wrt, inputs, steps)
-    assert max(errors.values()) < 3e-3, errors
 
 
 def test_deadband_ignores_changes_up_to_its_half_width():

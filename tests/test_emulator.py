@@ -67,16 +67,6 @@ def test_a_tachometer_shows_whole_revolutions_of_its_timer():
     assert set(odd.shown) <= {np.floor(60.0 / (4e-6 * ticks) + 0.5) for ticks in (1071, 1072)}
 
 
-def test_speed_is_held_until_the_next_pulse_and_never_ahead_of_it():
-    w = np.repeat([0.4, 0.8], [250, 750])
-    found = run(PAPER, replace(PLAIN, full=600.0), w, np.full(1000, 0.5))  # a revolution takes 0.1 to 0.25 s
-    news = np.flatnonzero(np.diff(found.shown)) + 1
-    whole = np.diff(np.floor(found.turn))
-    assert set(news - 1) <= set(np.flatnonzero(whole > 0))
-    assert np.all(found.shown[news] < 600.0 * found.omega[news] + 1.0)  # speeding up, a mean is late; a digit is 1 rpm
-    assert found.shown[-1] == pytest.approx(480.0, abs=1.0)
-
-
 def test_a_late_reading_is_the_same_signal_delayed():
     w, b = commands(command_sequences.Clock(0.004, 1.0))
     now, later = (run(PAPER | own, PLAIN, w, b) for own in ({}, {"reading_delay": 0.04, "speed_late": 0.02}))

@@ -41,22 +41,6 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, monkeypatch, failure, wh
         assert "no space left on device" in str(error.value)
 
 
-def test_a_folder_in_the_place_of_an_output_file_is_refused(tmp_path):
-    (tmp_path / "run.csv").mkdir()
-    with pytest.raises(BadInput, match=r"run\.csv: output file: found not writable"):
-        OutputFolder(tmp_path).write("run.csv", "x")
-    assert names(tmp_path) == ["run.csv"]
-
-
-@pytest.mark.parametrize(("below", "found"), [("", "a file"), ("out", "not writable"), ("out/deeper", "not writable")])
-def test_an_output_folder_on_or_below_a_file_is_refused(tmp_path, below, found):
-    (tmp_path / "taken").write_text("")
-    path = tmp_path / "taken" / below
-    said = refusal(OutputFolder, path)
-    assert said.startswith(f"{path}: output folder: found {found}")
-    assert said.endswith("expected a folder that can be written")
-
-
 @pytest.mark.parametrize(("name", "data"), [("a.csv", b"%s"), ("a.csv.gz", None)])
 def test_read_text_drops_mark_and_carriage_returns(tmp_path, name, data):
     plain = b"\xef\xbb\xbfa,\xc2\xb5\r\n1,2\r3,4\n"

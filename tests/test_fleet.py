@@ -10,11 +10,11 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from identification.workers import spread
 from tests.studies.cases import WHOLE, draw
 from tests.studies.rig import save
-from vpp_fmu.app.cli import diagnose as command
+from vpp_fmu.app.api import diagnose as command
 from vpp_fmu.app.cli import main
 from vpp_fmu.app.report.pages.fleet import Entry, ThrustMap, compared, fleet_page
 
-FEW = ["--effects", "pitch_command_deadband,sensor_drift"]
+FEW = ["--effects", "pitch_command_deadband"]
 SHORT = {"size": "paper", "rate": 100, "noise": "white", "level": 1.0, "strength": 1.0, "seconds": 20.0} | WHOLE
 
 
@@ -75,14 +75,14 @@ def test_a_dask_cluster_writes_the_same_table(fleet, campaigns, tmp_path):
 
 
 def test_an_internal_error_in_one_campaign_does_not_stop_the_others(campaigns, tmp_path, monkeypatch, capsys):
-    kept = command.diagnose
+    kept = command.diagnosed
 
-    def breaks(campaign, **asked):
+    def breaks(campaign, *words, **asked):
         if campaign.folder.name == "2026-03-01":
             raise np.linalg.LinAlgError("did not converge")
-        return kept(campaign, **asked)
+        return kept(campaign, *words, **asked)
 
-    monkeypatch.setattr(command, "diagnose", breaks)
+    monkeypatch.setattr(command, "diagnosed", breaks)
     assert main(["diagnose", *campaigns[:2], *FEW, "--workers", "1", "-o", str(tmp_path)]) == 2
     first, second = table(tmp_path)
     assert (first["verdict"], second["verdict"]) == ("refused", "none")

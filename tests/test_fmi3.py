@@ -25,7 +25,7 @@ try:
 except CompilerMissing as missing:
     pytest.skip(f"native FMUs: {missing}", allow_module_level=True)
 
-MODELS = builders.MODELS | {"two masses": (MODEL, {})}
+MODELS = {name: builders.MODELS[name] for name in ("plain", "controller")} | {"two masses": (MODEL, {})}
 each_model = pytest.mark.parametrize("name", MODELS)
 HIGH = {"thrust_set": 12.0, "thrust": 10.0, "force": 30.0, "brake": 1.0}
 

@@ -34,12 +34,6 @@ def test_every_verb_that_takes_a_file_of_the_user_s_is_in_the_study():
     assert set(VERBS) - set(fuzz.COMMANDS) == {"demo", "cache", "completion"}
 
 
-def test_most_damaged_files_are_refused_and_some_are_not(found):
-    """A study of undamaged files alone, or of noise alone, would show little."""
-    refused = sum(case.code == 2 for case in found)
-    assert RUNS // 3 <= refused < RUNS
-
-
 def test_every_kind_of_fault_is_detected(tmp_path):
     """Each fault is made on purpose."""
     out = tmp_path / "out"

@@ -1,24 +1,13 @@
 """The study of the emulated rig's hidden effects: its sizes, and how it counts names."""
 
 import pytest
-from studies.hidden import OWN, RELATED, RigCase, group, others, sizes, table
+from studies.hidden import OWN, RELATED, group, others, sizes
 
-from hil.emulator.rig import NEAREST, with_effects
+from hil.emulator.rig import NEAREST
 from hil.physics.rig_model import library
 from vpp_fmu.kernel.plant import LIBRARY
 
 HIDDEN = [e for e in library(commanded=False) if e.off is not None]
-
-
-@pytest.mark.parametrize("effect", HIDDEN, ids=lambda e: e.name)
-def test_the_rig_takes_three_sizes_of_each_effect(effect):
-    found = sizes(effect)
-    off, first = effect.off[effect.parameters[0].name], effect.parameters[0].name
-    assert len(set(found)) == 3
-    assert off not in found
-    for size in found:
-        rig = with_effects([f"{effect.name}={size:.6g}"])
-        assert rig.parameters[f"{effect.name}.{first}"] == pytest.approx(size, rel=1e-5)
 
 
 def test_sizes_are_shares_of_the_distance_from_off():
@@ -57,18 +46,3 @@ ROW |= {"channels": {"speed": {"verdict": "none", "effects": []}, "thrust": {"ve
 )
 def test_a_name_is_counted_by_what_is_hidden(change, counted, more):
     assert (group(ROW | change), others(ROW | change)) == (counted, more)
-
-
-def test_the_table_has_a_line_for_each_channel_and_for_a_failure():
-    parts = {
-        "speed": {"verdict": "none", "effects": []},
-        "thrust": {"verdict": "attributed", "effects": ["pitch_stop_restart"]},
-    }
-    named = ROW | {"channels": parts, "effects": {"pitch_stop_restart": {"restart": 1.1}}}
-    failed = RigCase("rod_stuck=1", 0).summary() | {"failed": "not done in 1800 s"}
-    lines = table([named, failed]).splitlines()
-    assert "related" in lines[1]
-    assert lines[2].strip() == "speed: none"
-    assert lines[3].strip() == "thrust: attributed; pitch_stop_restart (restart 1.1)"
-    assert lines[4].endswith("FAILED not done in 1800 s")
-    assert "of 2 hidden effects: related 1, failed 1" in lines

@@ -78,13 +78,6 @@ def test_the_prediction_band_has_its_coverage_on_the_validation_record(found):
     assert found.coverage["validation"] == pytest.approx(0.95, abs=0.01)
 
 
-def test_raw_samples_give_the_static_map(found):
-    coefficients = found.static.coefficients
-    assert found.static.used.sum() == 25
-    for name, std in found.static.std.items():
-        assert abs(coefficients[name] - TRUTH[name]) < 5 * std
-
-
 def test_command_fits_further_records_and_says_what_it_did(folder, tmp_path, capsys):
     taken = str(folder / "more" / "open_loop.csv")
     further = ["--record", str(folder / "more" / "tuesday.csv.gz"), "--record", taken]

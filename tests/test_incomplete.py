@@ -16,7 +16,7 @@ from identification.gate.synthetic import write_campaign
 from identification.identify import identify
 from identification.steps.response import covariance
 from vpp_fmu.app.cli import main
-from vpp_fmu.app.report.pages.identification import identification_page, key_figures, not_identifiable, remarks
+from vpp_fmu.app.report.pages.identification import IdentifyResult, not_identifiable, remarks
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BASE, FINE_TUNED
@@ -116,10 +116,10 @@ def test_steps_beside_steady_points_give_the_lags_as_well(tmp_path):
     one, other = names.index("tau_beta_1"), names.index("c21")
     assert matrix[one, other] == 0.0
     assert matrix[one, names.index("tau_beta_2")] < 0.0  # their sum is known better than either
-    page = identification_page(found).html()
+    page = IdentifyResult(found).page().html()
     assert "How well the model predicts" not in page
     assert "The step responses" in page
-    figures = key_figures(found)
+    figures = IdentifyResult(found).key_figures()
     assert ("identifiable parameters", "9 of 9", "all fitted parameters") in figures
     (value,) = [value for label, value, _ in figures if label == "fit of the static map"]
     assert value == f"adjusted R² {found.static.r2_adjusted:.4f}"
@@ -178,7 +178,7 @@ def test_a_value_on_its_bound_is_shown_with_it(tmp_path):
     found = identify(made.read(tmp_path), starts=1)
     assert {"c21", "c20"} & set(found.at_bounds)
     assert found.summary()["at_bounds"] == found.at_bounds
-    page = identification_page(found).html()
+    page = IdentifyResult(found).page().html()
     for name, bound in found.at_bounds.items():
         assert bound in (-10.0, 10.0, 0.001)
         assert f"On a bound: {name}, which ended at {bound:g}." in page

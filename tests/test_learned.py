@@ -20,9 +20,8 @@ from identification.diagnose.learned.learn import by_chance
 from identification.diagnose.learned.refit import Term, effect_of
 from identification.diagnose.learned.score import Scores
 from identification.diagnose.learned.screening import screened
-from vpp_fmu.app.cli.diagnose import write_diagnosis
-from vpp_fmu.app.report.pages.diagnosis import diagnosis_page
-from vpp_fmu.app.report.summary import summary
+from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult
+from vpp_fmu.app.report.summary import summary, write_diagnosis
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.export import python_fmu
 from vpp_fmu.files import OutputFolder
@@ -176,7 +175,7 @@ def test_a_rival_elsewhere_is_of_another_place_or_driver(found, port, driver, el
 def test_a_refuted_term_is_on_the_page_with_the_reason(found):
     """Refuted as if lack of fit remained: its place and the reason are in the table and in the JSON."""
     refuted = replace(found, verdict="unexplained", final=found.base, attempt=found.attempt.but_refuted("something is lacking"))
-    page = diagnosis_page(refuted).html()
+    page = DiagnoseResult(refuted).page().html()
     stood = next(term for term, judged in refuted.attempt.tried if judged.refused == ("something is lacking",))
     assert stood is found.learned.curve
     assert sentence(stood) in page
@@ -201,7 +200,7 @@ def test_its_files_are_read_exported_and_reported(found, tmp_path):
     path.write_bytes(python_fmu(parameters.model, parameters.values))
     error = simulate_in_fmpy(path, record) - record["thrust"]
     assert np.sqrt(np.mean(error**2)) == pytest.approx(told["after"]["rmse_thrust"], rel=1e-3)
-    page = diagnosis_page(found).html()
+    page = DiagnoseResult(found).page().html()
     assert "enters at the thrust, driven by the rate of pitch" in page
 
 

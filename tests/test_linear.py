@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from vpp_fmu.app.api.linear import Linearisable, linearised
-from vpp_fmu.app.api.results import DiagnoseResult, IdentifyResult
+from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult
+from vpp_fmu.app.report.pages.identification import IdentifyResult
 from vpp_fmu.errors import BadInput, ExtraMissing
 from vpp_fmu.kernel.plant import plant
+from vpp_fmu.linear import Linearisable, linearised
 from vpp_fmu.parameters import ParameterSet
 
 SPEEDS, PITCHES = (2500.0, 4000.0, 5800.0), (-4.0, 1.0, 9.0)

@@ -4,13 +4,11 @@ import shutil
 import string
 import subprocess
 import sys
-import textwrap
 import zipfile
 from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
-from pythonfmu.builder import FmuBuilder
 
 import fmu_src
 from vpp_fmu.export import python_fmu
@@ -32,55 +30,6 @@ for folder in sys.argv[2:]:
     unpacked = fmpy.extract(sys.argv[1], unzipdir=folder)
     found = fmpy.simulate_fmu(unpacked, stop_time=0.1, output_interval=0.01, validate=False)
     assert found["time"][-1] == 0.1, found
-"""
-
-CYCLES = """
-import gc
-import sys
-import fmpy
-from fmpy.fmi2 import FMU2Slave
-
-description, unpacked = fmpy.read_model_description(sys.argv[1]), fmpy.extract(sys.argv[1], unzipdir=sys.argv[2])
-own = {"guid": description.guid, "unzipDirectory": unpacked, "modelIdentifier": description.coSimulation.modelIdentifier}
-
-
-def kept():
-    gc.collect()
-    return 4096 * int(open("/proc/self/statm").read().split()[1])
-
-
-def cycles(count):
-    for _ in range(count):
-        slave = FMU2Slave(instanceName="a", **own)
-        slave.instantiate()
-        slave.setupExperiment()
-        slave.enterInitializationMode()
-        slave.exitInitializationMode()
-        slave.doStep(0.0, 0.01)
-        slave.terminate()
-        slave.fmi2FreeInstance(slave.component)
-
-
-cycles(50)
-before = kept()
-cycles(1000)
-print((kept() - before) / 1000)
-"""
-
-PLAIN = """
-from pythonfmu import Fmi2Causality, Fmi2Slave, Real
-
-
-class Plain(Fmi2Slave):
-    def __init__(self, **kwargs):
-        super().__init__(**kwargs)
-        self.x = self.u = 0.0
-        self.register_variable(Real("x", causality=Fmi2Causality.output))
-        self.register_variable(Real("u", causality=Fmi2Causality.input))
-
-    def do_step(self, current_time, step_size):
-        self.x += step_size * self.u
-        return True
 """
 
 
@@ -107,17 +56,6 @@ def test_it_runs_with_a_temporary_folder_that_a_uri_escapes(plant, tmp_path):
     command = [sys.executable, "-m", "fmpy", "simulate", str(plant), "--stop-time", "0.1"]
     done = subprocess.run(command, env={"TMPDIR": str(tmp_path / "a+b")}, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-
-
-def test_an_instance_keeps_no_more_memory_than_one_of_plain_pythonfmu(plant, tmp_path):
-    (tmp_path / "plain.py").write_text(textwrap.dedent(PLAIN))
-    plain = FmuBuilder.build_FMU(tmp_path / "plain.py", dest=tmp_path)
-    lost = {}
-    for fmu in (plant, plain):
-        done = ran(CYCLES, fmu, tmp_path / f"unpacked-{Path(fmu).stem}")
-        assert done.returncode == 0, done.stderr
-        lost[fmu] = float(done.stdout)
-    assert lost[plant] < 2.0 * lost[plain]
 
 
 def test_the_machine_code_is_that_of_its_source(tmp_path):

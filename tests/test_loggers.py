@@ -9,11 +9,9 @@ from builders import two_lags
 
 from tests.studies import command_sequences, loggers
 from tests.studies.detectable import LIMIT, evidence
-from tests.studies.diagnosis import rows
 from tests.studies.loggers import Case
 from tests.studies.physics import BASE, PAPER
 from tests.studies.sensors import FINE, TIMER, Encoder, LoggedRig, Logger, Mark, Motion, Telemetry
-from vpp_fmu.campaign import read_campaign
 from vpp_fmu.kernel.plant import BASE as MODEL
 from vpp_fmu.native import Simulator
 
@@ -50,15 +48,6 @@ def test_telemetry_is_a_first_order_filter_whose_value_is_held():
     assert set(np.diff(news)) == {40}
     assert 0.03 <= age.min() < 0.0311
     assert 0.0689 < age.max() < 0.07
-
-
-def test_telemetry_answers_a_step_as_a_first_order_filter_does():
-    time = np.arange(-1.0, 0.5, FINE)
-    step = Motion(time, np.where(time > 0.5 * FINE, 5000.0, 3000.0), time)
-    shown, age = Telemetry(0.05, 0.01).shows(np.random.default_rng(2), step, np.arange(0.0, 0.4, 0.01))
-    came = np.arange(0.0, 0.4, 0.01) - (age - 0.05)
-    answer = np.where(came > 0.0, 5000.0 - 2000.0 * np.exp(-np.maximum(came - 0.5 * FINE, 0.0) / 0.05), 3000.0)
-    assert shown == pytest.approx(answer, abs=0.6 + 2000.0 * FINE / 0.05)
 
 
 def stepped(rate, lag=0.0, span=0.0):
@@ -147,47 +136,10 @@ def test_the_hold_out_record_is_the_true_model_read_by_the_true_logger(number):
     assert abs(np.polyfit(rate, (record["omega"] - speed)[new], 1)[0]) < 0.003  # s; a held value's age depends on speed
 
 
-def test_cases_are_balanced_and_depend_on_their_number_alone():
-    found = [Case("nothing", 5, k).factors for k in range(60)]
-    for name in ("sensor", "rows", "rate", "static", "steps", "repeat", "validation"):
-        levels = loggers.LEVELS[name]
-        assert {sum(f[name] == v for f in found) for v in levels} == {60 // len(levels)}
-    assert Case("nothing", 5, 17).factors == found[17]
-    assert Case("nothing", 6, 17).factors != found[17]
-    leads = {"before": 0, "after": -1, "middle": -1, "mean": -1, "late": -1, "early": 1}
-    assert all(np.sign(f["lag"]) == leads[f["rows"]] for f in found)
-    pairs = {Case("pairs", 0, k).hidden for k in range(8)}
-    assert len(pairs) == 8
-    case = Case("pairs", 0, 0)
-    assert set(case.rig.settings) - set(BASE) == {n for own in case.sizes for n in own}
-
-
-def test_a_case_that_raises_is_a_line_with_its_reason():
-    (row,) = rows([Case("nothing", 0, 3)], 1, 1, 60.0, work=int)
-    assert row["failed"].startswith("ValueError")
-    assert "failed, ValueError" in loggers.line(row)
-
-
 def judged(case, **change):
     """A line as `outcome` makes it."""
     found = {"failed": None, "verdict": "none", "effects": [], "family": {}, "seconds": 4.0, "over_noise": 1.01}
     return case.summary() | found | {"evidence": 50.0, "lag_off": -0.5, "delay_off": 2.0} | change
-
-
-def test_the_table_counts_three_outcomes():
-    found = [
-        judged(Case("nothing", 0, 0)),
-        judged(Case("nothing", 0, 1), verdict="unexplained", over_noise=1.4, seconds=30.0, lag_off=-1.5),
-        judged(Case("nothing", 0, 2), verdict="attributed", effects=["row_clock"], seconds=6.0, lag_off=2.5),
-        Case("nothing", 0, 3).summary() | {"failed": "ValueError: x", "seconds": 1.0},
-    ]
-    text = loggers.table("nothing", found)
-    lines = text.splitlines()
-    assert lines[0].split()[:5] == ["nothing", "cases", "names", "logger's", "missing"]
-    assert lines[1].split() == ["all", "3", "1", "1", "1", "2", "1.50", "ms", "2.00", "ms", "6.00"]
-    assert "nothing: names: 1 of 3" in text
-    assert "6.0 s in the median, 30 s at worst" in text
-    assert lines[-1] == "FAILED nothing 3: ValueError: x"
 
 
 @pytest.mark.parametrize(
@@ -225,14 +177,3 @@ def test_an_interrupted_study_continues(tmp_path, monkeypatch, capsys):
     assert asked == [[0, 1], [2, 3, 4], [1]]
     assert [json.loads(text)["number"] for text in path.read_text().splitlines()] == [0, 1, 2, 3, 4]
     assert "nothing: names: 0 of 5" in capsys.readouterr().out
-
-
-def test_one_case_can_be_written_as_a_folder(tmp_path, capsys):
-    like = ((k, Case("hidden", 0, k).factors) for k in range(100))
-    number = next(k for k, f in like if f["rate"] == 25 and not f["static"])
-    loggers.main(ArgumentParser(), ["--part", "hidden", "--only", str(number), "--save", str(tmp_path)])
-    case, again = Case("hidden", 0, number), read_campaign(tmp_path)
-    assert again.open_loop["thrust"] == pytest.approx(case.measured().open_loop["thrust"], abs=1e-9)
-    assert json.loads(capsys.readouterr().out)["hidden"] == list(case.hidden)
-    with pytest.raises(SystemExit):
-        loggers.main(ArgumentParser(), ["--save", str(tmp_path)])

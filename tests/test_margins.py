@@ -57,7 +57,7 @@ def test_the_plants_response_is_the_maps_slope_times_the_held_lags(channel, omeg
 
 
 @pytest.mark.parametrize("channel", ["omega", "beta"])
-@pytest.mark.parametrize("frequency", [2.0, 30.0, 300.0])
+@pytest.mark.parametrize("frequency", [2.0, 300.0])
 def test_the_controllers_response_is_what_a_sine_shows(channel, frequency):
     """Amplitude and phase of the command under a small sine of the error, after the initial transient."""
     simulation = Simulation(
@@ -128,10 +128,3 @@ def test_the_loop_is_stable_up_to_its_gain_margin(at_rest):
     gains, point, found = at_rest
     assert ringing(gains, point, factor=0.93 * found.gain) < 0.95
     assert ringing(gains, point, factor=1.07 * found.gain) > 1.05
-
-
-def test_a_loop_with_more_than_its_margin_counts_as_unstable(at_rest):
-    gains, point, found = at_rest
-    grown = {name: 1.05 * found.gain * value if name[:2] in ("kp", "ki", "kd") else value for name, value in gains.items()}
-    objective = an_objective(grown)
-    assert not margins_at(objective, objective.gains, (point,))[0].stable

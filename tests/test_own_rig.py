@@ -51,10 +51,10 @@ def written(request, tmp_path_factory):
     rig, folder = request.param, tmp_path_factory.mktemp(request.param)
     with pytest.MonkeyPatch.context() as quick:
         quick.chdir(folder)
-        quick.setattr("vpp_fmu.app.cli.diagnose.diagnose", functools.partial(diagnosing.diagnose, thorough=False))
+        quick.setattr("vpp_fmu.app.api.diagnose.diagnosed", functools.partial(diagnosing.diagnose, thorough=False))
         shorten_tuning(quick.setattr)
         quick.setattr("identification.plan.plan.DRAWS", 1)
-        quick.setattr("vpp_fmu.app.cli.plan.plan", functools.partial(planning.plan, evaluations=20))
+        quick.setattr("vpp_fmu.app.api.plan.planned", functools.partial(planning.plan, evaluations=20))
         if rig == "log":
             shutil.copy(DATA / "units_in_names.csv", "LOG.csv")
         else:

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from builders import shorten_tuning
 from studies.paper import (
-    ASSUMED,
     COST_END,
     COST_START,
     QUICK,
@@ -14,11 +13,10 @@ from studies.paper import (
     lags,
     on_model,
     paper_thrust,
-    profile,
     study,
 )
 
-from tests.tables import stored, table, written
+from tests.tables import stored
 from vpp_fmu.kernel.controller import DUAL, SPEED_ONLY
 from vpp_fmu.kernel.plant import AVERAGED, FINE_TUNED, normalised_map
 
@@ -98,17 +96,6 @@ def test_the_figures_of_a_step_are_those_of_its_rows(quick, name, gains):
         assert merit.squared_error == pytest.approx(error, rel=1e-3)
 
 
-def test_the_claims_are_compared_by_the_squared_error(quick, rows):
-    for column, loops in zip(("rig", "model"), quick.loops, strict=True):
-        for k, way in enumerate(("up", "down")):
-            both, speed = (loops[name][k] for name in ("both", "speed"))
-            change = 100.0 * (both.squared_error / speed.squared_error - 1.0)
-            assert getattr(rows[way], column).endswith(f"squared error {change:+.0f} %")
-        assert loops["both"][1].squared_error < loops["speed"][1].squared_error, "the paper's claim"
-    assert ASSUMED == {"tau_beta_2": 0.05}
-    assert profile()["thrust_set"] == pytest.approx([1.5, 12.0, 1.5, 1.5])
-
-
 def test_the_pages_table_is_what_the_study_prints(rows):
     """The table is of a full study. Columns that do not depend on the size of the campaign must agree: the paper's, and the
     results of its gains on its model."""
@@ -119,12 +106,3 @@ def test_the_pages_table_is_what_the_study_prints(rows):
     assert [line[:2] for line in page[2:]] == [line[:2] for line in today]
     places = [list(rows).index(name) for name in ("reached", "overshoot", "up", "down")]
     assert [page[k + 2][3] for k in places] == [today[k][3] for k in places]
-
-
-def test_a_table_goes_between_its_comments_and_nowhere_else():
-    page = "# A\n<!-- table x: by y -->\n| old |\n<!-- end of x -->\n<!-- table z: by y -->\n<!-- end of z -->\nend\n"
-    made = written("x", table(("a", "b"), [(1, None)]), page)
-    assert made == page.replace("| old |\n", "| a | b |\n| --- | --- |\n| 1 | - |\n")
-    assert stored("z", made) == ""
-    with pytest.raises(KeyError, match="w"):
-        written("w", "", page)

@@ -11,7 +11,7 @@ from builders import refusal
 import vpp_fmu
 from identification.demo import example_folder
 from vpp_fmu.app.cli import main
-from vpp_fmu.app.cli.output import dated
+from vpp_fmu.app.report.result import dated
 from vpp_fmu.campaign import NEED
 from vpp_fmu.date import EPOCH
 from vpp_fmu.errors import BadInput

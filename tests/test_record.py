@@ -147,12 +147,6 @@ def test_bad_columns_beyond_the_needed_ones(tmp_path, name, value, allowed):
     assert said.endswith(f", expected {allowed}")
 
 
-def test_read_profile(tmp_path):
-    profile = read_profile(written(tmp_path, "time,thrust_set\n0,5\n2.5,7\n"))
-    np.testing.assert_array_equal(profile.time, [0.0, 2.5])
-    np.testing.assert_array_equal(profile["thrust_set"], [5.0, 7.0])
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -166,6 +166,7 @@ def _files(folder: Path) -> set[str]:
 
 
 REASONS = {
+    "output: a file": "output folder: found a file",
     "output: below a file": "not a directory",
     "output: even root may not": "output folder: found not writable",
     "output: a folder in the file's place": "prediction.csv: output file: found not writable (is a directory)",

@@ -8,12 +8,9 @@ import numpy as np
 import pytest
 
 from vpp_fmu.app.report.figures.loop import (
-    Cloud,
-    bode,
     cost_ranks,
     margins_over_thrust,
     nyquist,
-    response_clouds,
 )
 from vpp_fmu.app.report.figures.map import (
     behind_against_before,
@@ -33,9 +30,10 @@ from vpp_fmu.app.report.figures.residual import (
 )
 from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted, planned_commands, stacked, two_records
 from vpp_fmu.app.report.page import Page
-from vpp_fmu.app.report.pages.diagnosis import headline
+from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult
 from vpp_fmu.app.report.summary import LEFT_OUT
 from vpp_fmu.kernel.plant import plant
+from vpp_fmu.parameters import ParameterSet
 
 HOSTILE = '</script><a href="http://evil.example">x</a>'
 
@@ -107,18 +105,15 @@ def _of_designs(title: str) -> dict:
     loops = {"published": 3.0 / (1j * x * (1.0 + 0.1j * x)), "tuned": 5.0 / (1j * x * (1.0 + 0.1j * x))}
     names = ["tau_beta_1", "c20", "pitch_command_deadband.half_width"]
     widths = {"before": [20.0, 3.0, 400.0], "the paper's plan": [10.0, 2.0, 50.0], "after this plan": [2.0, 0.5, 5.0]}
-    cloud = Cloud("1.5 → 12 N", "tuned", np.full(60, 12.0), 12.0 - 10.0 * np.exp(-x) * rng.uniform(0.9, 1.1, (20, 1)))
     return {
         "section": map_section(x, x**2, (x[::10], x[::10] ** 2), title, "speed [rpm]", 1.0 + 0.0 * x),
         "learned": learned_curve(x, x**2, x, {"learned": (x, x**2)}, x, title, ("speed", "rpm"), ("thrust", "N")),
         "commands": planned_commands(x, 3000.0 + 100.0 * np.round(x), np.round(x), x, title),
         "widths": interval_widths(names, {k: np.array(v) for k, v in widths.items()}, title),
         "nyquist": nyquist(loops, 2.0, title),
-        "bode": bode(x, loops, title),
         "margins": margins_over_thrust(
             {"tuned": x}, {"gain margin [-]": {"tuned": 2.0 + 0.1 * x}, "delay margin [s]": {"tuned": 0.1 / x}}, {}, title
         ),
-        "clouds": response_clouds(x, [cloud], title),
         "ranks": cost_ranks({"tuned": rng.uniform(size=30), "published": rng.uniform(1, 2, 30)}, title),
     }
 
@@ -240,6 +235,7 @@ def test_an_effect_left_out_of_the_model_is_in_the_headline_with_the_reason(ship
     fit = {"problem": SimpleNamespace(model=model), "values": model.values({"rotor_vibration.amplitude": 0.31})}
     base, final = SimpleNamespace(effects=()), SimpleNamespace(effects=shipped, **fit)
     found = SimpleNamespace(
+        parameters=lambda fit: ParameterSet(model),
         errors=lambda fit: (0.3 if fit is base and shipped else 0.2, None),
         base=base,
         final=final,
@@ -252,7 +248,7 @@ def test_an_effect_left_out_of_the_model_is_in_the_headline_with_the_reason(ship
         left_out=("rotor_vibration",),
         best_guess=None,
     )
-    said = headline(found)
+    said = DiagnoseResult(found).headline()
     for part in ("he rotor shakes the load cell by 0.31 N once a revolution (", LEFT_OUT, *errors):
         assert part in said
     assert ("backlash" in said) == ("->" in said) == bool(shipped)

@@ -28,15 +28,6 @@ def grid(noise: float | np.ndarray = 0.0, seed: int = 0, pitches=None) -> Static
     return StaticMap(omega, beta, omega, thrust, np.maximum(noise, 0.01) * 10.0, np.full(len(omega), 100.0), "made up")
 
 
-def test_noise_free_means_give_their_coefficients_back():
-    fit = fit_static_map(grid(), SCALES)
-    np.testing.assert_allclose(list(fit.coefficients.values()), KNOWN, rtol=1e-10)
-    assert list(fit.coefficients) == list(TERMS)
-    assert fit.rmse < 1e-12
-    assert fit.r2_adjusted == pytest.approx(1.0, abs=1e-12)
-    assert fit.uncertainty(5000.0, 5.0, SCALES) < 1e-6
-
-
 def campaign(static: StaticMap, low: float, high: float) -> Campaign:
     """A campaign whose record commands pitch from low to high."""
     columns = {"time": np.arange(3.0), "omega_ref": np.full(3, 4000.0), "beta_ref": np.array([low, high, low])}

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from builders import simulator
 
-from identification.steps.lag_fit import two_lags
 from identification.steps.response import fit_steps
-from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.record import Record
 
@@ -73,27 +71,6 @@ def found(summary, channel, signal="thrust", direction="both"):
     return next(a for a in summary.averages if (a.channel, a.signal, a.direction) == wanted)
 
 
-# The response
-
-
-@pytest.mark.parametrize(("slow", "fast"), [(0.172, 0.053), (0.37, 0.36), (0.5, 0.001)])
-def test_response_is_that_of_the_kernel_and_its_derivatives_are_right(slow, fast):
-    t = np.linspace(-0.1, 2.0, 60)  # none at the kink
-    value, in_slow, in_fast, in_time = two_lags(t, slow, fast).T
-    expected = [NUMBERS.two_lag_step(slow, fast, x) if x > 0 else 0.0 for x in t]
-    np.testing.assert_allclose(value, expected, atol=1e-12)
-    h = 1e-6
-    for derivative, args in (
-        (in_slow, (slow, fast, 1, 0, 0)),
-        (in_fast, (slow, fast, 0, 1, 0)),
-        (in_time, (slow, fast, 0, 0, 1)),
-    ):
-        a, b, da, db, dt = args
-        up, down = (two_lags(t + s * h * dt, a + s * h * a * da, b + s * h * b * db)[:, 0] for s in (1, -1))
-        size = a * da + b * db + dt
-        np.testing.assert_allclose(derivative, (up - down) / (2 * h * size), rtol=1e-4, atol=2e-5)
-
-
 def test_constants_come_back_exactly_without_noise():
     summary = fit_steps([run("omega", 2000, 6000, 7, shown=False), run("beta", -5, 10, 6000, **FAST)], VALUES, MAP)
     speed, pitch = (r.fits["thrust"] for r in summary.runs)
@@ -113,9 +90,6 @@ def test_without_a_map_the_lags_are_those_of_the_normalised_thrust():
     assert (fit.slow, fit.fast) == pytest.approx((0.2, 0.08), abs=1e-6)
     bent = fit_steps([run("omega", 2000, 6000, 7, shown=False)], VALUES).runs[0].fits["thrust"].plain
     assert bent.slow + bent.fast > 1.05 * 0.225  # thrust is proportional to the square of the speed: upwards it is later
-
-
-# The uncertainty
 
 
 def test_standard_deviations_are_those_of_repeats():
@@ -149,9 +123,6 @@ def test_the_speed_lags_are_fitted_through_the_tachometer(noisy):
     assert (average.slow, average.fast) == pytest.approx((0.172, 0.053), rel=0.02)
     assert (noisy.start["tau_omega_1"], noisy.start["tau_omega_2"]) == (average.slow, average.fast)
     assert "omega" not in next(r for r in noisy.runs if r.channel == "beta").fits
-
-
-# Runs that are left out
 
 
 @pytest.fixture(scope="module")
@@ -193,9 +164,3 @@ def test_overshoot_is_measured_and_flagged(pitch_runs):
     assert summary.runs[-1].overshoots
     assert 5.0 < summary.runs[-1].overshoot < 16.0
     assert not any(r.overshoots for r in summary.runs[:-1])
-
-
-# Recorded campaigns
-
-
-# The figure

@@ -32,7 +32,7 @@ def test_a_search_and_its_workers_end_and_write_nothing(tmp_path):
     assert (ended.code, ended.left) == (143, ())
     assert told("vpp tune", signal.SIGTERM) in ended.error.splitlines()  # Python 3.10 counts semaphores behind it
     assert "Traceback" not in ended.error
-    assert os.listdir(tmp_path / "out") == []
+    assert not (tmp_path / "out").exists()
 
 
 def at_work(process):
@@ -81,7 +81,7 @@ def test_an_unpacked_fmu_is_removed_by_the_command_or_by_the_next_one(fmu_files,
         Scratch().close()
     else:
         assert ended.code == 143
-        assert os.listdir(tmp_path / "out") == []
+        assert not (tmp_path / "out").exists()
     assert os.listdir(temporary) == []
 
 

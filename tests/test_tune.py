@@ -16,7 +16,7 @@ from identification.tune.search import search
 from identification.tune.summary import summary
 from identification.tune.tune import TuningTask, tune
 from vpp_fmu.app import cli
-from vpp_fmu.app.report.pages.tuning import tuning_page
+from vpp_fmu.app.report.pages.tuning import TuneResult
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL, SPEED_ONLY
 from vpp_fmu.kernel.plant import FINE_TUNED, plant
 from vpp_fmu.loop import run
@@ -128,7 +128,7 @@ def test_robust_gains_are_better_over_the_plants_they_were_tuned_on(short_search
     assert tuned.judged["robust"].max() == judged.cost(tuned.gains["robust"])
     assert tuned.cost("tuned") <= tuned.cost("robust")
     assert summary(found)["controllers"]["speed_only"]["judged"]["robust"]["worst"] == tuned.judged["robust"].max()
-    assert "Robustness over plants within the uncertainty" in tuning_page(found).html()
+    assert "Robustness over plants within the uncertainty" in TuneResult(found).page().html()
 
 
 EFFECTS = ("pitch_command_deadband", "pitch_backlash")

@@ -12,7 +12,7 @@ from identification.tune.search import SearchResult
 from identification.tune.summary import summary
 from identification.tune.tune import TuningTask, tune
 from identification.tune.verdict import verdict
-from vpp_fmu.app.report.pages.tuning import tuning_page
+from vpp_fmu.app.report.pages.tuning import TuneResult
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.native.closed_loop import Course
 from vpp_fmu.parameters import ParameterSet
@@ -91,7 +91,7 @@ def test_gains_that_cost_less_and_settle_later_are_not_chosen(example, monkeypat
     content = summary(found)["controllers"]["dual"]
     assert content["handed_out"] == "published"
     assert content["verdict"]["tuned"]["better"] is False
-    page = tuning_page(found).html()
+    page = TuneResult(found).page().html()
     assert "Chosen: the published gains." in page
     assert "not settled worse" in page
 

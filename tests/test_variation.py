@@ -5,7 +5,7 @@ import pytest
 from builders import two_lags
 from scipy.integrate import solve_ivp
 from studies.physics import PAPER
-from studies.variation import GROUPS, HIDDEN, VariedCase, group, table
+from studies.variation import HIDDEN, VariedCase, group
 from studies.varied_rig import VariedRig
 
 STEP = 0.004
@@ -115,14 +115,3 @@ ROW = {"hidden": ["heating"], "failed": None, "family": {}, "effects": [], "lear
 )
 def test_names_are_counted_as_listed(change, counted):
     assert group(ROW | change) == counted
-
-
-def test_the_table_counts_by_variation():
-    done = {"evidence": 50.0, "behind": 30.0, "true_error": [0.2, 0.1]}
-    cases = [
-        (VariedCase("variation", ("gusts",), k, given=(("size", "big"),)), effects)
-        for k, effects in enumerate(([], ["map_terms"]))
-    ]
-    rows = [case.summary() | ROW | done | {"hidden": ["gusts"], "effects": effects} for case, effects in cases]
-    lines = {line.split()[0]: line.split()[1:] for line in table(rows).splitlines() if line}
-    assert lines["all"][:8] == ["2", *("1" if name in ("wrong", "none") else "0" for name in GROUPS)]

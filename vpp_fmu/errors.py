@@ -3,6 +3,9 @@
 import difflib
 from collections.abc import Iterable
 
+ARGUMENT = "argument"
+"""Where a `BadInput` is, if it is about an argument of a verb's function. The command line names its own option instead."""
+
 
 class VppError(Exception):
     """Base of all errors this project raises on purpose. `code`: the command line's exit code."""

@@ -182,9 +182,13 @@ def read_record(path: str | os.PathLike[str], need: Sequence[str] = COMMANDS, ho
     return Record(columns, table.source)
 
 
+PROFILE = ("time", "thrust_set")
+"""Columns of a profile."""
+
+
 def read_profile(path: str | os.PathLike[str]) -> Record:
     """Read a profile: `time` [s] and the wanted thrust `thrust_set` [N], held from row to row. Errors as `read_record`."""
-    return read_record(path, ("time", "thrust_set"))
+    return read_record(path, PROFILE)
 
 
 def held(profile: Record, dt: float) -> tuple[np.ndarray, np.ndarray]:

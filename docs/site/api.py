@@ -6,20 +6,21 @@ import vpp_fmu
 
 PAGE = "reference/api.md"
 
-RESULTS = (
-    "Result",
-    "CheckResult",
-    "IdentifyResult",
-    "DiagnoseResult",
-    "PlanResult",
-    "TuneResult",
-    "SimulateResult",
-    "LoopResult",
-)
+RESULTS = {
+    "CheckResult": "check",
+    "IdentifyResult": "identification",
+    "DiagnoseResult": "diagnosis",
+    "PlanResult": "plan",
+    "TuneResult": "tuning",
+    "SimulateResult": "loop",
+    "LoopResult": "loop",
+}
+"""Module of each result."""
+
 POLICIES = ("Policy", "policy_from_arrays", "read_policy")
 
-VERBS = tuple(name for name in vpp_fmu.__all__ if vpp_fmu._HOME[name] == "vpp_fmu.app.api.verbs")
 READERS = tuple(name for name in vpp_fmu.__all__ if vpp_fmu._HOME[name] == "vpp_fmu.app.api.objects")
+VERBS = tuple(name for name in vpp_fmu.__all__ if vpp_fmu._HOME[name].startswith("vpp_fmu.app.") and name not in READERS)
 CLASSES = tuple(name for name in vpp_fmu.__all__ if name not in (*VERBS, *READERS))
 
 
@@ -38,8 +39,9 @@ def page() -> str:
             *_named(CLASSES),
             "## Results",
             "Each verb returns one of these. All print key figures, and have the members of `Result`.",
-            *(_entry(f"vpp_fmu.app.api.results.{name}", name) for name in RESULTS),
-            _entry("vpp_fmu.app.api.linear.Linearisable", "Linearisable"),
+            _entry("vpp_fmu.app.report.result.Result", "Result"),
+            *(_entry(f"vpp_fmu.app.report.pages.{home}.{name}", name) for name, home in RESULTS.items()),
+            _entry("vpp_fmu.linear.Linearisable", "Linearisable"),
             "## Environments",
             "`import vpp_fmu.gym` (extra `gym`) registers `VppThrust-v0`.",
             "<!-- include vpp_fmu/gym/README.md -->",

@@ -1,13 +1,11 @@
-"""python -m tests.hil.physics_numbers: compare the physical rig model with the paper's numbers."""
+"""Static map and time constants of the physical rig model by the paper's protocol."""
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from hil.physics.reduction import coupling_gain, poles, reduced, state_space, two_lags, two_lags_with_zero
 from hil.physics.rig_model import FULL_RIG
 from vpp_fmu.native import Simulator
 
-AT = ((2000.0, -5.0), (4000.0, 2.5), (6000.0, 10.0))
 UP, DOWN = (2500.0, 3500.0, 4500.0, 5250.0, 6000.0), (5500.0, 4500.0, 3500.0, 2750.0, 2000.0)
 PITCH_UP, PITCH_DOWN = (-6.0, -2.0, 2.0, 6.0, 10.0), (6.0, 2.0, -2.0, -6.0, -10.0)
 DT, ROWS = 0.004, 626
@@ -58,29 +56,3 @@ def time_constants(steps, column: int) -> np.ndarray:
         y = run.simulate({}, inputs, np.r_[1e-9, np.full(ROWS - 1, DT)])[1:]
         found.append([*two_lags_fitted(time, y[:, 0]), *two_lags_fitted(time, y[:, column])])
     return np.mean(found, axis=0)
-
-
-def main():
-    np.set_printoptions(precision=4, suppress=True, linewidth=200)
-    w, b, thrust = static_map()
-    error = thrust - paper_thrust(w, b)
-    print(f"static map: largest error {np.abs(error).max():.3f} N, rms {np.sqrt(np.mean(error**2)):.3f} N,", end=" ")
-    print(f"{thrust[-1]:.2f} N at 6000 rpm and 10 deg (paper {paper_thrust(6000.0, 10.0):.2f} N)")
-    speed, pitch = time_constants(speed_steps(), 1), time_constants(pitch_steps(), 2)
-    print("two lags fitted to steps, mean [s]     thrust          channel         paper averaged, fine-tuned")
-    for name, found, paper in (("speed", speed, "0.15 0.04, 0.172 0.053"), ("pitch", pitch, "0.28 0.11, 0.374 0.207")):
-        print(f"{name:36}" + "".join(f"   {found[k]:.3f} {found[k + 1]:.3f}  " for k in (0, 2)) + f"   {paper}")
-    for omega, beta in AT:
-        r = reduced(omega, beta)
-        four, full = np.linalg.eigvals(state_space(r)[0]), poles(omega, beta)
-        slow = full[full.real > -50.0]
-        off = np.abs(np.sort_complex(slow) / np.sort_complex(four) - 1.0).max()
-        print(f"at {omega:.0f} rpm, {beta:g} deg: K_P {r.k_p:.3f}, K_I {r.k_i:.3f} 1/s, tau {r.tau_omega:.4f} s,", end=" ")
-        print(f"coupling {coupling_gain(r):.2f} rpm s/deg; four states' poles off by {100.0 * off:.2f} %")
-        print("   full model", full, "1/s; with the text's signs", end=" ")
-        print(round(np.linalg.eigvals(state_space(r, printed=True)[0]).real.max(), 2))
-        print("   two lags, zero left out", np.array(two_lags(r)["omega"]), "counted", np.array(two_lags_with_zero(r)))
-
-
-if __name__ == "__main__":
-    main()

@@ -83,22 +83,6 @@ def test_transfers_are_those_of_the_data_sheet(tmp_path, monkeypatch, options, c
     assert asked == [(0x0702, 2), (0x0703, 0x49), (0, 1, 8, written), (1, 1, 8, nothing), *[(1, 0, 8, nothing)] * 2]
 
 
-def test_single_shot_sets_its_ready_bit_and_continuous_mode_never_does(bench):
-    with smbus2.SMBus(bench.path) as bus:
-        bus.write_i2c_block_data(0x48, 1, [0xC3, 0xE3])  # AIN0, 4.096 V, single shot, 860 a second
-        assert bus.read_i2c_block_data(0x48, 1, 2)[0] & 0x80 == 0
-        bench.tick(0.002)
-        assert bus.read_i2c_block_data(0x48, 1, 2)[0] & 0x80
-        first = bus.read_i2c_block_data(0x48, 0, 2)
-        bench.input = 2.0
-        bench.tick(0.1)
-        assert bus.read_i2c_block_data(0x48, 0, 2) == first  # no second conversion without a request
-        bus.write_i2c_block_data(0x48, 1, [0xC2, 0xE3])
-        for _ in range(100):
-            bench.tick()
-            assert bus.read_i2c_block_data(0x48, 1, 2)[0] & 0x80 == 0
-
-
 @pytest.mark.parametrize("clock_error", [-0.1, 0.0, 0.1])
 @pytest.mark.parametrize("rate", [250, 475, 860])
 def test_duplicates_follow_from_the_chips_clock(tmp_path, rate, clock_error):

@@ -122,14 +122,6 @@ def test_every_number_is_checked(tmp_path, content, place, value):
     assert "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize("place", NUMBERS, ids="-".join)
-def test_every_number_has_its_unit(tmp_path, content, place):
-    change(content, (*place, "unit"), "furlong")
-    with pytest.raises(BadInput, match='unit: found "furlong"') as raised:
-        read(tmp_path, content)
-    assert raised.value.field == f"{', '.join(place)}, unit"
-
-
 WRONG = [
     (("format",), "vpp-calibration/2", "format", '"vpp-calibration/1"'),
     (("colour",), "red", '"colour"', "format, load_cell, esc, pitch, source"),

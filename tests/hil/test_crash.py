@@ -42,16 +42,15 @@ def ended(out):
 
 
 @pytest.mark.parametrize(
-    ("how", "code", "cause"),
+    ("how", "code", "cause", "words"),
     [
-        ("hangs", -signal.SIGKILL, "is killed"),
-        ("crashes", -signal.SIGSEGV, "the loop is "),
-        ("errs", 2, "controller: failed"),
+        ("hangs", -signal.SIGKILL, "is killed", ()),
+        ("crashes", -signal.SIGSEGV, "the loop is ", ()),
+        ("errs", 2, "controller: failed", ("--virtual",)),
     ],
 )
-def test_an_fmu_that_fails_during_a_run_leaves_a_rig_at_idle_and_all_files(tmp_path, how, code, cause):
-    fmu = stubborn(tmp_path, how, 500)
-    process = begun(tmp_path, 4.0, "--controller", str(fmu))
+def test_an_fmu_that_fails_during_a_run_leaves_a_rig_at_idle_and_all_files(tmp_path, how, code, cause, words):
+    process = begun(tmp_path, 4.0, "--controller", str(stubborn(tmp_path, how, 200)), *words)
     _, said = process.communicate(timeout=90)
     assert process.returncode == code, said
     summary = ended(tmp_path / "out")

@@ -1,7 +1,5 @@
 """The emulated buses in real time, their two ends in two processes, as in the emulated rig."""
 
-import math
-import os
 import subprocess
 import sys
 import time
@@ -95,22 +93,3 @@ def test_a_pulse_written_here_comes_back_as_volts_and_marks_as_revolutions(folde
         faults.close()
         for device in (tachometer, adc, esc):
             device.close()
-
-
-def test_shared_numbers_are_whole_and_shared(tmp_path):
-    one = SharedNumbers(tmp_path / "numbers", ("a", "b"), create=True)
-    two = SharedNumbers(tmp_path / "numbers", ("a", "b"))
-    assert (two["a"], two["b"]) == (0.0, 0.0)
-    one["b"] = 1 / 3
-    assert two["b"] == 1 / 3
-    two["a"] = 2
-    assert [one.take("a") for _ in range(3)] == [True, True, False]
-    one["a"] = math.inf
-    assert all(two.take("a") for _ in range(100))
-    with pytest.raises(KeyError):
-        one["c"] = 1.0
-    with pytest.raises(FileNotFoundError):
-        SharedNumbers(tmp_path / "none", ("a",))
-    one.close()
-    two.close()
-    assert os.path.getsize(tmp_path / "numbers") == 16

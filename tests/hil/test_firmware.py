@@ -278,12 +278,6 @@ def zero(simulator, firmware):
 class TestSimulated:
     """The real machine code, cycle by cycle."""
 
-    def test_it_is_small(self, avr, firmware):
-        size = subprocess.run(["avr-size", firmware], capture_output=True, text=True, check=True).stdout.splitlines()[1]
-        text, data, bss = map(int, size.split()[:3])
-        assert text + data < 2048  # of 32 256
-        assert data + bss < 256  # of 2048
-
     def test_it_greets_once_and_then_answers_every_request_within_a_millisecond(self, simulator, firmware):
         times = [0.003 + 0.004 * k for k in range(250)]
         said, dropped = simulated(simulator, firmware, asked(times), 1.1)

@@ -10,7 +10,6 @@ from hil.devices.frames import (
     Answer,
     Frame,
     FrameReader,
-    crc16,
     encoded,
 )
 
@@ -33,14 +32,6 @@ def flipped(data: bytes, bits) -> bytes:
     for bit in bits:
         number ^= 1 << bit
     return number.to_bytes(len(data), "big")
-
-
-def test_crc_is_the_catalogues_ibm_3740():
-    assert crc16(b"123456789") == 0x29B1  # the catalogue's check value
-    assert crc16(b"") == 0xFFFF
-    data = bytes(range(256))
-    assert crc16(data) == bitwise_crc(data)
-    assert crc16(data + crc16(data).to_bytes(2, "big")) == 0  # the catalogue's residue
 
 
 def test_bytes_on_the_line():

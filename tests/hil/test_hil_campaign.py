@@ -182,11 +182,6 @@ def test_commands_beyond_the_limits_are_not_begun(tmp_path, refused):
     assert "for a rig of 2000 to 6000 rpm, 12 to 25 deg" in refused(*words, "--rig", far)  # beyond the rod's range
 
 
-@pytest.mark.parametrize("words", [["--points", "1"], ["--samples", "0"], ["--settle", "0"]])
-def test_sizes_that_make_no_sense_are_refused(refused, words, tmp_path):
-    assert words[0] in refused("hil", "campaign", "--virtual", *words, "-o", tmp_path)
-
-
 def test_a_part_ended_by_a_fault_is_reported_and_its_log_kept(tmp_path, refused):
     limits = {"format": "vpp-limits/1", "limits": {"run_time": {"value": 5.0, "unit": "s"}}}
     (tmp_path / "limits.json").write_text(json.dumps(limits))

@@ -4,15 +4,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from builders import reference, simulator, slopes
+from builders import reference, simulator
 from physics_numbers import paper_thrust, static_map
 from rig_commands import commands
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from hil.physics import propeller
-from hil.physics.linear import Pair, integrals, moved
 from hil.physics.rig_model import FULL_RIG, POWERTRAIN
 from vpp_fmu.kernel.ops import NUMBERS
 
@@ -42,44 +40,12 @@ def held(throttle, beta, seconds, dt=0.001, volts=24.0, **parameters):
     return time, simulator(POWERTRAIN).simulate(parameters, inputs, np.full(len(time) - 1, dt)), inputs
 
 
-@pytest.mark.parametrize("kind", ["real", "stiff", "complex", "double"])
-def test_two_states_move_as_the_matrix_exponential_says(kind):
-    rng = np.random.default_rng(1)
-    for _ in range(20):
-        a = rng.normal(size=(2, 2))
-        a = {
-            "real": np.diag([-1.0, -30.0]) @ np.eye(2) + 0.3 * np.triu(a),
-            "stiff": np.array([[-3e3, -700.0], [40.0, -1.0 - abs(a[0, 0])]]),
-            "complex": np.array([[-2.0, 9.0 + a[0, 1] ** 2], [-9.0, -1.0]]),
-            "double": np.array([[-4.0, 0.0 if a[0, 0] > 0 else 1.0], [0.0, -4.0]]),
-        }[kind]
-        b, x, dt = rng.normal(size=2), rng.normal(size=2), rng.choice([1e-4, 1e-3, 0.05, 1.0])
-        pair = Pair(a[0, 0], a[0, 1], b[0], a[1, 0], a[1, 1], b[1])
-        whole = expm(np.block([[a, b[:, None], np.zeros((2, 2))], [np.zeros((1, 5))], [np.eye(2), np.zeros((2, 3))]]) * dt)
-        exact = whole @ np.r_[x, 1.0, 0.0, 0.0]
-        after = moved(NUMBERS, pair, *x, dt)
-        np.testing.assert_allclose(after, exact[:2], rtol=1e-7, atol=1e-9)
-        np.testing.assert_allclose(integrals(pair, tuple(x), after, dt), exact[3:], rtol=1e-6, atol=1e-9)
-
-
 def test_the_static_map_is_the_papers_within_a_quarter_of_a_newton():
     w, b, thrust = static_map()
     error = thrust - paper_thrust(w, b)
     assert np.abs(error).max() < 0.26
     assert np.sqrt(np.mean(error**2)) < 0.085
     assert 14.0 < thrust[-1] < 15.0
-
-
-def test_momentum_theory_and_blade_elements_agree_on_the_inflow():
-    for blades in (Named(), Named(lift=0.3, bend=0.2, incidence=9.0), Named(bend=3.0)):
-        for beta in np.linspace(-30.0, 30.0, 61):
-            inflow = propeller.settled_inflow(NUMBERS, blades, beta)
-
-            def difference(x, blades=blades, beta=beta):
-                return 4.0 * x * abs(x) - propeller.thrust_coefficient(NUMBERS, blades, beta, x)
-
-            assert difference(inflow) == pytest.approx(0.0, abs=1e-12)
-            assert inflow == pytest.approx(brentq(difference, -0.5, 0.5, xtol=1e-14), abs=1e-7)
 
 
 def equations(throttle, goal, p):
@@ -143,21 +109,6 @@ def level_at(levels, t):
     return [v for begin, v in levels if begin <= t + 1e-12][-1]
 
 
-def test_electric_energy_is_heat_work_and_stored_energy():
-    time, y, inputs = held([(0.0, 0.1), (0.2, 0.5), (2.0, 0.2)], [(0.0, 0.0), (1.0, 10.0)], 3.0)
-    current, omega, torque = y[:, OUT["current"]], y[:, OUT["omega"]] * RPM, y[:, OUT["torque"]]
-    acting = np.r_[inputs["throttle"][:-1], inputs["throttle"][-2]]
-
-    def total(power):
-        return np.trapezoid(power, time)
-
-    electric = np.sum(0.5 * (current[1:] + current[:-1]) * acting[:-1] * 24.0) * 0.001
-    heat = total(0.07 * current**2)
-    stored = [0.5 * 2.5e-5 * i**2 + 0.5 * 4e-4 * w**2 for i, w in ((current[0], omega[0]), (current[-1], omega[-1]))]
-    mechanical = total(1.8e-5 * omega**2 + 0.0104 * omega + torque * omega)
-    assert electric == pytest.approx(heat + mechanical + stored[1] - stored[0], rel=2e-3)
-
-
 @pytest.mark.parametrize("model", [POWERTRAIN, FULL_RIG], ids=lambda m: m.name)
 def test_c_is_python_to_the_bit_and_the_communication_step_does_not_matter(model):
     inputs = commands(model, 300)
@@ -185,27 +136,3 @@ def test_every_parameter_names_its_source_and_is_finite_at_its_bounds(model):
             shown = reference(model, {p.name: value}, inputs, steps)
             assert np.isfinite(shown).all(), (p.name, value)
             np.testing.assert_array_equal(simulator(model).simulate({p.name: value}, inputs, steps), shown)
-
-
-def test_tangents_are_central_differences():
-    """So the physical parameters can be fitted as those of the Wiener model."""
-    names = (
-        "inertia",
-        "kv",
-        "resistance",
-        "drag",
-        "kp_rpm",
-        "ki_rpm",
-        "k_ia",
-        "j_a",
-        "kp_lac",
-        "lift",
-        "profile",
-        "apparent_mass",
-    )
-    inputs, steps = commands(FULL_RIG, 250, seed=7), np.full(249, 0.004)
-    tangents = simulator(FULL_RIG, names).sensitivities({}, inputs, steps)[1]
-    for j, name in enumerate(names):
-        numeric, smooth, size = slopes(FULL_RIG, FULL_RIG.values(), name, inputs, steps)
-        assert smooth.mean() > 0.9, name
-        assert (np.where(smooth, np.abs(tangents[:, :, j] - numeric), 0.0) / size).max() < 3e-3, name

@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 
 from hil.physics import rig_model
-from hil.physics.rig_model import FULL_RIG
 from vpp_fmu.export import native_fmu, python_fmu
-from vpp_fmu.export.own_model import find_model
-from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.loop import run
 from vpp_fmu.plants import FmuController, FmuPlant, KernelController, KernelPlant
@@ -49,19 +46,3 @@ def test_the_loop_runs_on_the_fmu_as_it_runs_on_the_kernel(flavour, files, in_ke
         np.testing.assert_array_equal(record[name], in_kernel[name])
     assert np.ptp(in_kernel["omega"]) > 1000.0
     assert in_kernel["thrust"][in_kernel.time < 1.0][-1] == pytest.approx(10.0, abs=1.0)
-
-
-@pytest.mark.parametrize("flavour", ["python", "native"])
-def test_it_has_the_plant_fmus_interface(flavour, files):
-    fmu = Fmu(files / f"{flavour}.fmu")
-    causalities = {c: {n for n, v in fmu.variables.items() if v.causality == c} for c in ("input", "output", "parameter")}
-    assert causalities["input"] == {"omega_ref", "beta_ref"}
-    assert causalities["output"] == {"thrust", "omega", "beta"}
-    assert {"kv", "inertia", "kp_rpm", "linkage_play.half_gap"} < causalities["parameter"]
-    assert all(v.description for v in fmu.variables.values())
-    fmu.close()
-
-
-def test_the_command_line_finds_the_model():
-    assert find_model("hil.physics.rig_model:FULL_RIG") is FULL_RIG
-    assert find_model("hil.physics.rig_model:POWERTRAIN") is rig_model.POWERTRAIN

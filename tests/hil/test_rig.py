@@ -40,16 +40,6 @@ def test_the_tare_finds_the_zero_that_moved(new_rig):
     assert tare.noise * CALIBRATION.newton_per_count == pytest.approx(math.hypot(0.12, 0.047), rel=0.15)
 
 
-def test_a_row_holds_the_sample_before_the_command_that_acts_from_it_on(new_rig):
-    rig, log = new_rig()
-    rig.start(3000.0, 2.0)
-    before = rig.last
-    rig.step(3100.0, 3.0)
-    assert (log["thrust"][-1], log["omega"][-1]) == (before.thrust, before.omega)
-    assert (log["omega_wanted"][-1], log["beta_wanted"][-1]) == (3100.0, 3.0)
-    assert (log["omega_ref"][-1], log["beta_ref"][-1]) == rig.acting
-
-
 def test_the_limits_act_between_commands_and_outputs(new_rig):
     rig, log = new_rig()
     rig.start(3000.0, 2.0)

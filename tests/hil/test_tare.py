@@ -15,16 +15,6 @@ def readings(noise=20.0, n=500, zero=1200.0, seed=1):
     return zero + noise * np.random.default_rng(seed).standard_normal(n)
 
 
-def test_mean_noise_and_standard_error():
-    found = [tare(readings(seed=seed), SCALE, 1200.0, GATE) for seed in range(200)]
-    zeros, errors = np.array([(t.zero, t.error) for t in found]).T
-    assert found[0].samples == 500
-    assert np.mean([t.noise for t in found]) == pytest.approx(20.0, rel=0.01)
-    assert zeros.mean() == pytest.approx(1200.0, abs=4 * 20 / 500**0.5 / 200**0.5)
-    assert zeros.std() == pytest.approx(20.0 / 500**0.5, rel=0.2)
-    assert np.sqrt((errors**2).mean()) == pytest.approx(20.0 / 500**0.5, rel=0.1)
-
-
 def test_the_standard_error_includes_coloured_noise():
     """First-order noise of correlation a: the mean's variance is (1 + a)/(1 - a) times that of white noise."""
     a = 0.8

@@ -1,7 +1,5 @@
-import numpy as np
 import pytest
 
-from hil.emulator.stepper import Stepper
 from hil.emulator.world import STEP, LoadCell, World
 from hil.physics.rig_model import POWERTRAIN, powertrain
 from vpp_fmu.kernel.simulation import Simulation
@@ -55,19 +53,6 @@ def test_a_conversion_that_ended_in_the_past_shows_the_past():
     assert one.volts(1.0155) == pytest.approx(0.5 + 0.05 * (seen[15] + seen[16]))
 
 
-def test_the_noise_is_as_large_and_as_slow_as_stated():
-    one = world(0.0, cell=LoadCell(0.0, 1.0))
-    times = 0.004 * np.arange(1, 40_001)
-    seen = []
-    for t in times:
-        one.advance(t)
-        seen.append(one.volts(t))
-    seen = np.array(seen) - np.mean(seen)
-    assert seen.std() == pytest.approx(np.hypot(0.12, 0.047), rel=0.03)
-    lag = round(0.13 / 0.004)
-    assert np.mean(seen[lag:] * seen[:-lag]) == pytest.approx(0.047**2 / np.e, rel=0.5)
-
-
 def test_the_mark_passes_once_a_revolution():
     one = settled(jitter=0.0)
     count, last, period = one.pulses(3.0)
@@ -75,24 +60,3 @@ def test_the_mark_passes_once_a_revolution():
     assert 3.0 - period - STEP <= last <= 3.0
     one.advance(4.0)
     assert one.pulses(4.0)[0] - count == pytest.approx(one.omega / 60.0, abs=1.0)
-
-
-def test_the_same_seed_gives_the_same_world_and_another_another():
-    def seen(seed):
-        one = World(POWERTRAIN, {}, lambda: (0.4, 3.0), LoadCell(0.5, 0.1), seed)
-        rows = []
-        for k in range(1, 200):
-            one.advance(0.004 * k)
-            rows.append((one.volts(0.004 * k - 0.0004), *one.pulses(0.004 * k)))
-        return rows
-
-    assert seen(1) == seen(1)
-    assert seen(1) != seen(2)
-
-
-def test_the_stepper_continues_where_it_stopped():
-    inputs = {s.name: s.start for s in POWERTRAIN.inputs} | {"throttle": 0.3}
-    once, twice = Stepper(POWERTRAIN, {}, inputs), Stepper(POWERTRAIN, {}, inputs)
-    held = list({**inputs, "throttle": 0.5}.values())
-    rows = once.advance(held, STEP, 100)
-    assert rows == twice.advance(held, STEP, 40) + twice.advance(held, STEP, 60)

@@ -24,7 +24,7 @@ from hil.twin.adaptive import adaptable, adaptive
 from hil.twin.band import Band
 from tests.interop import exporter, hosts
 from tests.interop.trials import BEFORE, COMMANDS, IMPORTERS, LOOP_STEPS, NOT_RUN, STEP, STEPS, WANTED
-from vpp_fmu.app.cli.export import exported
+from vpp_fmu.app.api.export import exported
 from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.export import native_fmu, python_fmu
 from vpp_fmu.fmu import Fmu

@@ -19,7 +19,7 @@ from tqdm import tqdm
 
 from identification.diagnose.diagnose import diagnose
 from identification.diagnose.learned.description import FILE
-from vpp_fmu.app.cli.diagnose import write_diagnosis
+from vpp_fmu.app.report.summary import write_diagnosis
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import LIBRARY, plant

@@ -235,21 +235,16 @@ CELLS = (
     "=1+1",
     "١٢",
     "x" * 3000,
-    "-",
 )
+CELLS += ("-",)
 HEADS = ("", "time", "thrust", "\ufefftime", "TIME", "omega_ref", "a\tb", "\x1b[31m", "x" * 300, "thrust (N)", '"', "nan")
 VALUES = (None, True, [], {}, "x", "", -1, 0, 1e308, 1e-320, 10**290, [[]], {"value": []}, "\u2028", "../../x", [1.0] * 5)
-TEXTS = (
-    "NaN",
-    "-Infinity",
-    "1e999",
-    "9" * 5000,
-    "[" * 100_000,
-    '{"a":' * 500 + "1" + "}" * 500,
-    '"\\ud800"',
-    '"' + "y" * 10**6 + '"',
-    "",
-)
+TEXTS = ("NaN", "-Infinity", "1e999", "9" * 5000, "[" * 100_000, '{"a":' * 500 + "1" + "}" * 500, '"\\ud800"')
+TEXTS += (f'"{"y" * 10**6}"', "")
+LINES = ("x = " + "[" * 3000, "x" + ".x" * 1500 + " = 1", "[" + "x." * 1500 + "x]", "x = inf", "x = nan", "x = 2026-99-99")
+LINES += ("[open_loop]", "[open_loop.columns]", 'columns = "x"', "[[open_loop]]", 'time = ""', 'time = "::"', "time = []")
+LINES += ('omega_ref = "no such column:rpm"', 'omega_ref = "t [ms]:furlong"', "x = " + "9" * 4000, f'x = "{"y" * 200_000}"')
+LINES += ('"" = 1', "= 1", "\0", 'read = "x"', "[open_loop.read]\ndelimiter = 1", '[open_loop.fixed]\nbeta_ref = "x"')
 
 
 def table(rng: random.Random, data: bytes) -> tuple[str, bytes]:
@@ -374,26 +369,7 @@ def toml(rng: random.Random, data: bytes) -> tuple[str, bytes]:
     """(kind of damage, a damaged TOML file)."""
     lines = data.decode().split("\n")
     at = rng.randrange(len(lines))
-    new = rng.choice(
-        (
-            *(
-                "x = " + "[" * 3000,
-                "x" + ".x" * 1500 + " = 1",
-                "[" + "x." * 1500 + "x]",
-                "x = inf",
-                "x = nan",
-                "x = 2026-99-99",
-            ),
-            *("[open_loop]", "[open_loop.columns]", 'columns = "x"', "[[open_loop]]", 'time = ""', 'time = "::"', "time = []"),
-            *(
-                'omega_ref = "no such column:rpm"',
-                'omega_ref = "t [ms]:furlong"',
-                "x = " + "9" * 4000,
-                'x = "' + "y" * 200_000 + '"',
-            ),
-            *('"" = 1', "= 1", "\0", 'read = "x"', "[open_loop.read]\ndelimiter = 1", '[open_loop.fixed]\nbeta_ref = "x"'),
-        )
-    )
+    new = rng.choice(LINES)
     what = rng.choice(("line gone", "line twice", "line more", "line in place", "line in place", "text"))
     if what == "text":
         return encoding(rng, data)

@@ -1,5 +1,4 @@
-"""The API of `import vpp_fmu as vpp`: the command's verbs as functions, on paths or on objects.
+"""The verbs as functions, on paths or on objects: `import vpp_fmu as vpp` has their names, and the command calls them.
 
-This is the uppermost layer: it calls the verbs' modules, and no other module imports it. `vpp_fmu.__getattr__` imports its
-names at their first use.
+Each decision on noise, step, rig and range is made here. `vpp_fmu.__getattr__` imports the names at their first use.
 """

@@ -1,16 +1,19 @@
-"""Arguments of the verbs: a path, or the object that is read from it. This module does not import the fit."""
+"""Arguments of the verbs: a path, or the object that is read from it; and the uncertainty that comes with parameters."""
 
 import os
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from identification.assessment.information import read_knowledge, read_noise
 from vpp_fmu import campaign as campaigns
 from vpp_fmu import parameters as parameter_files
 from vpp_fmu import record as records
-from vpp_fmu.campaign import Campaign
-from vpp_fmu.errors import BadInput
+from vpp_fmu.app.report.result import Knowledge
+from vpp_fmu.campaign import NAMES, NEED, Campaign
+from vpp_fmu.errors import ARGUMENT, BadInput, RecordWarning
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.own_effects import library_with
@@ -18,6 +21,9 @@ from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import COMMANDS, Record
 
 PathLike: TypeAlias = str | os.PathLike[str]
+
+PAPERS = "the paper's fine-tuned set"
+"""Default parameters."""
 
 
 def example_campaign() -> Path:
@@ -88,35 +94,85 @@ def as_record(given: Any, need: Sequence[str] = COMMANDS) -> Record:
     return Record.from_frame(given, need=need)
 
 
+def as_profile(given: Any) -> Record:
+    """A profile of `time` [s] and `thrust_set` [N], read if a path is given."""
+    return records.read_profile(given) if isinstance(given, str | os.PathLike) else as_record(given, records.PROFILE)
+
+
+def as_records(given: Mapping[str, Any] | Iterable[PathLike]) -> dict[str, Record]:
+    """Further records to fit, by name: that of the file, or its path if the name occurs twice."""
+    if isinstance(given, Mapping):
+        return {name: as_record(record, NEED) for name, record in given.items()}
+    found: dict[str, Record] = {}
+    for path in (os.fspath(each) for each in given):
+        name = Path(path).name.removesuffix(".gz").removesuffix(".csv")
+        found[path if name in (*NAMES, *found) else name] = as_record(path, NEED)
+    return found
+
+
 def as_parameters(given: Any, effects_from: Iterable[PathLike] = ()) -> ParameterSet:
-    """Parameters: a set, a file, or the result of a verb."""
+    """Parameters: a set, a file, or the result of a verb; None: the paper's."""
+    library = library_with(effects_from)
+    if given is None:
+        return ParameterSet(plant())
     if isinstance(given, ParameterSet):
         return given
     if isinstance(given, str | os.PathLike):
-        library, given = library_with(effects_from), parameter_files.parameters_file(given)
-        return parameter_files.read_parameters(given, lambda names: plant(names, library))
+        file = parameter_files.parameters_file(given)
+        return parameter_files.read_parameters(file, lambda names: plant(names, library))
     if isinstance(found := getattr(given, "parameters", None), ParameterSet):
         return found
     allowed = "a ParameterSet, the path of a parameters.json, or what identify and diagnose give"
     raise BadInput("parameters", "type", f"a {type(given).__name__}", allowed)
 
 
-def as_gains(given: Any) -> ParameterSet:
-    """A controller's values: a set, a gains.json or its folder, or values by name."""
+def file_of(given: Any) -> str | None:
+    """The file that parameters were read from, for the provenance of results; None: there is none."""
+    return PAPERS if given is None else os.fspath(given) if isinstance(given, str | os.PathLike) else None
+
+
+def knowledge_of(given: Any, held: ParameterSet, named: Any = None) -> Knowledge:
+    """The uncertainty of parameters that were `given`: of the `named` identification.json or result, else of the given result,
+    else of the identification.json beside the given file.
+
+    BadInput for a named file that can't be read, or is of another model. Such a file that is not named is ignored with a note.
+    """
+    source = given if named is None else named
+    if not isinstance(source, str | os.PathLike):
+        found = getattr(source, "knowledge", None)
+        return found if isinstance(found, Knowledge) else Knowledge()
+    file = parameter_files.knowledge_file(source)
+    if named is None and not (beside := parameter_files.beside(parameter_files.parameters_file(source))).is_file():
+        return Knowledge()
+    try:
+        file = file if named is not None else str(beside)
+        parameter_files.check_same_model(file, held, given if isinstance(given, str | os.PathLike) else PAPERS)
+        return Knowledge(*read_knowledge(file), read_noise(file))
+    except BadInput as error:
+        if named is not None:
+            raise
+        warnings.warn(f"not used: {' '.join(str(error).split())}", RecordWarning, stacklevel=2)
+        return Knowledge()
+
+
+def as_gains(given: Any) -> ParameterSet | None:
+    """A controller's values: a set, a gains.json or its folder, values by name; None: none are given."""
+    if given is None:
+        return None
     if isinstance(given, str | os.PathLike):
         return parameter_files.read_parameters(parameter_files.gains_file(given), lambda _: CONTROLLER)
     if isinstance(given, Mapping):
-        return changed(ParameterSet(CONTROLLER), given)
+        return changed(ParameterSet(CONTROLLER), given, "gains")
     return as_parameters(given)
 
 
-def changed(parameters: ParameterSet, values: Mapping[str, float]) -> ParameterSet:
-    """The set with other values. BadInput names an unknown one, or one out of its range."""
+def changed(parameters: ParameterSet, values: Mapping[str, float], argument: str = "values") -> ParameterSet:
+    """The set with other values. BadInput names the `argument` with an unknown name, or with a value out of its range."""
     known = {p.name: p for p in parameters.model.parameters}
     for name, value in values.items():
         if name not in known:
-            raise BadInput("values", name, "a name that the model does not have", f"one of {', '.join(known)}")
-        if not known[name].minimum <= value <= known[name].maximum:
-            ends = f"{known[name].minimum:g} to {known[name].maximum:g} {known[name].unit}"
-            raise BadInput("values", name, f"{value:g}", ends)
+            raise BadInput(ARGUMENT, argument, f"{name}={value}", f"NAME=VALUE with one of {', '.join(known)}")
+        p = known[name]
+        if not isinstance(value, float | int) or not p.minimum <= value <= p.maximum:
+            raise BadInput(ARGUMENT, f"{argument} {name}", value, f"a number from {p.minimum:g} to {p.maximum:g} {p.unit}")
     return parameters.replaced(values)

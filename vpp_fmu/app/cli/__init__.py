@@ -143,7 +143,7 @@ def _run(arguments: list[str]) -> VppError | None:
     count = next((k for k, word in enumerate(arguments, 1) if not word.startswith("-")), len(arguments))
     verb = parser.parse_args(arguments[:count]).verb
     parser, module = parser_of(verb)
-    options = parser.parse_args([*arguments[: count - 1], *arguments[count:]], argparse.Namespace(**LEVELS))
+    options = parser.parse_args([*arguments[: count - 1], *arguments[count:]], argparse.Namespace(verb=verb, **LEVELS))
     with level(options):
         answer = module.run(options)
     if answer is None:

@@ -1,8 +1,8 @@
 """Compare two records, at the times of the first."""
 
 from vpp_fmu.app.cli.answer import Answer
-from vpp_fmu.app.cli.inputs import run_file
-from vpp_fmu.app.cli.output import add_output, written
+from vpp_fmu.app.cli.options import add_output, run_file
+from vpp_fmu.app.cli.output import written
 from vpp_fmu.app.report.pages.loop import comparison_page
 from vpp_fmu.comparison import compare
 from vpp_fmu.outputs import OutputSet

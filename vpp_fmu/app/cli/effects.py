@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vpp_fmu.app.cli.answer import Answer
-from vpp_fmu.app.cli.output import add_effects_from
+from vpp_fmu.app.cli.options import add_effects_from
 from vpp_fmu.app.report.pages.effects import effects_page
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.types import Effect

@@ -13,9 +13,10 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from hil import calibrate
 from hil.bench import Wiring, check_limits
@@ -52,21 +53,23 @@ from hil.twin.adaptive import Adaptive, adaptable, adaptive
 from hil.twin.band import Band, read_band
 from hil.twin.twin import Twin
 from identification.tune.controllers import rig_controller, said_of
+from vpp_fmu.app.api.objects import as_gains, as_parameters
 from vpp_fmu.app.cli.answer import Answer, Lines, say
-from vpp_fmu.app.cli.inputs import (
+from vpp_fmu.app.cli.options import (
     ADAPT,
     GAINS,
+    SEED,
+    Number,
     add_gains,
+    add_output,
     commands_file,
     controller_file,
     plant_file,
     profile_file,
-    read_gains,
-    read_plant,
     run_file,
+    whole,
 )
-from vpp_fmu.app.cli.options import SEED, Number, real, whole
-from vpp_fmu.app.cli.output import add_output, written
+from vpp_fmu.app.cli.output import written
 from vpp_fmu.app.cli.prompts import Prompts
 from vpp_fmu.app.report.pages.loop import headline
 from vpp_fmu.app.report.pages.rig import calibration_page, campaign_page, fmu_page, replay_page, run_page, selftest_page
@@ -92,10 +95,10 @@ def configure(parser):
     if sys.platform != "linux":
         parser.error(f"platform: found {sys.platform}, expected Linux: a rig needs its clock, PWM files, I2C and terminals")
     parts = parser.add_subparsers(dest="what", required=True, metavar="WHAT", parser_class=type(parser))
-    for name, (text, example, add_options, do) in VERBS.items():
+    for name, (text, add_options, do) in VERBS.items():
         listed = {"help": text} if text else {}
         own = parts.add_parser(name, **listed, description=inspect.getdoc(do), formatter_class=parser.formatter_class)
-        own.epilog = f"example:\n  {example}"
+        own.epilog = f"example:\n  vpp hil {EXAMPLES[name]}"
         add_options(own)
         own.set_defaults(run=do)
 
@@ -167,8 +170,8 @@ def _add_run(parser) -> None:
 PLAN = (
     ("points", "points", whole(2, 100), "a side of the static grid"),
     ("samples", "samples", whole(2, 10**6), "readings a point of the grid"),
-    ("settle", "settle", real(0.1, 60.0, "s"), "before a point or a step counts"),
-    ("validation-seconds", "validation", real(5.0, 3600.0, "s"), "of the validation record"),
+    ("settle", "settle", Number(0.1, 60.0, "s"), "before a point or a step counts"),
+    ("validation-seconds", "validation", Number(5.0, 3600.0, "s"), "of the validation record"),
 )
 """Options of a campaign's plan: name, field of `CampaignSize`, kind, help."""
 
@@ -202,15 +205,11 @@ def _add_calibrate(parser) -> None:
 
 def _add_selftest(parser) -> None:
     add_rig(parser)
-    seconds = real(1.0, 3600.0, "s")
+    seconds = Number(1.0, 3600.0, "s")
     parser.add_argument("--seconds", type=seconds, default=10.0, metavar="S", help="how long the loop runs (default: 10)")
     text = "so many busy processes beside the loop (2 without a number)"
     parser.add_argument("--load", nargs="?", type=whole(0, 64), const=2, default=0, metavar="N", help=text)
     add_output(parser)
-
-
-def _add_report(parser) -> None:
-    parser.add_argument("log", metavar="LOG", help="the run's log.csv, or its folder")
 
 
 def _add_replay(parser) -> None:
@@ -243,11 +242,11 @@ def _run(options) -> Answer:
     check_profile(profile, setup.limits)
     start = start_of(options.start, setup.limits, setup.allowed)
     if options.parameters or (rig.kind == "emulated" and setup.allowed == PAPERS):
-        known = read_plant(options)
+        known = as_parameters(options.parameters)
         plant = KernelPlant(known.model, known.values, PERIOD)
         warn_beyond_reach(profile, plant, reach(asdict(setup.limits), limits_by_end(controller.limits)))
     if options.parameters:
-        setup = replace(setup, plant=read_plant(options).values)
+        setup = replace(setup, plant=as_parameters(options.parameters).values)
     twin = _twin(options, setup.allowed)
     other = (Path(options.beside).name, _fmu_loop(options.beside, options, profile)[0]) if options.beside else None
     inject = _injected(options, setup, float(profile.time[-1] - profile.time[0]))
@@ -260,7 +259,9 @@ def _run(options) -> Answer:
         lines.append(f"adaptive twin: {twin[2].microseconds:.0f} us of a tick")
     with watched(options, content) as page, Lines(options) as shown:
         confirm(setup, lines)
-        done, folder, found = carry_out(task, content | {"begun": now()}, parent, page, shown, _page_of)
+        done, folder, found = carry_out(
+            task, content | {"begun": now()}, parent, page, shown, lambda found: run_page(found).html()
+        )
         return _answer(found, [*lines, *shown], written(options, folder), done.judge)
 
 
@@ -274,15 +275,11 @@ def _answer(found: Outcome, lines: list[str], place: list[str], judge: Callable[
 
 
 def _failure(judge: Callable[[], None]) -> VppError | None:
+    """What `judge` raises, if anything."""
     try:
-        judge()
+        return judge()
     except VppError as failure:
         return failure
-    return None
-
-
-def _page_of(found: Outcome) -> str:
-    return run_page(found).html()
 
 
 def _campaign(options) -> Answer:
@@ -361,7 +358,7 @@ def _report(options) -> Answer:
     record, content, gone = of_log(log)
     if gone:
         say(options, f"vpp hil: the run ended: {content['ended']}")
-    found = finish(folder, content, record, _page_of)
+    found = finish(folder, content, record, lambda found: run_page(found).html())
     say(options, f"made from the log: {kept_of(log.parent)}")
     return _answer(found, [], written(options, folder))
 
@@ -395,8 +392,7 @@ class _Hide(argparse.Action):
         setattr(namespace, self.dest, [*getattr(namespace, self.dest), values])
 
 
-@dataclass(frozen=True)
-class Which:
+class Which(NamedTuple):
     """The words of --rig: `kind`, the `plant` FMU in the rig's place, and the rig.json as `file`."""
 
     kind: str
@@ -421,7 +417,7 @@ def allowed_of(options, turning: bool = True) -> Rig:
     of unknown range that is to turn."""
     rig, rest = which(options, fmu=True), None
     if getattr(options, "parameters", None):
-        content = read_plant(options).rig
+        content = as_parameters(options.parameters).rig
         rest = None if content.unknown else content
     if rest is None and (rig.kind != "real" or not turning):
         rest = PAPERS
@@ -481,8 +477,8 @@ def _wiring(options) -> Wiring:
 def gains_of(options) -> ParameterSet:
     """The kernel's controller for the rig of the options; it samples once per tick, unless its file has another sample time.
     BadInput if its limits exceed the rig's."""
-    parameters, file = read_plant(options), which(options, fmu=True).file
-    given = read_gains(options)
+    parameters, file = as_parameters(options.parameters), which(options, fmu=True).file
+    given = as_gains(options.gains)
     rig = declared_rig(file, parameters.rig) if file else None
     return rig_controller(parameters, given, options.gains, rig, tick_of(given))
 
@@ -521,7 +517,7 @@ def _twin(options, allowed: Rig) -> tuple[Twin, Band, Adaptive] | None:
     if not options.twin and not options.parameters:
         needed = "the plant's parameters, or an identification.json for the twin's band"
         raise BadInput("command line", "--twin", "no model of the rig", needed, "--parameters F")
-    parameters = read_plant(options)
+    parameters = as_parameters(options.parameters)
     source = options.twin or beside(options.parameters)
     band = read_band(source)
     if options.parameters:
@@ -597,42 +593,21 @@ def watched(options, content: Mapping) -> Iterator[OperatorPage | None]:
 
 
 VERBS = {
-    "run": (
-        "a closed loop over a profile of wanted thrust",
-        "vpp hil run --parameters out/parameters.json --profile step.csv --beside fmus/VppPlant.fmu -o out",
-        _add_run,
-        _run,
-    ),
-    "campaign": (
-        "static map, steps, open loop, its repeat, validation: what `vpp identify` reads",
-        "vpp hil campaign --virtual --hide linkage_play=0.5 -o campaigns/emulated",
-        _add_campaign,
-        _campaign,
-    ),
-    "calibrate": (
-        "weights, pitch table, polarity and the throttle's idle, step by step",
-        "vpp hil calibrate --rig real --calibration wiring.json --operator Ada -o calibration",
-        _add_calibrate,
-        _calibrate,
-    ),
-    "selftest": (
-        "jitter, buses, calibration, pulse outputs",
-        "vpp hil selftest --seconds 60 --load 2 -o selftest",
-        _add_selftest,
-        _selftest,
-    ),
-    "report": (
-        "",
-        "vpp hil report out/runs/20260307T141500",
-        _add_report,
-        _report,
-    ),
-    "replay": (
-        "a recorded run once more through a controller FMU",
-        "vpp hil replay out/run.csv fmus/VppController.fmu -o replay",
-        _add_replay,
-        _replay,
-    ),
+    "run": ("a closed loop over a profile of wanted thrust", _add_run, _run),
+    "campaign": ("static map, steps, open loop, its repeat, validation: what `vpp identify` reads", _add_campaign, _campaign),
+    "calibrate": ("weights, pitch table, polarity and the throttle's idle, step by step", _add_calibrate, _calibrate),
+    "selftest": ("jitter, buses, calibration, pulse outputs", _add_selftest, _selftest),
+    "report": ("", lambda own: own.add_argument("log", metavar="LOG", help="the run's log.csv, or its folder"), _report),
+    "replay": ("a recorded run once more through a controller FMU", _add_replay, _replay),
 }
-"""The sub-verbs: a line for `vpp hil --help` (none: not listed, as the log's writer calls it), an example, the options, and the
-run, whose docstring is its help."""
+"""The sub-verbs: a line for `vpp hil --help` (none: not listed, as the log's writer calls it), the options, and the run, whose
+docstring is its help."""
+
+EXAMPLES = {
+    "run": "run --parameters out/parameters.json --profile step.csv --beside fmus/VppPlant.fmu -o out",
+    "campaign": "campaign --virtual --hide linkage_play=0.5 -o campaigns/emulated",
+    "calibrate": "calibrate --rig real --calibration wiring.json --operator Ada -o calibration",
+    "selftest": "selftest --seconds 60 --load 2 -o selftest",
+    "report": "report out/runs/20260307T141500",
+    "replay": "replay out/run.csv fmus/VppController.fmu -o replay",
+}

@@ -46,8 +46,8 @@ from identification.logs.speed_map import read_speed_map
 from identification.logs.units import QUANTITIES
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.import_place import add_kind, add_speed_from, headline, placed
-from vpp_fmu.app.cli.options import Number, whole
-from vpp_fmu.app.cli.output import add_output, written
+from vpp_fmu.app.cli.options import Number, add_output, whole
+from vpp_fmu.app.cli.output import written
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder

@@ -22,7 +22,8 @@ from identification.logs.rcbenchmark import REMEMBERED, Log, read_log
 from identification.logs.speed_map import SpeedMap, fit_quality, fit_speed_map, read_speed_map, said_of_gross
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.import_place import add_kind, add_speed_from, headline, placed
-from vpp_fmu.app.cli.output import add_output, written
+from vpp_fmu.app.cli.options import add_output
+from vpp_fmu.app.cli.output import written
 from vpp_fmu.digits import number, signed
 from vpp_fmu.errors import BadInput
 from vpp_fmu.structured import as_json

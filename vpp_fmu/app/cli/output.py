@@ -5,43 +5,55 @@ import contextlib
 import os
 import sys
 import time
-from collections.abc import Iterator
-from dataclasses import replace
-from pathlib import Path
+from collections.abc import Callable, Iterator
+from inspect import signature
 
 from tqdm import tqdm
 
-from vpp_fmu import __version__
+from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.next_command import next_step
-from vpp_fmu.date import now
+from vpp_fmu.app.report.result import Result
+from vpp_fmu.errors import ARGUMENT, BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.outputs import OutputSet
-from vpp_fmu.parameters import ParameterSet
 
 
-def add_output(parser) -> None:
-    """The option -o."""
-    parser.add_argument("-o", "--output", default="out", metavar="DIR", help="folder to write to (default: out)")
+def called(verb: Callable, options: argparse.Namespace, **more):
+    """The result of a verb's function on the options that are named as its arguments. BadInput names the option."""
+    given = {name: value for name, value in vars(options).items() if name in signature(verb).parameters}
+    try:
+        return verb(**given | more)
+    except BadInput as error:
+        if error.where != ARGUMENT:
+            raise
+        option = f"--{error.field.replace('_', '-', error.field.partition(' ')[0].count('_'))}"
+        raise BadInput("command line", option, error.found, error.allowed, error.hint) from error
 
 
-def add_accept(parser) -> None:
-    """The option that overrides the quality gate."""
-    text = "go on in spite of a finding of the quality gate, by its code, and keep its rows; may be repeated (vpp check --help)"
-    parser.add_argument("--accept", action="append", default=[], metavar="CODE", help=text)
+@contextlib.contextmanager
+def output(options: argparse.Namespace, kind: str = "") -> Iterator[OutputSet]:
+    """The folder of the verb's files, `kind`: of which files. It is checked before the work; without a result none is left."""
+    there = os.path.lexists(options.output)
+    try:
+        yield OutputSet(options.output, options.verb + kind)
+    except BaseException:
+        if not there:
+            with contextlib.suppress(OSError):  # not empty
+                os.rmdir(options.output)
+        raise
 
 
-def add_effects_from(parser) -> None:
-    """The option that adds user-defined effects to the library."""
-    text = "a Python file with an effect of one's own, such as learned_effect.py, added to the library; "
-    text += "it runs its author's code; may be repeated"
-    parser.add_argument("--effects-from", action="append", default=[], metavar="FILE.py", help=text)
+def answer(options: argparse.Namespace, verb: Callable, **more) -> Answer:
+    """Call a verb's function by `called`, and write the files of its `Result`."""
+    with output(options) as folder:
+        return answered(options, folder, called(verb, options, **more))
 
 
-def dated(parameters: ParameterSet, /, **parents: tuple[str | os.PathLike, ParameterSet]) -> ParameterSet:
-    """The set with version, date and identity in its source, and its inputs: `parents`, (file, its content) by role."""
-    came = {role: {"file": Path(path).name, "identity": held.identity} for role, (path, held) in parents.items()}
-    own = {"version": __version__, "date": now(), "identity": parameters.identity}
-    return replace(parameters, source={**parameters.source, **own, **came})
+def answered(options: argparse.Namespace, folder: OutputFolder, found: Result) -> Answer:
+    """Write the files of a result; returns the answer."""
+    found.write(folder)
+    place = written(options, folder, found.identity)
+    return Answer(found.headline(), found.to_dict(), found.lines(), found.key_figures(), found.details(), place)
 
 
 @contextlib.contextmanager
@@ -78,12 +90,12 @@ class Stages:
         self._bar.set_postfix_str(f"best so far: {best}")
 
 
-def written(options: argparse.Namespace, folder: OutputFolder, parameters: ParameterSet | None = None) -> list[str]:
+def written(options: argparse.Namespace, folder: OutputFolder, identity: str | None = None) -> list[str]:
     """Put a set of files into its place; returns lines about the written, replaced and removed files, and the next command.
-    `parameters`: those of the results. Files are in place before anything is printed, since standard output may fail."""
+    `identity`: of the results' parameters. Files are in place before anything is printed, since standard output may fail."""
     lines = []
     if isinstance(folder, OutputSet):
-        folder.finish(parameters and parameters.identity)
+        folder.finish(identity)
         notes = {"removed, of an earlier run": folder.removed, "kept, changed since an earlier run wrote it": folder.kept}
         notes["made of other parameters"] = [f"{name} (vpp {verb})" for name, verb in folder.others.items()]
         lines += [f"in {folder.path}, {what}: {', '.join(names)}" for what, names in notes.items() if names]

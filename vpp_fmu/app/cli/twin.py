@@ -15,14 +15,15 @@ from statistics import mean
 from hil.session import Setup
 from hil.twin.band import Band, read_band
 from identification.tune.controllers import controllers
+from vpp_fmu.app.api.objects import as_gains, as_parameters
 from vpp_fmu.app.cli import hil
 from vpp_fmu.app.cli.answer import Answer, Lines
 from vpp_fmu.app.cli.hil import allowed_words
-from vpp_fmu.app.cli.inputs import add_gains, read_gains, read_plant
-from vpp_fmu.app.cli.options import WORKERS, whole
-from vpp_fmu.app.cli.output import dated, stages, written
+from vpp_fmu.app.cli.options import WORKERS, add_gains, whole
+from vpp_fmu.app.cli.output import stages, written
 from vpp_fmu.app.day.day import BOTH, POLICIES, Day, RigAccess, Round, diagnosed, new_day, next_round
 from vpp_fmu.app.report.pages.day import day_page
+from vpp_fmu.app.report.result import dated
 from vpp_fmu.app.report.sentences import change
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
@@ -52,8 +53,8 @@ def configure(parser):
 
 def run(options):
     _check_new(options.day)
-    setup, parameters = hil.setup_of(options), read_plant(options)
-    given = read_gains(options)
+    setup, parameters = hil.setup_of(options), as_parameters(options.parameters)
+    given = as_gains(options.gains)
     settings = controllers(parameters, given, hil.tick_of(given), options.gains or "gains").settings
     if "dual" not in settings:
         raise BadInput(options.parameters, "rig", "one moving channel", "speed and pitch: a day tunes both")

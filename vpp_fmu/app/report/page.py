@@ -114,10 +114,6 @@ class Page:
         )
         return len(self.figures)
 
-    def diagram(self, svg: str, title: str, caption: str) -> None:
-        """A drawing that shows no data, as SVG in the text's own colour."""
-        self._parts.append(f"<figure><h3>{escape(title)}</h3>\n{svg}\n<figcaption>{escape(caption)}</figcaption></figure>")
-
     def table(self, columns: Sequence[str], rows: Sequence[Sequence], caption: str) -> None:
         """A table; the columns' names include the units. Reals have four significant digits."""
         self._tables += 1

@@ -1,5 +1,7 @@
 """The content of diagnosis.json, and of the identification.json of a model that a diagnosis fitted."""
 
+import os
+
 import numpy as np
 
 from identification.assessment.model_error import model_error
@@ -8,12 +10,18 @@ from identification.assessment.quality import fit_percent, rmse
 from identification.assessment.sections import sections
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.judgement import MIN_EVIDENCE, Judgement
-from identification.diagnose.learned.description import block
+from identification.diagnose.learned.description import FILE as LEARNED
+from identification.diagnose.learned.description import block, source
 from identification.diagnose.learned.refit import Term
 from identification.diagnose.search.fits import Fit
 from identification.diagnose.search.refits import CandidateFit
 from identification.fit.uncertainty import NORMAL_95
+from vpp_fmu.app.report.result import dated
 from vpp_fmu.digits import number
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.parameters import to_json, to_ssv
+from vpp_fmu.record import write_record
+from vpp_fmu.structured import as_json
 
 FORMAT = "vpp-diagnosis/2"
 
@@ -304,3 +312,20 @@ def identification_of(found: Diagnosis, fit: Fit) -> dict:
         "missing": list(found.campaign.missing),
         **{name: first[name] for name in ("static_map", "steps", "power") if name in first},
     }
+
+
+def write_diagnosis(folder: OutputFolder, found: Diagnosis, given: str | os.PathLike[str] | None = None) -> None:
+    """All files of a diagnosis but its page. `given`: the file that its starting model was read from, if any.
+
+    parameters.json, parameters.ssv and identification.json are of the final model, parameters_base.json and
+    identification_base.json of the one without the found effects.
+    """
+    folder.write("diagnosis.json", as_json(summary(found)))
+    parent = {"descends": (given, found.given)} if found.given and given else {}
+    for suffix, fit in (("_base", found.base), ("", found.final)):
+        folder.write(f"parameters{suffix}.json", to_json(dated(found.parameters(fit), **parent)))
+        folder.write(f"identification{suffix}.json", as_json(identification_of(found, fit)))
+    folder.write("parameters.ssv", to_ssv(found.parameters(found.final), "parameters"))
+    if found.learned:
+        folder.write(LEARNED, source(found.learned.term, found.rig.scales, found.campaign.folder.name))
+    write_record(folder, NEXT, found.experiment)

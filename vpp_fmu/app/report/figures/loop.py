@@ -1,23 +1,18 @@
-"""Figures of the closed loop: stability margins, responses of many plants, and the adaptive twin."""
+"""Figures of the closed loop: stability margins, costs of many plants, and the adaptive twin."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from plotly import graph_objects as go
 
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_envelope, add_line, add_points, axis, figure, panels, places, to_the_eye
+from vpp_fmu.app.report.canvas import add_envelope, add_line, add_points, axis, figure, panels, places
 from vpp_fmu.app.report.sentences import words
 
 REACH = 2.5
 """Half-width of the Nyquist plot, which must show the region around -1."""
 
 ADAPTED, STD = "adapted.", "std."
-
-_THIN = 0.7
-
-_GREY = {"color": style.SET_POINT, "width": 1.2}
 
 
 def nyquist(loops: Mapping[str, np.ndarray], sensitivity: float, title: str) -> go.Figure:
@@ -38,22 +33,6 @@ def nyquist(loops: Mapping[str, np.ndarray], sensitivity: float, title: str) -> 
     return fig
 
 
-def bode(omega: np.ndarray, loops: Mapping[str, np.ndarray], title: str) -> go.Figure:
-    """Magnitude [dB] and phase [deg] of open loops (n,), complex, by name, over `omega` (n,) [rad/s]."""
-    fig = panels(title, ["magnitude [dB]", "phase [deg]"], [220, 200])
-    colours = style.colours(loops)
-    for name, loop in loops.items():
-        phase = np.degrees(np.unwrap(np.angle(loop)))
-        phase -= 360.0 * np.round((phase[0] + 90.0) / 360.0)
-        add_line(fig, omega, 20.0 * np.log10(np.abs(loop)), name, colours[name], 1.6, 0)
-        add_line(fig, omega, phase, f"{name}, phase", colours[name], 1.6, 1, group=name)
-    _add_limit(fig, 0, 0.0, "dot")
-    _add_limit(fig, 1, -180.0, "dot")
-    fig.update_xaxes(type="log", title_text="frequency [rad/s]", hoverformat=".3~g")
-    fig.update_layout(yaxis={"range": [-40.0, 60.0]}, yaxis2={"range": [-270.0, -45.0], "dtick": 45})
-    return fig
-
-
 def margins_over_thrust(
     thrust: Mapping[str, np.ndarray],
     quantities: Mapping[str, Mapping[str, np.ndarray]],
@@ -71,46 +50,10 @@ def margins_over_thrust(
             shown, group = (f"{name}, {label}", name) if panel else (name, None)
             add_line(fig, thrust[name], own, shown, colours[name], 1.6, panel, group)
         if label in limits:
-            _add_limit(fig, panel, limits[label], "dash")
+            at, line = limits[label], {"color": style.SET_POINT, "width": 1.2, "dash": "dash"}
+            fig.add_shape(type="line", xref="x domain", yref=axis("y", panel), x0=0, x1=1, y0=at, y1=at, line=line)
     fig.update_traces(mode="lines+markers", marker={"size": 6})
     fig.update_xaxes(title_text="thrust at the operating point [N]", hoverformat=".3~g")
-    return fig
-
-
-def _add_limit(fig: go.Figure, panel: int, at: float, dash: str) -> None:
-    line = {**_GREY, "dash": dash}
-    fig.add_shape(type="line", xref="x domain", yref=axis("y", panel), x0=0, x1=1, y0=at, y1=at, line=line)
-
-
-@dataclass(frozen=True, eq=False)
-class Cloud:
-    """Responses of many plants to one step: `thrust` (plants, n) and set-point `wanted` (n,), N. The name of the `gains`
-    selects the colour."""
-
-    step: str
-    gains: str
-    wanted: np.ndarray
-    thrust: np.ndarray
-
-
-def response_clouds(time: np.ndarray, clouds: Sequence[Cloud], title: str, shown: int = 40) -> go.Figure:
-    """A panel per set of plants over the time from the step (n,) s: the first `shown` plants, and lines of the 90 % range."""
-    fig = panels(title, [f"{cloud.step}: thrust [N]" for cloud in clouds], [170] * len(clouds))
-    colours = style.colours(dict.fromkeys(cloud.gains for cloud in clouds))
-    named: set[str] = set()
-
-    def add(panel: int, values: np.ndarray, name: str, colour: str, width: float, **more) -> None:
-        add_line(fig, time, to_the_eye(values), name, colour, width, panel, name if name in named else None, **more)
-        named.add(name)
-
-    for panel, cloud in enumerate(clouds):
-        for own in cloud.thrust[:shown]:
-            add(panel, own, f"{cloud.gains}: a plant each", colours[cloud.gains], _THIN, opacity=0.4)
-        for edge in np.percentile(cloud.thrust, [5.0, 95.0], axis=0):
-            add(panel, edge, "5 % and 95 %", style.MEASURED, 1.6)
-        add(panel, cloud.wanted, "set-point", style.SET_POINT, 1.8, dash="dash", shape="hv")
-    fig.update_layout(hovermode="closest")
-    fig.update_xaxes(title_text="time from the step [s]")
     return fig
 
 

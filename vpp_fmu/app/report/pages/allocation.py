@@ -1,80 +1,146 @@
 """The report of an allocation: least power over thrust, and the pairs on the map of power."""
 
+from typing import Any
+
 import numpy as np
 
 from identification.fit.uncertainty import NORMAL_95
-from identification.power.allocation import Allocation
+from identification.power.allocation import COLUMNS, Allocation, allocated_controller, table
 from vpp_fmu.app.report.figures.map import best_pairs, least_power
 from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.result import Result
 from vpp_fmu.app.report.sentences import size
 from vpp_fmu.digits import number
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.parameters import ParameterSet, to_json
+from vpp_fmu.structured import as_json
+
+FORMAT = "vpp-allocation/1"
 
 
-def key_figures(found: Allocation) -> list[tuple[str, str, str]]:
-    """(label, value, note) of the figures of the first screen."""
-    low, high = (number(float(extreme(found.beta)), 3) for extreme in (np.min, np.max))
-    share = float(np.max(NORMAL_95 * found.power_std / found.power))
-    return [
-        (
-            "power saved",
-            f"{100.0 * found.saving:.1f} %",
-            f"mean, against the best fixed pitch of the same range of thrust, {found.fixed_beta:.3g} deg",
-        ),
-        ("best pitch", f"{low} to {high} deg", f"at {number(found.thrust[0], 3)} to {number(found.thrust[-1], 3)} N"),
-        (f"{found.model.kind} power", f"± {100.0 * share:.2g} %", "largest half width of its 95 % interval along the pairs"),
-        ("reserve of pitch alone", f"{number(float(np.min(found.reserve)), 2)} N", "the least over all thrusts, both ways"),
-    ]
+class AllocateResult(Result):
+    """The pair of speed and pitch of least power for each thrust. `found`: the whole allocation."""
+
+    verb = "allocate"
+    found: Allocation
+
+    @property
+    def pairs(self) -> dict[str, np.ndarray]:
+        """Columns of allocation.csv, (thrusts,) each: `thrust` [N], `omega` [rpm], `beta` [deg], `power` [W], 95 % limits."""
+        return dict(zip(COLUMNS, np.array(table(self.found)).T, strict=True))
+
+    @property
+    def gains(self) -> ParameterSet:
+        """The controller that rests on these pairs (mode 2), for export_fmu and run_loop."""
+        return allocated_controller(self.found, self._parameters)
+
+    def headline(self) -> str:
+        found = self.found
+        verb = "save" if found.saving >= 0.0 else "cost"
+        ends = f"{number(found.thrust[0])} to {number(found.thrust[-1])} N"
+        share = f"{100.0 * abs(found.saving):.1f} % of the {found.model.kind} power over {ends}"
+        return f"The pairs of speed and pitch {verb} {share}, against the best fixed pitch of {size(found.fixed_beta, 'deg')}."
+
+    def key_figures(self) -> list[tuple[str, str, str]]:
+        found = self.found
+        low, high = (number(float(extreme(found.beta)), 3) for extreme in (np.min, np.max))
+        share = float(np.max(NORMAL_95 * found.power_std / found.power))
+        return [
+            (
+                "power saved",
+                f"{100.0 * found.saving:.1f} %",
+                f"mean, against the best fixed pitch of the same range of thrust, {found.fixed_beta:.3g} deg",
+            ),
+            ("best pitch", f"{low} to {high} deg", f"at {number(found.thrust[0], 3)} to {number(found.thrust[-1], 3)} N"),
+            (
+                f"{found.model.kind} power",
+                f"± {100.0 * share:.2g} %",
+                "largest half width of its 95 % interval along the pairs",
+            ),
+            ("reserve of pitch alone", f"{number(float(np.min(found.reserve)), 2)} N", "the least over all thrusts, both ways"),
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        found = self.found
+        limits = {
+            name: {"min": low, "max": high}
+            for name, (low, high) in (("speed", found.surface.speed), ("pitch", found.surface.pitch))
+        }
+        return {
+            "format": FORMAT,
+            "weight": found.weight,
+            "limits": {"speed": limits["speed"] | {"unit": "rpm"}, "pitch": limits["pitch"] | {"unit": "deg"}},
+            "kind": found.model.kind,
+            "best_fixed_pitch": {"value": found.fixed_beta, "unit": "deg"},
+            "saving": found.saving,
+        }
+
+    def write(self, folder: OutputFolder) -> None:
+        rows = [",".join(COLUMNS), *(",".join(f"{v:.7g}" for v in row) for row in table(self.found))]
+        folder.write("allocation.csv", "\n".join(rows) + "\n")
+        folder.write("allocation.h", as_c(self.found))
+        folder.write("gains.json", to_json(self._dated(self.gains)))
+        folder.write("allocation.json", as_json(self.to_dict()))
+        folder.write("report.html", self.page().html())
+
+    def page(self) -> Page:
+        found = self.found
+        goal = "the least power" if found.weight == 0.0 else f"power and reserve of thrust at a weight of {found.weight:g}"
+        text = f"For each thrust the pair of speed and pitch of {goal}, within the rig's limits. Between pairs of the same "
+        text += f"thrust, {found.model.kind} power differs."
+        page = Page("Speed and pitch for each thrust", text, found.model.parameters.label)
+        page.tiles(self.key_figures())
+        share = f"{100.0 * abs(found.saving):.1f} %"
+        verb = f"save {share} of the power" if found.saving >= 0.0 else f"take {share} more power"
+        title = f"The pairs {verb} against the best fixed pitch, {found.fixed_beta:.3g} deg"
+        half = NORMAL_95 * found.power_std
+        fixed = {f"best fixed pitch, {found.fixed_beta:.3g} deg": found.fixed}
+        caption = "95 % interval: of the power's parameters; the choice of a map's terms is not part of it."
+        page.figure(least_power(found.thrust, found.power, half, fixed, title), caption)
+        speeds, pitches, thrust = found.surface.grid
+        few = slice(None, None, max(1, len(speeds) // 100))
+        watts = found.model.at(*np.meshgrid(speeds[few], pitches, indexing="ij"))
+        title = "Pairs of equal thrust cross lines of equal power: the best ones lie on the line"
+        lines = np.linspace(0.0, float(found.thrust[-1]), 7)[1:-1]
+        figure = best_pairs(speeds[few], pitches, watts.T, thrust[few].T, lines, (found.omega, found.beta), title)
+        values = ", ".join(number(level, 3) for level in lines)
+        caption = f"Colours: power. Thin lines: equal thrust, {values} N. Thick line: the pairs, from least to greatest thrust."
+        page.figure(figure, caption)
+        bands = [f"{low:.3g} to {high:.3g}" for low, high in found.beta_band]
+        cells = found.thrust, found.omega, found.beta, bands, found.power, NORMAL_95 * found.power_std, found.reserve
+        rows = [tuple(map(number, row, (4, 5, 3, 4, 4, 2, 3))) for row in zip(*cells, strict=True)]
+        columns = ("thrust [N]", "speed [rpm]", "pitch [deg]", "pitch, 95 % [deg]", "power [W]", "± 95 % [W]", "reserve [N]")
+        page.table(columns, rows[:: max(1, len(rows) // 20)], "Pairs; allocation.csv has all of them.")
+        return page
 
 
-def headline(found: Allocation) -> str:
-    """The saving in a sentence."""
-    verb = "save" if found.saving >= 0.0 else "cost"
-    ends = f"{number(found.thrust[0])} to {number(found.thrust[-1])} N"
-    return (
-        f"The pairs of speed and pitch {verb} {100.0 * abs(found.saving):.1f} % of the {found.model.kind} power over {ends}, "
-        f"against the best fixed pitch of {size(found.fixed_beta, 'deg')}."
-    )
+def as_c(found: Allocation) -> str:
+    """The pairs as a C header: a table on a uniform grid of thrust and a function that interpolates it."""
+    thrust = found.thrust
+    omega, beta = (", ".join(f"{v:.6e}f" for v in values) for values in (found.omega, found.beta))
+    return f"""\
+/* Pairs of speed [rpm] and pitch [deg] for {len(thrust)} thrusts [N], weight {found.weight:g} (0: least power). */
+#ifndef VPP_ALLOCATION_H
+#define VPP_ALLOCATION_H
 
+#define VPP_PAIRS {len(thrust)}
+static const float vpp_thrust_first = {thrust[0]:.7g}f, vpp_thrust_step = {thrust[1] - thrust[0]:.7g}f;
+static const float vpp_omega[VPP_PAIRS] = {{{omega}}};
+static const float vpp_beta[VPP_PAIRS] = {{{beta}}};
 
-def allocation_page(found: Allocation) -> Page:
-    """The report of an allocation."""
-    goal = "the least power" if found.weight == 0.0 else f"power and reserve of thrust at a weight of {found.weight:g}"
-    text = f"For each thrust the pair of speed and pitch of {goal}, within the rig's limits. Between pairs of the same thrust, "
-    text += f"{found.model.kind} power differs."
-    page = Page("Speed and pitch for each thrust", text, found.model.parameters.label)
-    page.tiles(key_figures(found))
-    share = f"{100.0 * abs(found.saving):.1f} %"
-    verb = f"save {share} of the power" if found.saving >= 0.0 else f"take {share} more power"
-    title = f"The pairs {verb} against the best fixed pitch, {found.fixed_beta:.3g} deg"
-    half = NORMAL_95 * found.power_std
-    fixed = {f"best fixed pitch, {found.fixed_beta:.3g} deg": found.fixed}
-    caption = "95 % interval: of the power's parameters; the choice of a map's terms is not part of it."
-    page.figure(least_power(found.thrust, found.power, half, fixed, title), caption)
-    speeds, pitches, thrust = found.surface.grid
-    few = slice(None, None, max(1, len(speeds) // 100))
-    watts = found.model.at(*np.meshgrid(speeds[few], pitches, indexing="ij"))
-    title = "Pairs of equal thrust cross lines of equal power: the best ones lie on the line"
-    lines = np.linspace(0.0, float(found.thrust[-1]), 7)[1:-1]
-    figure = best_pairs(speeds[few], pitches, watts.T, thrust[few].T, lines, (found.omega, found.beta), title)
-    values = ", ".join(number(level, 3) for level in lines)
-    caption = (
-        f"Colours: power. Thin lines: equal thrust, {values} N. Thick line: the pairs, from the least to the greatest thrust."
-    )
-    page.figure(figure, caption)
-    rows = [
-        (
-            number(t, 4),
-            number(w, 5),
-            number(b, 3),
-            f"{b0:.3g} to {b1:.3g}",
-            number(p, 4),
-            number(NORMAL_95 * s, 2),
-            number(r, 3),
-        )
-        for t, w, b, (b0, b1), p, s, r in zip(
-            *(found.thrust, found.omega, found.beta, found.beta_band, found.power, found.power_std, found.reserve), strict=True
-        )
-    ]
-    columns = ("thrust [N]", "speed [rpm]", "pitch [deg]", "pitch, 95 % [deg]", "power [W]", "± 95 % [W]", "reserve [N]")
-    page.table(columns, rows[:: max(1, len(rows) // 20)], "Pairs; allocation.csv has all of them.")
-    return page
+/* The pair of a thrust, interpolated; that of the first or last thrust outside. */
+static void vpp_pair(float thrust, float *omega, float *beta)
+{{
+    float at = (thrust - vpp_thrust_first) / vpp_thrust_step;
+    int k;
+    if (!(at > 0.0f)) at = 0.0f;
+    if (at > VPP_PAIRS - 1.0f) at = VPP_PAIRS - 1.0f;
+    k = (int)at;
+    if (k > VPP_PAIRS - 2) k = VPP_PAIRS - 2;
+    at -= (float)k;
+    *omega = vpp_omega[k] + at * (vpp_omega[k + 1] - vpp_omega[k]);
+    *beta = vpp_beta[k] + at * (vpp_beta[k + 1] - vpp_beta[k]);
+}}
+
+#endif
+"""

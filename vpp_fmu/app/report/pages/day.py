@@ -1,52 +1,16 @@
-"""The report of a rig's day: model and controller by round, and the framework of the paper."""
+"""The report of a rig's day: model and controller by round."""
 
 from collections.abc import Mapping, Sequence
-from html import escape
 
 import numpy as np
 from plotly import graph_objects as go
 
-from vpp_fmu.app.day.day import BETTER, DIAGNOSED, TIMES, Day, diagnosed
+from vpp_fmu.app.day.day import DIAGNOSED, TIMES, Day, diagnosed
 from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import add_line, add_points, figure, thinning
 from vpp_fmu.app.report.figures.loop import adapted_parameters
 from vpp_fmu.app.report.figures.time import closed_loop
 from vpp_fmu.app.report.page import Page
-
-FRAMEWORK = (
-    (
-        "digital twin",
-        "the adaptive twin beside the mission; what it does not explain of an alarm, the diagnosis of its record does",
-    ),
-    ("model-based policy", "gains retuned on that model, within limits on overshoot and sensitivity"),
-    ("model-free policy", "covariance matrix adaptation on the rig's own cost, a generation a round"),
-    ("learned policy", "a network learned on plants of that model's uncertainty, where --policy learned or all asks for it"),
-    ("which of them leads", f"that which costs less on the rig (p < {BETTER:g}); what flies stays where neither does"),
-    ("safety", "the model refuses gains that break limits before they fly; limits and watchdogs of the rig as always"),
-)
-
-BOXES = {
-    "rig": (0, 2, ("rig", "measured thrust and speed")),
-    "twin": (1, 2, ("digital twin", "adapts, alarms, is diagnosed")),
-    "model-free": (0, 1, ("model-free policy", "searched on the rig")),
-    "model-based": (1, 1, ("model-based policy", "retuned on the twin")),
-    "learned": (2, 1, ("learned policy", "trained on plants of the twin")),
-    "flies": (1, 0, ("controller", "of the lowest measured cost")),
-}
-"""Column, row and labels of each part of the framework."""
-
-ARROWS = (
-    ("rig", "twin"),
-    ("rig", "model-free"),
-    ("twin", "model-based"),
-    ("model-free", "flies"),
-    ("model-based", "flies"),
-    ("twin", "learned"),
-    ("learned", "flies"),
-)
-
-WIDE, HIGH, ACROSS, DOWN = 230, 72, 270, 120
-"""Pixels: width and height of a box, and the distances from box to box."""
 
 
 def day_page(day: Day) -> Page:
@@ -102,15 +66,6 @@ def day_page(day: Day) -> Page:
         closed_loop({"rig": last.mission.record}, f"The mission of round {last.number}, as it was flown"),
         thinning(len(last.mission.record)),
     )
-    page.section("The paper's framework, and what stands for its parts here")
-    statements = {
-        **{name: f"{np.mean(c):.4f}" for name, c in last.costs.items()},
-        "twin": f"{last.chosen.error:.3g} N off",
-        "flies": f"{last.winner}, {last.cost:.4f}",
-    }
-    title = "Twin and policies teach each other; the rig's measured cost decides"
-    page.diagram(framework(statements), title, f"With what each had to say in round {last.number}.")
-    page.table(("Reinforcement Twinning", "here"), FRAMEWORK, "Who gives what.")
     return page
 
 
@@ -151,30 +106,3 @@ def costs_by_round(
     add_line(fig, np.arange(1, len(flies) + 1), flies, "flies next", style.FIT, 1.4)
     fig.update_xaxes(dtick=1, range=[0.5, len(costs) + 0.5])
     return fig
-
-
-def framework(numbers: Mapping[str, str]) -> str:
-    """SVG of the parts of Reinforcement Twinning and the data flow between them; `numbers`: results by the names of BOXES."""
-    at = {name: (20 + column * ACROSS, 10 + row * DOWN) for name, (column, row, _) in BOXES.items()}
-    parts = []
-    for one, other in ARROWS:
-        (x0, y0), (x1, y1) = at[one], at[other]
-        if y0 == y1:
-            ends = x0 + WIDE, y0 + HIGH / 2, x1 - 8, y1 + HIGH / 2
-        else:
-            ends = x0 + WIDE / 2, y0, x1 + WIDE / 2 + 0.4 * (x0 - x1), y1 + HIGH + 8
-        places = " ".join(f'{name}="{value:g}"' for name, value in zip(("x1", "y1", "x2", "y2"), ends, strict=True))
-        parts.append(f'<line {places} stroke="currentColor" marker-end="url(#tip)"/>')
-    for name, (_, _, words) in BOXES.items():
-        x, y = at[name]
-        parts.append(f'<rect x="{x:g}" y="{y:g}" width="{WIDE}" height="{HIGH}" rx="6" fill="none" stroke="currentColor"/>')
-        for k, text in enumerate((*words, numbers.get(name, ""))):
-            weight = "bold" if k == 0 else "normal"
-            place = f'x="{x + WIDE / 2:g}" y="{y + 20 + 20 * k:g}" text-anchor="middle" font-size="14" font-weight="{weight}"'
-            parts.append(f'<text {place} fill="currentColor">{escape(text)}</text>')
-    tip = '<marker id="tip" viewBox="0 0 10 10" refX="2" refY="5" markerWidth="8" markerHeight="8" orient="auto">'
-    tip += '<path d="M0 0L10 5L0 10z" fill="currentColor"/></marker>'
-    width, height = 40 + 2 * ACROSS + WIDE, 20 + 2 * DOWN + HIGH
-    return (
-        f'<svg viewBox="0 0 {width} {height}" role="img" style="max-width:{width}px"><defs>{tip}</defs>{"".join(parts)}</svg>'
-    )

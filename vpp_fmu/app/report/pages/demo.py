@@ -1,22 +1,96 @@
 """The report of all steps on the campaign that ships with the project."""
 
+from typing import Any
+
 from identification.demo import Demo
+from identification.thrust_steps import step_profile
 from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted
 from vpp_fmu.app.report.page import Page
-from vpp_fmu.app.report.pages.diagnosis import add_diagnosis, findings, tiles
-from vpp_fmu.app.report.pages.diagnosis import headline as diagnosis_headline
-from vpp_fmu.app.report.pages.diagnosis import key_figures as diagnosed
+from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult, add_diagnosis, findings
 from vpp_fmu.app.report.pages.identification import add_map
-from vpp_fmu.app.report.pages.loop import STEP_COLUMNS, row
+from vpp_fmu.app.report.pages.loop import STEP_COLUMNS, LoopResult, row, sentence
+from vpp_fmu.app.report.result import Result, dated
 from vpp_fmu.app.report.sentences import change, size
+from vpp_fmu.app.report.summary import write_diagnosis
 from vpp_fmu.digits import number
-from vpp_fmu.response import steps
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.kernel.controller import CONTROLLER, DUAL, SPEED_ONLY
+from vpp_fmu.parameters import ParameterSet, to_json
+from vpp_fmu.record import Record, write_record
 
 
-def key_figures(done: Demo) -> list[tuple[str, str, str]]:
-    """(label, value, note): those of the diagnosis, and the errors of the FMUs."""
-    return _through_fmus(done, diagnosed(done.diagnosis))
+class DemoResult(Result):
+    """All steps on the campaign that ships with the project, in `seconds`."""
+
+    verb = "demo"
+    found: Demo
+
+    def __init__(self, found: Demo, seconds: float):
+        self.diagnosis = DiagnoseResult(found.diagnosis)
+        super().__init__(found, self.diagnosis.parameters)
+        self.loops, self._seconds = {name: LoopResult(loop, "") for name, loop in found.loops.items()}, seconds
+
+    def headline(self) -> str:
+        done = self.found
+        errors = change(done.rmse["before"], done.rmse["after"], "N")
+        return f"{self.diagnosis.headline()} Of the FMUs in fmpy: {errors}."
+
+    def key_figures(self) -> list[tuple[str, str, str]]:
+        return _through_fmus(self.found, self.diagnosis.key_figures())
+
+    def to_dict(self) -> dict[str, Any]:
+        loops = {name: loop.to_dict() for name, loop in self.loops.items()}
+        content = {"format": "vpp-demo/1", "diagnosis": self.diagnosis.to_dict(), "loops": loops, "seconds": self._seconds}
+        return content | {"rmse_thrust_fmu": {**self.found.rmse, "unit": "N"}}
+
+    def lines(self) -> list[str]:
+        return [f"{name}: {sentence(step)}" for name, loop in self.loops.items() for step in loop.steps]
+
+    def write(self, folder: OutputFolder) -> None:
+        done, found = self.found, self.found.diagnosis
+        write_diagnosis(folder, found)
+        for name, gains in (("gains.json", DUAL), ("gains_speed_only.json", SPEED_ONLY)):
+            folder.write(
+                name, to_json(dated(ParameterSet(CONTROLLER, source={"made_by": "the paper's gains"}).replaced(gains)))
+            )
+        write_record(folder, "profile.csv", step_profile(found.rig))
+        commands = {name: done.validation[name] for name in ("time", "omega_ref", "beta_ref")}
+        for name, file in (("before", "prediction_base.csv"), ("after", "prediction.csv")):
+            write_record(folder, file, Record({**commands, "thrust": done.thrust[name]}, "vpp demo"))
+        for name, loop in done.loops.items():
+            write_record(folder, f"run_{name.replace(' ', '_')}.csv", loop)
+        folder.write("report.html", self.page().html())
+
+    def page(self) -> Page:
+        done = self.found
+        found, validation = done.diagnosis, done.validation
+        before, after = (size(done.rmse[when], "N") for when in ("before", "after"))
+        page = Page("From rig data to FMUs", self.headline(), found.campaign.label)
+        page.tiles(_through_fmus(done, self.diagnosis.tiles()))
+        page.findings(findings(found))
+        page.section("The plant FMUs against measurement")
+        title = (
+            f"On an unseen record the FMU errs by {before} before and {after} after; noise is {size(found.noise.floor, 'N')}"
+        )
+        lines = {f"FMU {name}": thrust for name, thrust in done.thrust.items()}
+        figure = measured_against_predicted(validation, lines, title, found.noise.floor)
+        page.figure(figure, f"validation.csv. {thinning(len(validation))}")
+        self._add_loops(page)
+        add_diagnosis(page, found)
+        if found.identification.static is not None:
+            page.section("The map")
+            add_map(page, found.identification)
+        return page
+
+    def _add_loops(self, page: Page) -> None:
+        page.section("The closed loop of both FMUs")
+        settling = {name: loop.steps[-1].settling for name, loop in self.loops.items()}
+        words = {name: "not in time" if s is None else f"in {number(s, 3)} s" for name, s in settling.items()}
+        title = f"Step down: both actuators settle {words['dual']}, speed alone {words['speed only']}"
+        page.figure(closed_loop(self.found.loops, title), "The paper's gains on the augmented plant.")
+        rows = [(name, *row(step)) for name, loop in self.loops.items() for step in loop.steps]
+        page.table(("loop", *STEP_COLUMNS), rows, "Settled: within 2 % of the step from then on.")
 
 
 def _through_fmus(done: Demo, figures: list[tuple[str, str, str]]) -> list[tuple[str, str, str]]:
@@ -25,41 +99,3 @@ def _through_fmus(done: Demo, figures: list[tuple[str, str, str]]) -> list[tuple
     note = f"unseen record, noise of one reading {size(done.diagnosis.noise.floor, 'N')}"
     through = ("thrust error, FMU in fmpy", f"{number(before)} → {size(after, 'N')}", note)
     return [through if label.startswith("thrust error") else (label, *rest) for label, *rest in figures]
-
-
-def headline(done: Demo) -> str:
-    """The finding in a sentence, with the errors of the FMUs."""
-    found, errors = diagnosis_headline(done.diagnosis), change(done.rmse["before"], done.rmse["after"], "N")
-    return f"{found} Of the FMUs in fmpy: {errors}."
-
-
-def demo_page(done: Demo) -> Page:
-    """The report of all steps."""
-    found, validation = done.diagnosis, done.validation
-    before, after = (size(done.rmse[when], "N") for when in ("before", "after"))
-    page = Page("From rig data to FMUs", headline(done), found.campaign.label)
-    page.tiles(_through_fmus(done, tiles(found)))
-    page.findings(findings(found))
-    page.section("The plant FMUs against measurement")
-    title = f"On an unseen record the FMU errs by {before} before and {after} after; noise is {size(found.noise.floor, 'N')}"
-    lines = {f"FMU {name}": thrust for name, thrust in done.thrust.items()}
-    figure = measured_against_predicted(validation, lines, title, found.noise.floor)
-    page.figure(figure, f"validation.csv. {thinning(len(validation))}")
-    _add_loops(page, done)
-    add_diagnosis(page, found)
-    if found.identification.static is not None:
-        page.section("The map")
-        add_map(page, found.identification)
-    return page
-
-
-def _add_loops(page: Page, done: Demo) -> None:
-    page.section("The closed loop of both FMUs")
-    found = {name: steps(loop) for name, loop in done.loops.items()}
-    settling = {name: each[-1].settling for name, each in found.items()}
-    words = {name: "not in time" if s is None else f"in {number(s, 3)} s" for name, s in settling.items()}
-    title = f"Step down: both actuators settle {words['dual']}, speed alone {words['speed only']}"
-    caption = "The paper's gains on the augmented plant."
-    page.figure(closed_loop(done.loops, title), caption)
-    rows = [(name, *row(step)) for name, each in found.items() for step in each]
-    page.table(("loop", *STEP_COLUMNS), rows, "Settled: within 2 % of the step from then on.")

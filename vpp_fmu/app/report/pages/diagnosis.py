@@ -1,6 +1,7 @@
 """The report of a diagnosis. The first screen names the effect, its size with interval, and the error before and after."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from identification.diagnose.guess import Guess
 from identification.diagnose.judgement import ALPHA
 from identification.diagnose.learned.description import sentence as described
 from identification.fit.noise import blocks
+from identification.fit.problem import Prior
 from identification.fit.uncertainty import NORMAL_95
 from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures.parameters import parameter_change
@@ -17,9 +19,13 @@ from vpp_fmu.app.report.page import Link, Page
 from vpp_fmu.app.report.pages.effect import add_attempt, add_effects, add_learned, around
 from vpp_fmu.app.report.pages.identification import add_quality, quality_tile
 from vpp_fmu.app.report.pages.residual import add_correlations, add_spectrum
+from vpp_fmu.app.report.result import Knowledge, Result
 from vpp_fmu.app.report.sentences import change, clause, labelled, limited, sentence, size, thrust_error, titled, words
-from vpp_fmu.app.report.summary import LEFT_OUT, NEXT, artefact, summary, why_not
+from vpp_fmu.app.report.summary import LEFT_OUT, NEXT, artefact, summary, why_not, write_diagnosis
 from vpp_fmu.digits import chance, interval, number, signed, with_uncertainty
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.linear import Linearisable
+from vpp_fmu.parameters import ParameterSet
 
 SURE = {
     "attributed": "exactly one set of effects explains the lack of fit",
@@ -52,14 +58,137 @@ def not_tried(found: Diagnosis) -> str:
     return f"not tried within the time budget: {'; '.join(found.not_tried)}" if found.not_tried else ""
 
 
-def headline(found: Diagnosis) -> str:
-    """The finding, after a warning if several effects together explain too little."""
-    if len(found.final.effects) > 1 and found.explained is not None and found.explained < TRUSTED:
+class DiagnoseResult(Result, Linearisable):
+    """The effects that the model lacks, and the model with them. `found`: the whole diagnosis."""
+
+    verb = "diagnose"
+    found: Diagnosis
+
+    @property
+    def verdict(self) -> str:
+        """`attributed`, `family`, `learned`, `partly`, `unexplained` or `none`; see the README."""
+        return self.found.verdict
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the final model's effects."""
+        return self.parameters.model.optional
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """Parameters of the final model."""
+        return self.found.parameters(self.found.final)
+
+    @property
+    def identity(self) -> str:
+        return self.parameters.identity
+
+    @property
+    def base(self) -> ParameterSet:
+        """Parameters of the model without the found effects."""
+        return self.found.parameters(self.found.base)
+
+    @property
+    def knowledge(self) -> Knowledge:
+        """The uncertainty of the final model's parameters."""
+        own = self.found.final.uncertainty.renamed(self.found.renamed(self.found.final))
+        known = [k for k, std in enumerate(own.std) if np.isfinite(std) and std > 0.0]
+        prior = Prior(tuple(own.names[k] for k in known), own.values[known], own.covariance[np.ix_(known, known)])
+        noise = self.found.noise.floor, self.found.reading_noise.basis
+        return Knowledge(prior, float(np.median(own.inflation)), noise)
+
+    def headline(self) -> str:
+        """The finding, after a warning if several effects together explain too little."""
+        found = self.found
+        if len(found.final.effects) > 1 and found.explained is not None and found.explained < TRUSTED:
+            (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
+            error = thrust_error(found.unseen is not None, change(before, after, "N"), found.noise.floor)
+            share = f"explain {100.0 * found.explained:.0f} % of the error beyond the noise"
+            return f"Do not trust the names: together {_and(found.final.effects)} {share}. {error}"
+        return _finding(found)
+
+    def _sizes(self) -> list[tuple[str, str, str]]:
+        """(label, value, note) of each parameter of the effects that were found."""
+        found, figures = self.found, []
+        for effect in summary(found)["effects"]:
+            if found.learned and effect["name"] == found.learned.term.effect.name and found.learned.term.lead.shape == "curve":
+                figures.append(("learned", "a curve", f"{described(found.learned.term)}; shown below with its 95 % band"))
+                continue
+            for name, p in effect["parameters"].items():
+                if name == "form":
+                    continue
+                note = _known(p, effect["intervals"].get(name))
+                if "acts_times" in p:
+                    times = "once" if p["acts_times"] == 1 else f"{p['acts_times']} times"
+                    note += f"; the fitted commands reach it {times}, {number(p['acts_seconds'], 2)} s in all"
+                value = "no limit" if p.get("acts_times") == 0 else size(p["value"], p["unit"])
+                figures.append((words(f"{effect['name']}.{name}"), value, note))
+        return figures
+
+    def _errors(self) -> list[tuple[str, str, str]]:
+        """(label, value, note) of the verdict, the errors, the lack of fit and the quality."""
+        found, lack = self.found, self.found.after
         (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
-        error = thrust_error(found.unseen is not None, change(before, after, "N"), found.noise.floor)
-        share = f"explain {100.0 * found.explained:.0f} % of the error beyond the noise"
-        return f"Do not trust the names: together {_and(found.final.effects)} {share}. {error}"
-    return _finding(found)
+        both = f"{number(before)} → {size(after, 'N')}" if found.final.effects else size(before, "N")
+        where = "on the unseen record" if found.unseen is not None else "in cross-validation"
+        figures = [("verdict", found.verdict, found.refuted or SURE[found.verdict])]
+        figures.append((f"thrust error {where}", both, f"noise of one reading {size(found.noise.floor, 'N')}"))
+        if found.explained is not None:
+            figures.append(("error beyond the noise", f"{100 * found.explained:.0f} %", f"removed {where}"))
+        note = f"p {chance(lack.p, '= ')}; the minimum size of interest is {number(lack.least, 2)} N below 10 Hz"
+        figures.append(("lack of fit", f"{number(lack.size, 2)} N" if lack.certain else "not significant", note))
+        return [*figures, quality_tile(found.quality)] if found.quality else figures
+
+    def key_figures(self) -> list[tuple[str, str, str]]:
+        return [*self._sizes(), *self._errors()]
+
+    def tiles(self) -> list[tuple[str, str, str]]:
+        """At most six key figures for the page: the errors, and the first sizes of the effects."""
+        errors = self._errors()
+        return [*self._sizes()[: MOST_TILES - len(errors)], *errors]
+
+    def to_dict(self) -> dict[str, Any]:
+        return summary(self.found)
+
+    def lines(self) -> list[str]:
+        found = self.found
+        lines = [*(finding.text for finding in found.quality), *findings(found)]
+        lines += [text] if (text := not_tried(found)) else []
+        if found.power:
+            from vpp_fmu.app.report.pages.power import power_line  # noqa: PLC0415 most campaigns measure no power
+
+            lines.append(power_line(found.power))
+        lines += [f"your logger: {line}" for line in found.logger.lines]
+        return [*lines, f"next_experiment.csv: commands within {', '.join(found.rig.command_lines())}"]
+
+    def write(self, folder: OutputFolder) -> None:
+        write_diagnosis(folder, self.found, self._file)
+        folder.write("report.html", self.page().html())
+
+    def page(self) -> Page:
+        found = self.found
+        page = Page(f"Diagnosis of {found.campaign.folder.name}", self.headline(), found.campaign.label)
+        page.tiles(self.tiles())
+        page.findings(findings(found))
+        if text := not_tried(found):
+            page.note(f"{text[0].upper()}{text[1:]}.")
+        for effect in found.left_out:
+            page.note(f"{titled(effect)}: {LEFT_OUT}.")
+        for effect in found.final.effects:
+            if text := artefact(found, effect):
+                page.note(f"{titled(effect)}: {text}.")
+        add_quality(page, found.quality)
+        _add_effect(page, found)
+        page.section("Before and after" if found.final.effects else "The model")
+        _add_whole(page, found)
+        _add_rest(page, found)
+        if found.power:
+            from vpp_fmu.app.report.pages.power import add_power  # noqa: PLC0415 most campaigns measure no power
+
+            add_power(page, found.power)
+        lines = [*(f"Rig: {line}." for line in found.rig.lines()), *(f"Logger: {line}." for line in found.logger.lines)]
+        page.section("The rig and its logger", "\n\n".join(lines))
+        return page
 
 
 def _guessed(guess: Guess) -> str:
@@ -86,16 +215,6 @@ def _sized(guess: Guess) -> str:
 
 def _and(names: Sequence[str]) -> str:
     return " and ".join(map(words, names))
-
-
-def _guess(guess: Guess) -> tuple[str, str, str]:
-    """Evidence for and against the best guess, and the model from which the next experiment distinguishes it."""
-    share = f"would explain {100.0 * guess.explains:.0f} % of the lack of fit; ± is one standard error"
-    rival = words(guess.rival) or "the model without it"
-    plan = f"{NEXT} distinguishes it from {rival}: their thrusts differ by {number(guess.there, 2)} N rms there, by"
-    plan += f" {number(guess.here, 2)} N so far"
-    value = _sized(guess) if guess.near else f"none is close; the most likely is {_sized(guess)}"
-    return "best guess", value, f"{share}; against it: {'; '.join(guess.against)}; {plan}"
 
 
 def _finding(found: Diagnosis) -> str:
@@ -155,86 +274,23 @@ def _rivals(found: Diagnosis) -> str:
     return f"; these records do not distinguish it from {' or '.join(map(words, names))}" if names else ""
 
 
-def _where_judged(found: Diagnosis) -> str:
-    return f"on {found.unseen.name}.csv, which no fit saw," if found.unseen is not None else "in cross-validation"
-
-
-def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
-    """(label, value, note) of the figures of the first screen."""
-    figures = []
-    for effect in summary(found)["effects"]:
-        if found.learned and effect["name"] == found.learned.term.effect.name and found.learned.term.lead.shape == "curve":
-            figures.append(("learned", "a curve", f"{described(found.learned.term)}; shown below with its 95 % band"))
-            continue
-        for name, p in effect["parameters"].items():
-            if name == "form":
-                continue
-            unit = p["unit"]
-            note = _known(p, effect["intervals"].get(name))
-            if "acts_times" in p:
-                times = "once" if p["acts_times"] == 1 else f"{p['acts_times']} times"
-                note += f"; the fitted commands reach it {times}, {number(p['acts_seconds'], 2)} s in all"
-            value = "no limit" if p.get("acts_times") == 0 else size(p["value"], unit)
-            figures.append((words(f"{effect['name']}.{name}"), value, note))
-    (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
-    both = f"{number(before)} → {size(after, 'N')}" if found.final.effects else size(before, "N")
-    noise = f"noise of one reading {size(found.noise.floor, 'N')}: {found.reading_noise.basis}"
-    figures.append((f"thrust error {_where_judged(found)}".rstrip(","), both, noise))
-    if found.given is not None:
-        as_given = summary(found)["given"]["rmse_thrust"]
-        note = f"thrust error on {found.shown_name}, before any fit"
-        figures.append(("the model as it was given", f"{number(as_given)} N", note))
-    if found.explained is not None:
-        figures.append(
-            ("of the error beyond the noise", f"{100 * found.explained:.0f} %", f"removed {_where_judged(found)}".rstrip(","))
-        )
-    rivals = [
-        f"{words(name)} could as well be {' or '.join(map(words, others))}"
-        for name, others in found.selection.family.items()
-        if others
-    ]
-    note = found.refuted or "; ".join(rivals) or SURE[found.verdict]
-    figures.append(("verdict", found.verdict, note))
-    figures.append(_lack(found))
-    figures += [quality_tile(found.quality)] if found.quality else []
-    figures += [_where(found)] if found.verdict in UNEXPLAINED else []
-    return [*figures, _guess(found.best_guess)] if found.best_guess else figures
-
-
-def tiles(found: Diagnosis) -> list[tuple[str, str, str]]:
-    """At most six (label, value, note) for the page: the finding, the errors, and the first sizes of the effects."""
-    figures = key_figures(found)
-    where = "unseen record" if found.unseen is not None else "cross-validated"
-    (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
-    both = f"{number(before)} → {size(after, 'N')}" if found.final.effects else size(before, "N")
-    shown = [("verdict", found.verdict, SURE[found.verdict])]
-    shown.append(("thrust error", both, f"{where}; noise {size(found.noise.floor, 'N')}"))
-    if found.explained is not None:
-        shown.append(("error beyond the noise", f"{100 * found.explained:.0f} %", f"removed, {where}"))
-    shown.append(("lack of fit", _lack(found)[1], f"p {chance(found.after.p, '= ')}"))
-    if found.quality:
-        label, value, _ = quality_tile(found.quality)
-        shown.append((label, value, "listed below"))
-    sizes = [figure for figure in figures[: MOST_TILES - len(shown)] if figure[0].startswith(_titles(found))]
-    return [*((label, value, note.partition(";")[0]) for label, value, note in sizes), *shown]
-
-
-def _titles(found: Diagnosis) -> tuple[str, ...]:
-    return tuple(words(name) for name in (*found.final.effects, *found.left_out))
-
-
 def findings(found: Diagnosis) -> list[str]:
     """The list under the tiles: channels, noise, residual, the best guess, what speaks against it, the next step."""
     lines = [f"{name.capitalize()}: {_channel(one)}." for name, one in found.channels.items()]
     lines.append(f"Noise of one reading: {size(found.noise.floor, 'N')}, {found.reading_noise.basis}.")
-    lines += [f"{words(n)} could as well be {' or '.join(map(words, o))}." for n, o in found.selection.family.items() if o]
+    if found.given is not None:
+        error = number(summary(found)["given"]["rmse_thrust"])
+        lines.append(f"The model as it was given: {error} N on {found.shown_name}, before any fit.")
+    lines += [f"{titled(n)} could as well be {' or '.join(map(words, o))}." for n, o in found.selection.family.items() if o]
     if found.missed:
         lines.append(f"{found.missed[0].upper()}{found.missed[1:]}.")
     if found.verdict in UNEXPLAINED:
-        _, band, note = _where(found)
-        lines.append(f"Residual: {band}, {note}.")
+        lines.append(f"Residual: {_where(found)}.")
     if guess := found.best_guess:
         lines += [_guessed(guess), f"Against it: {'; '.join(guess.against)}."]
+        apart = f"{number(guess.there, 2)} N rms there, by {number(guess.here, 2)} N so far"
+        rival = words(guess.rival) or "the model without it"
+        lines.append(f"{NEXT} distinguishes it from {rival}: their thrusts differ by {apart}.")
     if found.verdict not in ("none", "attributed"):
         ranges = ", ".join(found.rig.command_lines())
         text = f"Next step: run {NEXT} on the rig twice, and diagnose with both records (--record), within {ranges}."
@@ -251,12 +307,6 @@ def _channel(one: Mapping) -> str:
     return f"{names} ({one['verdict']})"
 
 
-def _lack(found: Diagnosis) -> tuple[str, str, str]:
-    lack = found.after
-    note = f"p {chance(lack.p, '= ')}; the minimum size of interest is {number(lack.least, 2)} N below 10 Hz"
-    return "lack of fit", f"{number(lack.size, 2)} N" if lack.certain else "not significant", note
-
-
 def _known(parameter: Mapping, ends: Sequence[float] | None) -> str:
     """The 95 % interval of a parameter, scanned or from its standard error, in its unit."""
     unit = "" if parameter["unit"] == "1" else parameter["unit"]
@@ -270,40 +320,13 @@ def _known(parameter: Mapping, ends: Sequence[float] | None) -> str:
     return f"95 %: {interval(parameter['value'] - half, parameter['value'] + half, unit)}"
 
 
-def _where(found: Diagnosis) -> tuple[str, str, str]:
+def _where(found: Diagnosis) -> str:
     """Location of the unexplained error."""
     location = found.location
     band, section = (max(location[k], key=location[k].get) for k in ("share_by_band_hz", "mean_square_by_section"))
     strongest, largest = location["strongest_correlate"], location["largest"]
-    note = f"largest while {_moving(section)}; correlates with {strongest['signal']} ({strongest['correlation']:+.2f}); "
-    note += f"up to {number(abs(largest['thrust']), 3)} N; input: {location['input']}"
-    return "residual", f"{band} Hz", note
-
-
-def diagnosis_page(found: Diagnosis) -> Page:
-    """The page of one diagnosis."""
-    page = Page(f"Diagnosis of {found.campaign.folder.name}", headline(found), found.campaign.label)
-    page.tiles(tiles(found))
-    page.findings(findings(found))
-    if text := not_tried(found):
-        page.note(f"{text[0].upper()}{text[1:]}.")
-    for effect in found.left_out:
-        page.note(f"{titled(effect)}: {LEFT_OUT}.")
-    for effect in found.final.effects:
-        if text := artefact(found, effect):
-            page.note(f"{titled(effect)}: {text}.")
-    add_quality(page, found.quality)
-    _add_effect(page, found)
-    page.section("Before and after" if found.final.effects else "The model")
-    _add_whole(page, found)
-    _add_rest(page, found)
-    if found.power:
-        from vpp_fmu.app.report.pages.power import add_power  # noqa: PLC0415 most campaigns measure no power
-
-        add_power(page, found.power)
-    lines = [*(f"Rig: {line}." for line in found.rig.lines()), *(f"Logger: {line}." for line in found.logger.lines)]
-    page.section("The rig and its logger", "\n\n".join(lines))
-    return page
+    note = f"largest while {_moving(section)}; correlates with {strongest['signal']} ({strongest['correlation']:+.2f})"
+    return f"{band} Hz, {note}; up to {number(abs(largest['thrust']), 3)} N; input: {location['input']}"
 
 
 def add_diagnosis(page: Page, found: Diagnosis) -> None:

@@ -16,7 +16,7 @@ from identification.static.static_map import TERMS, design
 from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import add_points, figure
 from vpp_fmu.app.report.page import Link, Page
-from vpp_fmu.app.report.pages.diagnosis import headline
+from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult
 from vpp_fmu.app.report.sentences import size, titled, words
 from vpp_fmu.app.report.summary import summary
 from vpp_fmu.campaign import measured_on
@@ -93,7 +93,7 @@ def entry(name: str, found: Diagnosis) -> Entry:
         found.noise.floor,
         sizes,
         len(found.quality),
-        said=headline(found),
+        said=DiagnoseResult(found).headline(),
         map=_map(found),
     )
 

@@ -1,10 +1,12 @@
 """The report of an identification: parameters, errors of prediction, tests, static map and step responses."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from identification.assessment.pairs import forms
+from identification.fit.problem import Prior
 from identification.fit.uncertainty import NORMAL_95, Uncertainty
 from identification.gate.finding import ERROR, Finding
 from identification.identify import Identification
@@ -17,68 +19,106 @@ from vpp_fmu.app.report.figures.parameters import parameter_change
 from vpp_fmu.app.report.figures.residual import correlations
 from vpp_fmu.app.report.figures.time import measured_against_predicted, step_responses
 from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.result import Knowledge, Result, dated
 from vpp_fmu.app.report.sentences import labelled, size, titled, words
 from vpp_fmu.campaign import StaticMap
 from vpp_fmu.digits import interval, number
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.linear import Linearisable
+from vpp_fmu.parameters import ParameterSet, to_json, to_ssv
+from vpp_fmu.structured import as_json
 
 TELLING = 0.2
 """Minimum component of the weakest direction for its parameter to be named."""
 
 
-def identification_page(found: Identification) -> Page:
-    """The page of one identification."""
-    page = Page("Identification", headline(found), found.campaign.label)
-    page.tiles(key_figures(found))
-    add_quality(page, found.quality)
-    page.remarks(remarks(found))
-    if found.predictions:
-        page.section("How well the model predicts", f"Fitted together: {', '.join(found.fitted)}.")
+class IdentifyResult(Result, Linearisable):
+    """A campaign's parameters and their uncertainty. `found`: the whole identification, with predictions and the search."""
+
+    verb = "identify"
+    found: Identification
+
+    def __init__(self, found: Identification):
+        super().__init__(found, found.parameters)
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """Values with their standard deviations."""
+        return self.found.parameters
+
+    @property
+    def knowledge(self) -> Knowledge:
+        """The uncertainty of the parameters."""
+        own, noise = self.found.uncertainty, self.found.noise
+        prior = Prior(own.names, own.values, own.covariance)
+        return Knowledge(prior, float(np.median(own.inflation)), (noise.std, noise.basis) if noise else None)
+
+    def headline(self) -> str:
+        found = self.found
+        missing = found.not_identifiable
+        known = len(found.uncertainty.names) - len({*found.uncertainty.names} & {*missing})
+        known_of = f"{known} of {len({*found.uncertainty.names, *missing})} parameters are identified"
+        shown = found.unseen or _shown(found)
+        errors = [found.predictions[name].rmse_thrust for name in shown]
+        if not errors or errors[-1] is None:
+            return f"{known_of}; there is no record to predict."
+        noise = size(found.noise.std if found.noise else None, "N")
+        word = "Unseen" if found.unseen else "Fitted"
+        return f"{word} thrust error {size(errors[-1], 'N')} on {shown[-1]}; noise {noise}. {known_of}."
+
+    def key_figures(self) -> list[tuple[str, str, str]]:
+        found = self.found
+        figures = [quality_tile(found.quality)] if found.quality else []
         for name in _shown(found):
-            page.figure(*_record_figure(found, name))
-        _add_sections(page, found)
-        _add_tests(page, found)
-    add_found(page, found)
-    if found.static is not None:
-        add_static(page, found)
-    if found.steps is not None:
-        _add_steps(page, found)
-    return page
+            p, role = found.predictions[name], "fitted" if name in found.fitted else "not used to fit"
+            fit = "" if p.fit_thrust is None else f", fit {p.fit_thrust:.1f} %"
+            figures.append((f"thrust error, {name}", _newton(p.rmse_thrust), f"rmse{fit}, {role}"))
+        if found.noise is not None:
+            figures.append(("noise of one reading", _newton(found.noise.std), found.noise.basis))
+        if (r := found.refinement) is not None:
+            spent = f"{r.evaluations} evaluations, {r.starts} starts, {number(r.seconds, 3)} s"
+            figures.append(("cost", f"{number(r.cost_start, 3)} → {number(r.cost_final, 3)}", f"mean(e²)/2, {spent}"))
+        if found.static is not None:
+            note = f"{_newton(found.static.rmse)} rms of {found.static.used.sum()} steady points"
+            known = found.static.r2_adjusted
+            figures.append(("fit of the static map", "–" if known is None else f"adjusted R² {known:.4f}", note))
+        unidentified = found.not_identifiable
+        names = {*found.uncertainty.names, *unidentified}
+        note = f"not: {', '.join(map(words, unidentified))}" if unidentified else "all fitted parameters"
+        return [*figures, ("identifiable parameters", f"{len(names) - len(unidentified)} of {len(names)}", note)]
 
+    def to_dict(self) -> dict[str, Any]:
+        return self.found.summary()
 
-def headline(found: Identification) -> str:
-    """The result in two sentences: the error of the prediction beside the noise, and the number of identified parameters."""
-    missing = found.not_identifiable
-    known = len(found.uncertainty.names) - len({*found.uncertainty.names} & {*missing})
-    known_of = f"{known} of {len({*found.uncertainty.names, *missing})} parameters are identified"
-    shown = found.unseen or _shown(found)
-    errors = [found.predictions[name].rmse_thrust for name in shown]
-    if not errors or errors[-1] is None:
-        return f"{known_of}; there is no record to predict."
-    noise = size(found.noise.std if found.noise else None, "N")
-    word = "Unseen" if found.unseen else "Fitted"
-    return f"{word} thrust error {size(errors[-1], 'N')} on {shown[-1]}; noise {noise}. {known_of}."
+    def lines(self) -> list[str]:
+        found = self.found
+        lines = [*(finding.text for finding in found.quality), *remarks(found), *not_identifiable(found)]
+        return lines + [f"your logger: {line}" for line in found.logger.lines]
 
+    def write(self, folder: OutputFolder) -> None:
+        folder.write("parameters.json", to_json(dated(self.parameters)))
+        folder.write("parameters.ssv", to_ssv(self.parameters, "parameters"))
+        folder.write("identification.json", as_json(self.to_dict()))
+        folder.write("report.html", self.page().html())
 
-def key_figures(found: Identification) -> list[tuple[str, str, str]]:
-    """(label, value, note) of the figures of the first screen."""
-    figures = [quality_tile(found.quality)] if found.quality else []
-    for name in _shown(found):
-        p, role = found.predictions[name], "fitted" if name in found.fitted else "not used to fit"
-        fit = "" if p.fit_thrust is None else f", fit {p.fit_thrust:.1f} %"
-        figures.append((f"thrust error, {name}", _newton(p.rmse_thrust), f"rmse{fit}, {role}"))
-    if found.noise is not None:
-        figures.append(("noise of one reading", _newton(found.noise.std), found.noise.basis))
-    if (r := found.refinement) is not None:
-        spent = f"{r.evaluations} evaluations, {r.starts} starts, {number(r.seconds, 3)} s"
-        figures.append(("cost", f"{number(r.cost_start, 3)} → {number(r.cost_final, 3)}", f"mean(e²)/2, {spent}"))
-    if found.static is not None:
-        note = f"{_newton(found.static.rmse)} rms of {found.static.used.sum()} steady points"
-        known = found.static.r2_adjusted
-        figures.append(("fit of the static map", "–" if known is None else f"adjusted R² {known:.4f}", note))
-    unidentified = found.not_identifiable
-    names = {*found.uncertainty.names, *unidentified}
-    note = f"not: {', '.join(map(words, unidentified))}" if unidentified else "all fitted parameters"
-    return [*figures, ("identifiable parameters", f"{len(names) - len(unidentified)} of {len(names)}", note)]
+    def page(self) -> Page:
+        found = self.found
+        page = Page("Identification", self.headline(), found.campaign.label)
+        page.tiles(self.key_figures())
+        add_quality(page, found.quality)
+        page.remarks(remarks(found))
+        if found.predictions:
+            page.section("How well the model predicts", f"Fitted together: {', '.join(found.fitted)}.")
+            for name in _shown(found):
+                page.figure(*_record_figure(found, name))
+            _add_sections(page, found)
+            _add_tests(page, found)
+        add_found(page, found)
+        if found.static is not None:
+            add_static(page, found)
+        if found.steps is not None:
+            _add_steps(page, found)
+        return page
 
 
 def _newton(value: float | None) -> str:

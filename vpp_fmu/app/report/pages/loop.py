@@ -1,38 +1,135 @@
 """The pages of the closed loop and the open loop of two records."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 
+from identification.assessment.prediction import Prediction
 from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures.loop import ADAPTED, adapted_parameters, residual_in_band
-from vpp_fmu.app.report.figures.time import closed_loop, two_records
+from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted, two_records
 from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.result import Result
+from vpp_fmu.app.report.sentences import size
 from vpp_fmu.comparison import Comparison
 from vpp_fmu.digits import number
-from vpp_fmu.record import QUANTITIES, Record
-from vpp_fmu.response import Step, steps
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.record import QUANTITIES, Record, write_record
+from vpp_fmu.response import UNITS, Step, steps
 
 STEP_COLUMNS = ("at [s]", "from [N]", "to [N]", "settled after [s]", "overshoot [%]")
 
 
-def loop_page(done: Record, summary: str, limits: Mapping[str, tuple[float, float]] | None = None) -> Page:
-    """The report of a closed loop's run; `limits` as of `vpp_fmu.response.steps`."""
-    found = steps(done, limits=limits)
-    page = Page("Closed loop", headline(found), summary.removesuffix("."))
-    if found:
-        settled = [step.settling for step in found if step.settling is not None]
-        slowest = f"{number(max(settled))} s" if settled else "none"
-        error = float(np.sqrt(np.mean((done["thrust_set"] - done["thrust"]) ** 2)))
-        page.tiles([("slowest settling", slowest, f"{len(settled)} of {len(found)} steps settle")])
-        page.tiles([("largest overshoot", percent(max(step.overshoot for step in found)), "of the step")])
-        page.tiles([("error", f"{number(error)} N", "rms of set-point less thrust, the steps themselves included")])
-    title = sentence(found[0]) if found else "Thrust under a constant set-point"
-    drawn = closed_loop({"loop": done}, title, limits)
-    page.figure(drawn, "Thrust with its set-point, speed and pitch with their commands.")
-    page.table(STEP_COLUMNS, [row(step) for step in found], "Every change of the set-point.")
-    return page
+class LoopResult(Result):
+    """A closed loop's run: `record` holds `time, thrust_set, omega_ref, beta_ref, thrust, omega, beta`, each (n,)."""
+
+    verb = "cosim"
+
+    def __init__(
+        self,
+        record: Record,
+        title: str,
+        limits: Mapping[str, tuple[float, float]] | None = None,
+        twin: tuple[Mapping[str, np.ndarray], Mapping[str, str]] | None = None,
+    ):
+        """`limits` as of `vpp_fmu.response.steps`; `twin`: outputs of a twin beside the loop, and their units."""
+        super().__init__(record)
+        self.record = Record({**record.columns, **twin[0]}, record.source) if twin else record
+        self._title, self._limits, self._twin = title, limits, twin
+
+    @property
+    def steps(self) -> list[Step]:
+        """Every change of the thrust set-point, with its settling time and overshoot."""
+        return steps(self.record, limits=self._limits)
+
+    def headline(self) -> str:
+        return headline(self.steps)
+
+    def key_figures(self) -> list[tuple[str, str, str]]:
+        def words(step: Step) -> str:
+            never = f"out of reach: {step.reached}" if step.stuck else "not settled"
+            when = never if step.settling is None else f"settled after {number(step.settling, 3)} s"
+            return f"{when}, overshoot {percent(step.overshoot)}{_later([step])}"
+
+        return [(f"{number(s.before)} → {number(s.after)} N", words(s), f"at {number(s.time)} s") for s in self.steps]
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"format": "vpp-loop/1", "units": UNITS, "steps": [asdict(step) for step in self.steps]}
+
+    def write(self, folder: OutputFolder) -> None:
+        write_record(folder, "run.csv", self.record)
+        folder.write("report.html", self.page().html())
+
+    def page(self) -> Page:
+        done, found = self.record, self.steps
+        page = Page("Closed loop", self.headline(), self._title.removesuffix("."))
+        if found:
+            settled = [step.settling for step in found if step.settling is not None]
+            slowest = f"{number(max(settled))} s" if settled else "none"
+            error = float(np.sqrt(np.mean((done["thrust_set"] - done["thrust"]) ** 2)))
+            page.tiles([("slowest settling", slowest, f"{len(settled)} of {len(found)} steps settle")])
+            page.tiles([("largest overshoot", percent(max(step.overshoot for step in found)), "of the step")])
+            page.tiles([("error", f"{number(error)} N", "rms of set-point less thrust, the steps themselves included")])
+        title = sentence(found[0]) if found else "Thrust under a constant set-point"
+        drawn = closed_loop({"loop": done}, title, self._limits)
+        page.figure(drawn, "Thrust with its set-point, speed and pitch with their commands.")
+        page.table(STEP_COLUMNS, [row(step) for step in found], "Every change of the set-point.")
+        if self._twin:
+            add_adaptive(page, done.time, *self._twin, "the twin's", "The twin's adapted parameters.")
+        return page
+
+
+class SimulateResult(Result):
+    """A record, and the model's open-loop response to its commands. `found`: the prediction."""
+
+    verb = "simulate"
+    found: Prediction
+
+    @property
+    def record(self) -> Record:
+        """The commands, and predicted `thrust` [N], `omega` [rpm] and `beta` [deg], each (n,), with torque and power if the
+        model has them."""
+        p = self.found
+        commands = {name: p.record[name] for name in ("time", "omega_ref", "beta_ref")}
+        return Record({**commands, "thrust": p.thrust, "omega": p.omega, "beta": p.beta, **p.further}, "vpp simulate")
+
+    @property
+    def rmse_thrust(self) -> float | None:
+        """Error against the record, N; None if that has no thrust."""
+        return self.found.rmse_thrust if "thrust" in self.found.record else None
+
+    def headline(self) -> str:
+        thrust, error = self.found.thrust, self.rmse_thrust
+        ends = f"{size(thrust.min())} to {size(thrust.max(), 'N')} over {size(float(self.found.record.time[-1]), 's')}"
+        against = "; the record has no thrust to compare with" if error is None else f", {size(error, 'N')} rms off the reading"
+        return f"Predicted thrust {ends}{against}."
+
+    def key_figures(self) -> list[tuple[str, str, str]]:
+        p, thrust = self.found, self.found.thrust
+        figures = [("predicted thrust", f"{size(thrust.min())} to {size(thrust.max(), 'N')}", f"{len(thrust)} rows")]
+        error = ("thrust error", size(self.rmse_thrust, "N"), f"rms against {p.record.source}")
+        return figures if self.rmse_thrust is None else [error, *figures]
+
+    def to_dict(self) -> dict[str, Any]:
+        p, units = self.found, {"rmse_thrust": "N", "rmse_omega": "rpm", "fit_thrust": "%"}
+        content = {"format": "vpp-simulation/1", "rows": len(p.record), "seconds": float(p.record.time[-1]), "units": units}
+        fit = None if self.rmse_thrust is None else p.fit_thrust
+        return content | {"rmse_thrust": self.rmse_thrust, "rmse_omega": p.rmse_omega, "fit_thrust": fit}
+
+    def page(self) -> Page:
+        p = self.found
+        page = Page("Open loop", self.headline(), p.record.source)
+        title = "Thrust, as the model predicts it"
+        if self.rmse_thrust is not None:
+            title = f"The model errs by {size(self.rmse_thrust, 'N')}"
+        page.figure(measured_against_predicted(p.record, {"model": p.thrust}, title), thinning(len(p.record)))
+        return page
+
+    def write(self, folder: OutputFolder) -> None:
+        write_record(folder, "prediction.csv", self.record)
 
 
 def row(step: Step) -> tuple:

@@ -1,6 +1,6 @@
 """The report of a planned experiment: the expected accuracy, and its commands."""
 
-from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -11,66 +11,117 @@ from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures.parameters import interval_widths
 from vpp_fmu.app.report.figures.time import planned_commands
 from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.result import Result
 from vpp_fmu.app.report.sentences import titled, words
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.record import Record, write_record
+from vpp_fmu.rig import DECLARED
+from vpp_fmu.structured import as_json
 
 UNKNOWN = 10.0
 """Ratio of standard deviation to size above which a parameter counts as unknown."""
 
 
-def headline(found: Plan) -> str:
-    """The expected accuracy in a sentence."""
-    (direction, after), paper = found.after.weakest(), _percent(found.paper.weakest()[1])
-    before = "" if found.before is None else f", from {_percent(found.before.weakest()[1])}"
-    worst = f"the weakest direction ({combination(found.after.names, direction)})"
-    return f"{_seconds(found)} s of commands determine {worst} to {_percent(after)}{before}; the paper's plan: {paper}."
+COLOURED = 1.5
+"""Factor by which autocorrelated residuals must widen the present intervals for a remark."""
 
 
-def key_figures(found: Plan) -> list[tuple[str, str, str]]:
-    """Key figures (label, value, note)."""
-    figures = []
-    stages = (("before", found.before), ("with the paper's plan", found.paper), ("with this plan", found.after))
-    for when, forecast in stages:
-        if forecast is not None:
-            direction, spread = forecast.weakest()
-            note = f"std of {combination(forecast.names, direction)}, in parts of the parameters"
-            figures.append((f"weakest direction {when}", _percent(spread), note))
-    figures.append(("gain over the paper's plan", f"{found.gain:.2f}", f"weakest direction, {_seconds(found)} s each"))
-    return figures
+class PlanResult(Result):
+    """The next experiment. `found`: the whole plan."""
 
+    verb = "plan"
 
-def plan_page(found: Plan, basis: Sequence[str] = (), remarks: Sequence[str] = (), source: str = "") -> Page:
-    """The report of a plan; its assumptions (`basis`) and `remarks` are above its figures; `source`: of the parameters."""
-    after = found.after
-    page = Page(
-        "The next experiment",
-        f"{headline(found)} This holds if a thrust reading every {1e3 * found.step:g} ms has white noise of "
-        f"{found.noise_std:.3g} N. Effects that the model does not have, and any colour of the noise, widen all intervals.",
-        source,
-    )
-    page.tiles(key_figures(found))
-    page.remarks(basis)
-    for remark in remarks:
-        page.note(remark)
-    for name, why in found.not_identifiable.items():
-        page.note(f"{titled(name)} is not planned for and counts as known: {why}.")
-    title = f"The paper's plan leaves {_percent(found.paper.weakest()[1])} in the weakest direction, this one"
-    widths = {"before": found.before, "the paper's plan": found.paper, "after this plan": after}
-    shown = {name: 100.0 * NORMAL_95 * forecast.relative for name, forecast in widths.items() if forecast is not None}
-    hold = [time * found.rig.scales.time_scale for time in PAPERS_HOLD]
-    page.figure(
-        interval_widths(after.names, shown, f"{title} {_percent(after.weakest()[1])}"),
-        "Predicted 95 % intervals. The paper's plan: as long, a third speed only, a third pitch only, a third both, "
-        f"levels held for {hold[0]:g} to {hold[1]:g} s."
-        + ("" if found.before is None else " Both plans add to what is known before."),
-    )
-    columns = found.commands.columns
-    changes = int(np.sum(np.any(np.diff([columns["omega_ref"], columns["beta_ref"]]) != 0.0, axis=0)))
-    title = f"Commands change at {changes} of {len(found.commands)} rows; thrust is predicted between "
-    title += f"{found.thrust.min():.3g} and {found.thrust.max():.3g} N"
-    drawn = planned_commands(columns["time"], columns["omega_ref"], columns["beta_ref"], found.thrust, title)
-    page.figure(drawn, f"plan.csv. {thinning(len(found.commands))}")
-    _add_tables(page, found)
-    return page
+    def __init__(self, found: Plan, parameters: ParameterSet, inflation: float = 1.0, noise: str = ""):
+        super().__init__(found, parameters)
+        self._inflation, self._noise = inflation, noise
+
+    @property
+    def commands(self) -> Record:
+        """`time` [s], `omega_ref` [rpm], `beta_ref` [deg], within the rig's range and slew."""
+        return self.found.commands
+
+    def headline(self) -> str:
+        found = self.found
+        (direction, after), paper = found.after.weakest(), _percent(found.paper.weakest()[1])
+        before = "" if found.before is None else f", from {_percent(found.before.weakest()[1])}"
+        worst = f"the weakest direction ({combination(found.after.names, direction)})"
+        return f"{_seconds(found)} s of commands determine {worst} to {_percent(after)}{before}; the paper's plan: {paper}."
+
+    def key_figures(self) -> list[tuple[str, str, str]]:
+        found, figures = self.found, []
+        stages = (("before", found.before), ("with the paper's plan", found.paper), ("with this plan", found.after))
+        for when, forecast in stages:
+            if forecast is not None:
+                direction, spread = forecast.weakest()
+                note = f"std of {combination(forecast.names, direction)}, in parts of the parameters"
+                figures.append((f"weakest direction {when}", _percent(spread), note))
+        return [*figures, ("gain over the paper's plan", f"{found.gain:.2f}", f"weakest direction, {_seconds(found)} s each")]
+
+    def to_dict(self) -> dict[str, Any]:
+        return self.found.summary()
+
+    def _basis(self) -> list[str]:
+        return [f"commands within {', '.join(self.found.rig.command_lines())}", self._noise]
+
+    def _remarks(self) -> list[str]:
+        """Remarks on autocorrelated residuals, and on a predicted thrust outside of the rig's declared range."""
+        found, wider, remarks = self.found, self._inflation, []
+        if wider > COLOURED:
+            remarks.append(
+                f"Coloured residuals made the intervals of the data so far {wider:.1f} times as wide as white noise would; the "
+                "forecast is for white noise, so before and after do not compare. "
+                f"--noise {wider * found.noise_std:.2g} would allow for as much again."
+            )
+        (low, high), least, most = found.rig.thrust, float(found.thrust.min()), float(found.thrust.max())
+        if found.rig.origin.get("thrust") == DECLARED and (least < low or most > high):
+            remarks.append(
+                f"The model predicts {least:.3g} to {most:.3g} N, and the rig is declared for {low:g} to {high:g} N: narrow "
+                "--omega or --pitch before this is run."
+            )
+        return remarks
+
+    def lines(self) -> list[str]:
+        return [*self._basis(), *(f"note: {remark}" for remark in self._remarks())]
+
+    def write(self, folder: OutputFolder) -> None:
+        write_record(folder, "plan.csv", self.found.commands)
+        folder.write("plan.json", as_json(self.to_dict()))
+        folder.write("report.html", self.page().html())
+
+    def page(self) -> Page:
+        """Assumptions and remarks are above the figures."""
+        found, after = self.found, self.found.after
+        page = Page(
+            "The next experiment",
+            f"{self.headline()} This holds if a thrust reading every {1e3 * found.step:g} ms has white noise of "
+            f"{found.noise_std:.3g} N. Effects that the model does not have, and any colour of the noise, widen all intervals.",
+            self._parameters.label,
+        )
+        page.tiles(self.key_figures())
+        page.remarks(self._basis())
+        for remark in self._remarks():
+            page.note(remark)
+        for name, why in found.not_identifiable.items():
+            page.note(f"{titled(name)} is not planned for and counts as known: {why}.")
+        title = f"The paper's plan leaves {_percent(found.paper.weakest()[1])} in the weakest direction, this one"
+        widths = {"before": found.before, "the paper's plan": found.paper, "after this plan": after}
+        shown = {name: 100.0 * NORMAL_95 * forecast.relative for name, forecast in widths.items() if forecast is not None}
+        hold = [time * found.rig.scales.time_scale for time in PAPERS_HOLD]
+        page.figure(
+            interval_widths(after.names, shown, f"{title} {_percent(after.weakest()[1])}"),
+            "Predicted 95 % intervals. The paper's plan: as long, a third speed only, a third pitch only, a third both, "
+            f"levels held for {hold[0]:g} to {hold[1]:g} s."
+            + ("" if found.before is None else " Both plans add to what is known before."),
+        )
+        columns = found.commands.columns
+        changes = int(np.sum(np.any(np.diff([columns["omega_ref"], columns["beta_ref"]]) != 0.0, axis=0)))
+        title = f"Commands change at {changes} of {len(found.commands)} rows; thrust is predicted between "
+        title += f"{found.thrust.min():.3g} and {found.thrust.max():.3g} N"
+        drawn = planned_commands(columns["time"], columns["omega_ref"], columns["beta_ref"], found.thrust, title)
+        page.figure(drawn, f"plan.csv. {thinning(len(found.commands))}")
+        _add_tables(page, found)
+        return page
 
 
 def _add_tables(page: Page, found: Plan) -> None:

@@ -1,51 +1,125 @@
 """The report of a tuning: improvement by the search, benefit of the second actuator, stability margins, robustness."""
 
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from identification.tune.linear import MOVE
 from identification.tune.operating import open_loop
-from identification.tune.summary import NAMES, against, change_rows, headline, key_figures, labels, margin_rows, settling
+from identification.tune.summary import (
+    NAMES,
+    against,
+    change_rows,
+    headline,
+    key_figures,
+    labels,
+    margin_rows,
+    settling,
+    summary,
+)
 from identification.tune.tune import JUDGED, Tuned, Tuning
-from vpp_fmu.app.report.figures.loop import Cloud, bode, cost_ranks, margins_over_thrust, nyquist, response_clouds
+from identification.tune.verdict import UNITS
+from vpp_fmu.app.report.figures.loop import cost_ranks, margins_over_thrust, nyquist
 from vpp_fmu.app.report.figures.time import closed_loop as loop_figure
 from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.result import Result
 from vpp_fmu.digits import number
-from vpp_fmu.response import BAND
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.parameters import ParameterSet, to_json
+from vpp_fmu.record import write_record
+from vpp_fmu.structured import as_json
 
-DRAWN = 40
-"""Number of plants whose responses are drawn."""
-
-EVERY = 2
-"""Samples between the points of a cloud."""
-
-STEPS, SEEN = 2, (0.2, 2.2)
-"""Number of steps that are drawn, and time scales before and after them."""
+FILES = {"dual": "gains.json", "speed_only": "gains_speed_only.json", "allocated": "gains.json"}
 
 
-def tuning_page(found: Tuning) -> Page:
-    """The page of one tuning."""
-    task = found.task
-    assumed = ", ".join(f"{name} = {task.parameters.values[name]:g}" for name in task.assumed)
-    page = Page("Gains for the model", headline(found), task.parameters.label)
-    figures = key_figures(found)
-    page.tiles([each for each in figures if each[0].startswith(("step", "cost", "phase"))])
-    for name, tuned in found.tuned.items():
-        _add_controller(page, found, name, tuned)
-    if len(found.tuned) > 1:
-        _add_comparison(page, found)
-    if found.plants is not None:
-        _add_robust(page, found)
-    page.section(
-        "How the gains were found",
-        f"The search (Nelder and Mead, on the compiled loop) minimises the squared thrust error over the test signal plus "
-        f"{task.alpha:g} times the squared norm of the gains. Limits: overshoot {100 * task.overshoot:g} %, sensitivity at the "
-        f"operating points {task.sensitivity:g}, and the settling and ringing of each step under the initial gains."
-        + (f" Assumed for the design: {assumed}." if assumed else ""),
-    )
-    page.table(("figure", "value", "note"), figures, "All figures of this tuning.")
-    return page
+class TuneResult(Result):
+    """Gains for both actuators and for speed alone. `found`: the whole tuning."""
+
+    verb = "tune"
+    found: Tuning
+
+    def __init__(
+        self,
+        found: Tuning,
+        parameters: ParameterSet | None = None,
+        file: str | os.PathLike[str] | None = None,
+        setting: Sequence[str] = (),
+    ):
+        """`parameters`: before the design's assumptions; `setting`: lines about the conditions."""
+        super().__init__(found, parameters or found.task.parameters, file)
+        self._setting = setting
+
+    @property
+    def gains(self) -> dict[str, ParameterSet]:
+        """The controllers' values by name, "dual" and "speed_only", for export_fmu and run_loop."""
+        return {name: self._gains(name) for name in self.found.tuned}
+
+    def _gains(self, name: str) -> ParameterSet:
+        task, tuned = self.found.task, self.found.tuned[name]
+        source = {
+            "made_by": "vpp tune",
+            "assumed": {n: task.parameters.values[n] for n in task.assumed},
+            "robust": task.robust,
+            "cost": tuned.cost(tuned.chosen),
+            "verdict": {which: each.words() for which, each in tuned.verdicts.items()},
+            "rig": task.parameters.rig.summary(),
+        }
+        return ParameterSet(task.controller, source=source).replaced(tuned.objective.with_gains(tuned.final))
+
+    def headline(self) -> str:
+        return headline(self.found)
+
+    def key_figures(self) -> list[tuple[str, str, str]]:
+        return key_figures(self.found)
+
+    def to_dict(self) -> dict[str, Any]:
+        return summary(self.found)
+
+    def lines(self) -> list[str]:
+        return list(self._setting)
+
+    def details(self) -> list[str]:
+        """Every step and margin, before and after."""
+        lines = []
+        for name, tuned in self.found.tuned.items():
+            for which, verdict in tuned.verdicts.items():
+                lines.append(f"{NAMES[name]}, {self.found.task.reference} → {which}")
+                for step, *changes in change_rows(verdict):
+                    lines.append(f"  {step}: " + ", ".join(f"{n} {c}" for n, c in zip(UNITS, changes, strict=True)))
+                lines.append("  " + ", ".join(f"{margin} {change}" for margin, change in margin_rows(verdict)))
+        return [*lines, f"tuned in {self.found.seconds:.1f} s"]
+
+    def write(self, folder: OutputFolder) -> None:
+        for name, gains in self.gains.items():
+            folder.write(FILES[name], to_json(self._dated(gains)))
+        folder.write("tuning.json", as_json(self.to_dict()))
+        write_record(folder, "profile.csv", self.found.task.profile)
+        folder.write("report.html", self.page().html())
+
+    def page(self) -> Page:
+        found = self.found
+        task = found.task
+        assumed = ", ".join(f"{name} = {task.parameters.values[name]:g}" for name in task.assumed)
+        page = Page("Gains for the model", headline(found), task.parameters.label)
+        figures = key_figures(found)
+        page.tiles([each for each in figures if each[0].startswith(("step", "cost", "phase"))])
+        for name, tuned in found.tuned.items():
+            _add_controller(page, found, name, tuned)
+        if len(found.tuned) > 1:
+            _add_comparison(page, found)
+        if found.plants is not None:
+            _add_robust(page, found)
+        page.section(
+            "How the gains were found",
+            f"The search (Nelder and Mead, on the compiled loop) minimises the squared thrust error over the test signal plus "
+            f"{task.alpha:g} times the squared norm of the gains. Limits: overshoot {100 * task.overshoot:g} %, sensitivity at "
+            f"the operating points {task.sensitivity:g}, and the settling and ringing of each step under the initial gains."
+            + (f" Assumed for the design: {assumed}." if assumed else ""),
+        )
+        page.table(("figure", "value", "note"), figures, "All figures of this tuning.")
+        return page
 
 
 def _names(found: Tuning, tuned: Tuned) -> dict[str, str]:
@@ -112,16 +186,10 @@ def _add_margins(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
     )
     points = tuned.points[last][: (len(tuned.points[last]) + 1) // 2]
     loops = {f"{p.thrust:.3g} N": open_loop(tuned.objective, gains, p) for p in points}
-    omega = next(iter(loops.values()))[0]
     shown = {label: loop for label, (_, loop) in loops.items()}
     title = f"{NAMES[name].capitalize()}: distance of the open loops from -1"
     page.figure(nyquist(shown, found.task.sensitivity, title), f"Open loops of the {own[last]} gains on increasing levels.")
-    crossed = [m.crossover for m in tuned.margins[last] if m.crossover is not None]
-    crossover = f"cross over between {min(crossed):.3g} and {max(crossed):.3g} rad/s" if crossed else "never reach a gain of 1"
-    title = f"{NAMES[name].capitalize()}: the open loops {crossover}"
-    page.figure(bode(omega, shown, title), f"The same loops, {own[last]} gains, up to half the sampling frequency.")
-    for which in dict.fromkeys(("start", *tuned.gains)):
-        _add_margin_table(page, tuned, which, own[which])
+    _add_margin_table(page, tuned, last, own[last])
 
 
 def _add_margin_table(page: Page, tuned: Tuned, which: str, label: str) -> None:
@@ -169,40 +237,9 @@ def _add_robust(page: Page, found: Tuning) -> None:
         title = f"{NAMES[name].capitalize()}: worst cost of {JUDGED} plants under nominal and robust gains {worst}"
         shown = {label: tuned.judged[which] for label, which in gains.items()}
         page.figure(cost_ranks(shown, title), "Costs, sorted for each gain set. The search used none of these plants.")
-        _add_clouds(page, found, name, gains)
         rows = []
         for which, label in _names(found, tuned).items():
             costs, overshoot = tuned.judged[which], 100.0 * tuned.overshoots[which].max()
             rows.append((label, tuned.cost(which), costs.mean(), costs.max(), overshoot))
         columns = ("gains", "cost, nominal plant", "mean", "worst", "largest overshoot [%]")
         page.table(columns, rows, f"Costs on the nominal plant and on {JUDGED} others.")
-
-
-def _add_clouds(page: Page, found: Tuning, name: str, gains: Mapping[str, str]) -> None:
-    tuned = found.tuned[name]
-    course, found_steps = tuned.objective.course, tuned.objective.steps(tuned.gains["tuned"])[:STEPS]
-    seen = [share * tuned.objective.time_scale for share in SEEN]
-    before, after = (round(seconds / course.dt) for seconds in seen)
-    thrust = {label: _cloud(found, tuned, which) for label, which in gains.items()}
-    clouds, time = [], np.arange(-before, after, EVERY) * course.dt
-    for step in found_steps:
-        rows = round(step.time / course.dt) + np.arange(-before, after, EVERY)
-        rows = np.clip(rows, 0, len(course.wanted) - 1)
-        label = f"{step.before:.3g} → {step.after:.3g} N"
-        clouds += [Cloud(label, which, course.wanted[rows], own[:, rows]) for which, own in thrust.items()]
-    if clouds:
-        first = found_steps[0]
-        near = BAND * abs(first.after - first.before)
-        there = [int(np.sum(np.abs(c.thrust[:, -1] - first.after) <= near)) for c in clouds[: len(gains)]]
-        reached = f"{there[0]} of {DRAWN} plants are at {first.after:.3g} N under nominal gains, {there[1]} under robust ones"
-        title = f"{NAMES[name].capitalize()}: {seen[1]:.3g} s after the step {reached}"
-        caption = "Thrust around the first steps, under nominal gains above, robust ones below. At: within 2 % of the step."
-        page.figure(response_clouds(time, clouds, title, DRAWN), caption)
-
-
-def _cloud(found: Tuning, tuned: Tuned, which: str) -> np.ndarray:
-    """Thrust (DRAWN, points) N of the first DRAWN judged plants."""
-    objective = tuned.objective
-    loop = objective.loop
-    _, chain, controller = loop.vectors({}, objective.chain, objective.with_gains(tuned.gains[which]))
-    return np.array([loop.run((own, chain, controller), objective.course)["thrust"] for own in found.plants[:DRAWN]])

@@ -8,6 +8,7 @@ no small change, a delay has no states). The model is linearised without them, a
 """
 
 import io
+import os
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -20,11 +21,10 @@ import numpy as np
 from scipy.io import savemat
 from scipy.signal import StateSpace
 
-from vpp_fmu.app.api.objects import PathLike
 from vpp_fmu.errors import BadInput, ExtraMissing
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.effects.thrust_map import THRUST_MAP, normalised_thrust
-from vpp_fmu.kernel.power import EFFECTS as POWER_MAPS
+from vpp_fmu.kernel.plant import ADDS_POWER
 from vpp_fmu.kernel.signals import BETA_REF, OMEGA_REF
 from vpp_fmu.parameters import ParameterSet
 
@@ -99,7 +99,7 @@ class Linearisable(ABC):
         names = {"inputs": list(INPUTS), "states": list(STATES), "outputs": list(OUTPUTS), "name": "VppPlant"}
         return control.ss(found.a, found.b, found.c, found.d, **names)
 
-    def save_mat(self, path: PathLike, omega: float, beta: float) -> Path:
+    def save_mat(self, path: str | os.PathLike[str], omega: float, beta: float) -> Path:
         """Write the linear plant at `omega` [rpm], `beta` [deg] to a MATLAB file: A, B, C, D, the working point, all parameters
         with their units. A script of the same name (.m) beside it builds the nonlinear blocks. Returns the path. BadInput."""
         target, found, held = Path(path).with_suffix(".mat"), self._linear(omega, beta), self.parameters
@@ -123,8 +123,8 @@ class Linearisable(ABC):
         return folder.write(target.name, packed.getvalue())
 
     def _linear(self, omega: float, beta: float) -> Linear:
-        held, maps = self.parameters, {e.name for e in POWER_MAPS}
-        if effects := [name for name in held.model.optional if name not in maps]:
+        held = self.parameters
+        if effects := [name for name in held.model.optional if name not in ADDS_POWER]:
             warnings.warn(f"not part of the linear model: {', '.join(effects)}", UserWarning, stacklevel=3)
         return linearised(held.values, omega, beta)
 

@@ -1,0 +1,115 @@
+"""The result of a verb: its finding, key figures, numbers, report and files, for Python and for the command line."""
+
+import os
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+from plotly import graph_objects as go
+
+from identification.fit.problem import Prior
+from vpp_fmu import __version__
+from vpp_fmu.app.report.page import Page
+from vpp_fmu.date import now
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.notebook import table_html
+from vpp_fmu.outputs import OutputSet
+from vpp_fmu.parameters import ParameterSet
+
+
+@dataclass(frozen=True, eq=False)
+class Knowledge:
+    """Uncertainty of a plant's parameters: `prior`, and the factor `inflation` by which autocorrelated residuals widen it.
+    `noise`: (standard deviation of a thrust reading [N], its source). None: unknown."""
+
+    prior: Prior | None = None
+    inflation: float = 1.0
+    noise: tuple[float, str] | None = None
+
+
+class Result(ABC):
+    """The result of a verb. `verb`: its name; `found`: all of it; `save` writes its files."""
+
+    verb: ClassVar[str]
+
+    def __init__(self, found: Any, parameters: ParameterSet | None = None, file: str | os.PathLike[str] | None = None):
+        """`parameters`: those of the plant in its files; `file`: that they were read from, if any."""
+        self.found, self._parameters, self._file = found, parameters, file
+
+    @abstractmethod
+    def headline(self) -> str:
+        """The finding in a sentence."""
+
+    @abstractmethod
+    def key_figures(self) -> list[tuple[str, str, str]]:
+        """Key figures (label, value, note)."""
+
+    @abstractmethod
+    def to_dict(self) -> dict[str, Any]:
+        """All numbers, as the verb's JSON file holds them; strictly valid JSON."""
+
+    @abstractmethod
+    def page(self) -> Page:
+        """The report."""
+
+    @abstractmethod
+    def write(self, folder: OutputFolder) -> None:
+        """Write the verb's files."""
+
+    def lines(self) -> list[str]:
+        """Warnings and other important lines."""
+        return []
+
+    def details(self) -> list[str]:
+        """Lines for --verbose only."""
+        return []
+
+    @property
+    def identity(self) -> str | None:
+        """Identity of the parameters in the files."""
+        return self._parameters.identity if self._parameters else None
+
+    def _dated(self, own: ParameterSet) -> ParameterSet:
+        """A set of the result with its version, date and identity, and the parameters that it was made from."""
+        return dated(own, parameters=(self._file, self._parameters) if self._file and self._parameters else None)
+
+    def save(self, folder: str | os.PathLike[str]) -> Path:
+        """Write the files of `vpp VERB -o folder`, and return the folder. An earlier run's files of the same model are removed,
+        other files stay. BadInput if it can't be written."""
+        target = OutputSet(folder, self.verb)
+        self.write(target)
+        target.finish(self.identity)
+        return target.path
+
+    def plot(self, figure: int = 1) -> go.Figure:
+        """A figure of the report by its number, from 1. BadInput if it has no such figure."""
+        figures = self.page().figures
+        if not 1 <= figure <= len(figures):
+            allowed = f"1 to {len(figures)}" if figures else "none, there is nothing to draw"
+            raise BadInput(type(self).__name__, "figure", figure, allowed)
+        return figures[figure - 1]
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({'; '.join(f'{label}: {value}' for label, value, _ in self.key_figures())})"
+
+    def _repr_html_(self) -> str:
+        return table_html(type(self).__name__, ("what", "value", "note"), self.key_figures())
+
+
+def dated(parameters: ParameterSet, /, **parents: tuple[str | os.PathLike[str], ParameterSet] | None) -> ParameterSet:
+    """The set with version, date and identity in its source, and its inputs: `parents`, (file, its content) by role."""
+    came = {role: {"file": Path(p[0]).name, "identity": p[1].identity} for role, p in parents.items() if p}
+    own = {"version": __version__, "date": now(), "identity": parameters.identity}
+    return replace(parameters, source={**parameters.source, **own, **came})
+
+
+def write_report(result: Result, path: str | os.PathLike[str]) -> Path:
+    """Write a result's report, a self-contained HTML file; returns its path. BadInput.
+
+    >>> vpp.write_report(vpp.check(vpp.example_campaign()), "check.html").name
+    'check.html'
+    """
+    target = Path(path)
+    return OutputFolder(target.parent).write(target.name, result.page().html())
