@@ -656,3 +656,28 @@ def test_a_learned_term_must_not_fit_better_than_a_named_effect(monkeypatch, gai
     judge, pool = SimpleNamespace(searcher=None), SimpleNamespace(map=map)
     assert learn.better_than(judge, rest, with_it, None, pool) is (term if stands_in else None)
     assert channels == ["beta"]
+
+
+@pytest.mark.parametrize(("kept", "remains"), [(60.0, True), (40.0, False)])
+def test_an_effect_beside_a_learned_term_must_keep_most_of_its_evidence(kept, remains):
+    """Of 100 nats. The set of the term gets the effect with its form and free parameters, from the values of both."""
+    asked = {}
+
+    def fit(effects, forms, free, start, order, thorough):
+        asked.update(effects=effects, forms=forms, free=free, start=start)
+        return SimpleNamespace(bic=lambda: 500.0 - 2.0 * kept)
+
+    def made(effects, bic):
+        names = [f"{name}.size" for name in effects]
+        forms, values = {f"{name}.form": 2.0 for name in effects}, dict.fromkeys(names, float(len(effects)))
+        return SimpleNamespace(effects=effects, forms=forms, free=names, values=values, slow_first={}, bic=lambda: bic)
+
+    term = SimpleNamespace(fit=made(("learned",), 500.0), searcher=lambda other: SimpleNamespace(fit=fit))
+    rest, with_it = made(("sag",), 900.0), made(("sag", "lag"), 700.0)
+    assert learn.remains_beside(term, None, rest, with_it) is remains
+    assert asked == {
+        "effects": ["learned", "lag"],
+        "forms": {"learned.form": 2.0, "lag.form": 2.0},
+        "free": ["learned.size", "lag.size"],
+        "start": {"learned.size": 1.0, "lag.size": 2.0},
+    }

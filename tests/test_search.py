@@ -212,6 +212,8 @@ def test_a_refit_leaves_the_double_pole_of_a_fit_without_the_effect(name, truth,
     searcher = Searcher([Experiment([Fitted("drawn", record)], independent(15.0))], names, None, values, library)
     candidate = candidates([e for e in library if e.name == name], [record])[0]
     base = searcher.fit([], {}, [], values)
+    linear = base.linearised().residual
+    assert linear @ linear == pytest.approx(2.0 * base.solution.cost, rel=1e-3)  # no parameter that is free lowers a minimum
     best = searcher.fit([name], candidate.form, list(candidate.free), {**values, **truth})
     assert base.deviance - best.deviance > 100.0
     (tried,) = refits.search_round(searcher, base, [candidate], SimpleNamespace(map=map), lambda *_: None)

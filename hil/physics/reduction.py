@@ -7,7 +7,7 @@ zeros and the coupling K_beta, two lags a channel remain (eqs. 13 to 15). Differ
   k_omega + C_Q^omega + k_Q k_i / R, and k_P becomes V k_P / R.
 - Signs. The text defines e = omega - omega_ref and adds k_P e to the current: with positive gains the printed matrix has the
   entries (K_P - 1) / tau and +K_I / tau, and is unstable for any K_I > 0 (here: a pole at +4 rad/s). The relations of the
-  two-lag form hold for the opposite sign. `state_space` subtracts; `printed=True` gives the text's.
+  two-lag form hold for the opposite sign. `state_space` subtracts.
 - Linearising -Q_a gives -C_Q^beta: K_beta is negative if more pitch needs more torque. The text has +C_Q^beta.
 - The PI's zero at k_I / k_P = 20 rad/s, for any motor and load, is not far outside the loop's bandwidth: the poles lie at 5 to
   11 rad/s, as a complex pair at most points. Without the zero the step response is off by 0.13 to 0.15 of the step. `two_lags`
@@ -72,19 +72,17 @@ def _drag(p, beta: float) -> float:
     return drag_factor(NUMBERS, p, beta, settled_inflow(NUMBERS, p, beta))
 
 
-def state_space(r: Reduced, printed: bool = False) -> tuple[np.ndarray, np.ndarray]:
+def state_space(r: Reduced) -> tuple[np.ndarray, np.ndarray]:
     """(A (4, 4), B (4, 3)) of eq. 12: states omega, integral of its error, beta, d beta/dt; inputs omega_ref, beta_ref,
-    d beta_ref/dt. `printed`: with the text's signs."""
-    sign, tau = 1.0 if printed else -1.0, r.tau_omega
-    coupling = -r.k_beta if printed else r.k_beta
-    stiffness, damping = r.b_beta * r.k_p_beta, r.b_beta * r.k_d_beta
+    d beta_ref/dt."""
+    tau, stiffness, damping = r.tau_omega, r.b_beta * r.k_p_beta, r.b_beta * r.k_d_beta
     a = [
-        [(sign * r.k_p - 1.0) / tau, sign * r.k_i / tau, coupling / tau, 0.0],
+        [-(r.k_p + 1.0) / tau, -r.k_i / tau, r.k_beta / tau, 0.0],
         [1.0, 0.0, 0.0, 0.0],
         [0.0, 0.0, 0.0, 1.0],
         [0.0, 0.0, -stiffness, -(r.a_beta + damping)],
     ]
-    b = [[-sign * r.k_p / tau, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, stiffness, damping]]
+    b = [[r.k_p / tau, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, stiffness, damping]]
     return np.array(a), np.array(b)
 
 
@@ -100,11 +98,6 @@ def two_lags(r: Reduced) -> dict[str, tuple[complex, complex]]:
 def two_lags_with_zero(r: Reduced) -> tuple[complex, complex]:
     """Time constants [s] of two lags that equal the speed loop, including its zero, up to s^2."""
     return _lags(1.0 / r.k_i, (r.tau_omega - r.k_p / r.k_i) / r.k_i)
-
-
-def coupling_gain(r: Reduced) -> float:
-    """Speed-seconds lost per pitch [rpm s/deg], the area under the speed's dip after a step of pitch: -K_beta / K_I."""
-    return -r.k_beta / r.k_i * DEG / RPM
 
 
 def wiener(omega: float, beta: float, parameters: Mapping[str, float] | None = None) -> dict[str, float]:
