@@ -106,7 +106,7 @@ def solve(
         if converged:
             break
         stale = residual_at is not None and not fresh
-        if stale and (gained <= 0 or gained > CLOSE * cost or abs(gained / predicted - 1.0) > STRAIGHT):
+        if stale and evaluations < limit and (gained <= 0 or gained > CLOSE * cost or abs(gained / predicted - 1.0) > STRAIGHT):
             del jacobian
             jacobian, fresh = evaluate(x)[1], True
         if fresh:

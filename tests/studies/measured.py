@@ -131,8 +131,12 @@ def of_campaign(campaign: Campaign, look: bool) -> Row:
 
 def of_days(fitted: Path, other: Path, look: bool) -> Row:
     """One day's log is fitted, and the other predicted by the same model."""
+    with tempfile.TemporaryDirectory() as place:
+        return _of_days(days(fitted, other, Path(place, fitted.stem)), fitted, other, look)
+
+
+def _of_days(campaign: Campaign, fitted: Path, other: Path, look: bool) -> Row:
     name = f"{fitted.stem} -> {other.stem}"
-    campaign = days(fitted, other)
     known = identify(campaign)
     day, own = known.predictions["validation"], known.predictions["open_loop"]
     print(
@@ -150,20 +154,20 @@ def of_days(fitted: Path, other: Path, look: bool) -> Row:
     return Row(name, day.rmse_thrust, before, after, floor, _verdict(seen))
 
 
-def days(fitted: Path, other: Path) -> Campaign:
-    """Two logs as open-loop and validation record of a campaign, by `vpp import` as a user would. BadInput."""
-    with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
+def days(fitted: Path, other: Path, place: Path) -> Campaign:
+    """Two logs as open-loop and validation record of a campaign in the folder `place`, by `vpp import` as a user would, with
+    the fitted day's map of the speed. BadInput."""
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore", RecordWarning)
         for log, kind in ((fitted, "open_loop"), (other, "validation")):
             toml = log.parent / FILE
             words = ["csv", str(log), "--map", str(toml)] if toml.exists() else ["rcbenchmark", str(log)]
             printed = io.StringIO()
             with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
-                failed = cli.main(["import", *words, "--as", kind, "-o", place])
+                failed = cli.main(["import", *words, "--as", kind, "-o", str(place)])
             if failed:
                 raise BadInput(log, "log", printed.getvalue().strip().splitlines()[-1], "one that vpp import takes in")
-        campaign = read_campaign(place)
-    return Campaign(Path(fitted.stem), None, (), campaign.open_loop, None, campaign.validation, rig=campaign.rig)
+        return read_campaign(place)
 
 
 def map_of_the_day(parameters: ParameterSet, campaign: Campaign) -> float:
