@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from vpp_fmu.kernel.types import Effect
+from vpp_fmu.kernel.types import Effect, Parameter
 from vpp_fmu.record import Record
 
 SIZES = (0.25, 0.5, 1.0, 2.0, 4.0)
@@ -17,6 +17,9 @@ SHAPES = (0.3, 1.0, 3.0)
 
 TOPS = (0.85, 0.9, 0.95, 1.0, 1.05, 1.1)
 """Multiples of the highest commanded speed, for speed limits. A soft limit above it acts in one corner only."""
+
+WITHIN = 12
+"""Grid values of a limit of the pitch, evenly within its commanded range: it is as sharp as that of the speed."""
 
 DECADE, CYCLES = 12, 2.0
 """Grid frequencies per decade, and the cycles per record at the lowest. The highest is half the sampling rate."""
@@ -57,8 +60,10 @@ class Candidate:
 
     @property
     def probe(self) -> dict[str, float]:
-        """Plausible sizes, by full name."""
+        """Plausible sizes, by full name. Of a limit of the pitch, the outermost of its levels: a fit moves it inwards from
+        there."""
         plausible = {self.effect.full(n): v for n, v in self.effect.probe.items()}
+        plausible |= {self.effect.full(p.name): self.levels[self.effect.full(p.name)][0] for p in pitch_limits(self.effect)}
         return {n: plausible.get(n, self.off[n]) for n in self.sizes}
 
     def within(self, values: Mapping[str, float]) -> dict[str, float]:
@@ -97,6 +102,11 @@ class Candidate:
         return np.geomspace(max(p.minimum, highest / 100.0), highest, count).tolist()
 
 
+def pitch_limits(effect: Effect) -> list[Parameter]:
+    """Sizes of an effect that limit the pitch itself."""
+    return [p for p in effect.parameters if p.scale == "position" and p.unlimited is not None]
+
+
 def candidates(library: Iterable[Effect], records: Iterable[Record]) -> list[Candidate]:
     """Candidates for records. Effects that need a measured input absent from a record are excluded; so are those that round a
     constant command.
@@ -123,11 +133,16 @@ def candidates(library: Iterable[Effect], records: Iterable[Record]) -> list[Can
 def _levels(effect: Effect, records: tuple[Record, ...]) -> dict[str, tuple[float, ...]]:
     """First grid of parameters that depend on the records, by full name.
 
-    Speed limits: about the highest commanded speed. Frequencies: all that the records resolve. Levels of a measured input: its
-    minimum, median and maximum."""
+    Speed limits: about the highest commanded speed. Pitch limits: within the commanded range, the outermost first.
+    Frequencies: all that the records resolve. Levels of a measured input: its minimum, median and maximum."""
     top = max(float(np.nanmax(r["omega_ref"])) for r in records)
     limits = [p for p in effect.parameters if p.unit == "rpm" and effect.off.get(p.name) == p.maximum]
     found = {effect.full(p.name): tuple(v for k in TOPS if (v := k * top) > p.minimum) or (p.minimum,) for p in limits}
+    reached = [end for r in records for end in (float(r["beta_ref"].min()), float(r["beta_ref"].max()))]
+    inside = np.linspace(min(reached), max(reached), WITHIN + 2)[1:-1].tolist()
+    for p in pitch_limits(effect):
+        inwards = inside if p.unlimited == p.minimum else inside[::-1]
+        found[effect.full(p.name)] = (*(v for v in inwards if p.minimum < v < p.maximum), p.unlimited)
     lowest = min(CYCLES / float(r.time[-1] - r.time[0]) for r in records)
     fastest = max(0.5 / r.period for r in records)
     for p in (p for p in effect.parameters if p.unit == "Hz" and p.name in effect.off):
