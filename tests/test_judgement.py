@@ -275,6 +275,18 @@ def test_an_effect_with_an_arbitrary_phase_is_kept_only_if_step_runs_confirm_it(
     assert (final.effects, why) == (ships, "")
 
 
+def test_a_set_whose_sensitivities_diverge_is_refuted(monkeypatch):
+    """A learned term may be unstable beside what another channel asks for."""
+    jacobian = np.where(TIME[:, None] > 30.0, np.nan, np.ones((len(TIME), 2)))
+    steady, unstable = fit_of(-TIME, np.ones((len(TIME), 1)), TIME), fit_of(-TIME, np.ones((len(TIME), 2)), TIME)
+    unstable.tangent, unstable.effects, unstable.problem.model.effects = (lambda: (TIME, jacobian)), ("learned",), []
+    monkeypatch.setattr(crossval, "_errors", lambda fit, moves, split: ((np.ones(1),), ()))
+    judge = acceptance.Judge(SimpleNamespace(experiments=()), steady, None, ())
+    final, why = validation.validated(judge, None, None, steady, SimpleNamespace(effects=()), unstable)
+    assert final is steady
+    assert "diverges" in why
+
+
 def test_an_effect_below_the_minimum_size_after_estimation_is_refuted(monkeypatch):
     fit = SimpleNamespace(effects=("band",), problem=SimpleNamespace(model=SimpleNamespace(effects=[])))
     monkeypatch.setattr(validation, "_estimated", lambda judge, knowledge, present, one, parts: one)
@@ -545,6 +557,7 @@ def test_when_a_learned_term_is_accepted(monkeypatch, ahead, leaves, elsewhere, 
     ("beaten", "needed", "by", "left", "doubted"),
     [
         ((), (), 20.0, (("b", "a"), ("c", "sensor_lag")), set()),
+        (("b",), ("a explains too little",), 20.0, ((), ("c", "sensor_lag")), {"speed"}),
         (("b",), (), 20.0, (("a",), ("c", "sensor_lag")), {"speed"}),
         (("b",), (), 200.0, (("a",), ("c",)), {"speed"}),  # more than the evidence of the delay
         (("b",), ("b",), 20.0, (("b", "a"), ("c", "sensor_lag")), {"speed"}),  # the term is something else
@@ -568,13 +581,16 @@ def test_names_that_stand_in_for_something_else_are_dropped(monkeypatch, beaten,
         def less(self, k, effect, why):
             had = self.stages[k]
             stages = list(self.stages)
-            stages[k] = stage(had.name, tuple(n for n in had.accepted.effects if n != effect))
+            left = tuple(n for n in had.accepted.effects if n != effect)
+            stages[k] = stage(had.name, left)
+            if f"{left[0]} explains too little" in needed:
+                stages[k].accepted = SimpleNamespace(effects=())
             return Found(stages=stages, at=self.at)
 
     def better(judge, rest, fit, scales, pool):
         return SimpleNamespace(fit=None, lead=SimpleNamespace(port="thrust")) if rest in beaten else None
 
-    monkeypatch.setattr(diagnose, "without", lambda searcher, base, fit, name: name)
+    monkeypatch.setattr(diagnose, "without", lambda searcher, base, fit, name: fit.effects[fit.effects.index(name)])
     monkeypatch.setattr(diagnose, "better_than", better)
     monkeypatch.setattr(diagnose, "remains_beside", lambda term, searcher, rest, fit: rest in needed)
     monkeypatch.setattr(diagnose, "evidence_over", lambda term, other: by)

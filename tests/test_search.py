@@ -218,3 +218,23 @@ def test_a_refit_leaves_the_double_pole_of_a_fit_without_the_effect(name, truth,
     assert base.deviance - best.deviance > 100.0
     (tried,) = refits.search_round(searcher, base, [candidate], SimpleNamespace(map=map), lambda *_: None)
     assert tried.fit.deviance == pytest.approx(best.deviance, abs=0.1)
+
+
+@pytest.mark.parametrize("form", [1.0, 2.0])
+@pytest.mark.parametrize(("end", "value"), [("maximum", 4.8), ("minimum", -1.0)])
+def test_a_limit_of_the_pitch_is_found_wherever_it_is(form, end, value):
+    """Commands from -2.5 to 6.5 deg do not reach the effect's plausible limits, -3 and 7 deg. Without the limit, map and lags
+    absorb much of it. The search is as good as a fit that starts from the true values."""
+    name, (model, rng) = "pitch_travel_limit", (plant(["pitch_travel_limit"]), np.random.default_rng(int(10 * abs(value))))
+    truth = {f"{name}.{end}": value, f"{name}.form": form, "tau_beta_1": 0.3, "tau_beta_2": 0.12}
+    told = {"omega_ref": np.repeat(rng.uniform(2500.0, 5800.0, 80), 50), "beta_ref": np.repeat(rng.uniform(-2.5, 6.5, 80), 50)}
+    read = Simulator(model).simulate(model.values(truth), told, np.full(3999, 0.01))[:, 0] + 0.2 * rng.standard_normal(4000)
+    record = Record({"time": 0.01 * np.arange(4000), **told, "thrust": read}, "drawn")
+    names, values = ["tau_beta_1", "tau_beta_2", *TERMS], plant().values()
+    searcher = Searcher([Experiment([Fitted("drawn", record)], independent(15.0))], names, None, values, LIBRARY)
+    options = candidates([e for e in LIBRARY if e.name == name], [record])
+    base = searcher.fit([], {}, [], values)
+    right = next(c for c in options if c.form[f"{name}.form"] == form)
+    best = searcher.fit([name], right.form, list(right.free), {**values, **truth})
+    tried = refits.search_round(searcher, base, options, SimpleNamespace(map=map), lambda *_: None)
+    assert min(t.fit.deviance for t in tried) == pytest.approx(best.deviance, abs=0.5)

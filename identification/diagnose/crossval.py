@@ -77,7 +77,8 @@ def cross_validated(
     """The fit's residuals in each fold, predicted from the other folds.
 
     `split(time, seconds)`: the fold of each time. `moving(name)`: whether a parameter is refitted; None: all are. `least`: a
-    direction is not refitted if the other folds have at most this share of its information.
+    direction is not refitted if the other folds have at most this share of its information. LinAlgError: the sensitivities
+    diverge, so the fit is no minimum.
     """
     problem = fit.problem
     if fit.parts:
@@ -86,6 +87,8 @@ def cross_validated(
         held = residual[: problem.size] + np.einsum("rn,rn->r", jacobian[: problem.size], moves[_fold_of(fit, split)])
     else:
         residual, jacobian = fit.tangent()
+        if not np.isfinite(jacobian).all():
+            raise np.linalg.LinAlgError("the sensitivities diverge")
         if moving is not None:
             jacobian = jacobian * [float(moving(name)) for name in problem.coordinates.names]
         held, steps = _predicted(fit, residual, jacobian, _fold_of(fit, split), least)

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from identification.assessment.pairs import agreed_order, exchangeable
@@ -497,6 +496,8 @@ def _undoubted(task: _Task, found: _Searched) -> tuple[_Searched, dict[str, str]
         weakest_first = sorted(found.stages[k].accepted.effects, key=lambda name, judged=judged: judged[name].evidence)
         for name in weakest_first:
             stage = found.stages[k]
+            if name not in stage.accepted.effects:  # without a weaker effect, those left explain too little
+                break
             if k and name in LATE and stage.selection.judgements[name].evidence < missing:
                 found = found.less(k, name, "the instants of the speed readings are not known where the speed is not explained")
                 continue
@@ -505,8 +506,6 @@ def _undoubted(task: _Task, found: _Searched) -> tuple[_Searched, dict[str, str]
                 return found, doubts
             task.effort.stage(step)
             fit = stage.accepted
-            if name not in fit.effects:  # without a weaker effect, the stage names none
-                break
             rest = without(stage.judge.searcher, stage.selection.base, fit, name)
             if term := better_than(stage.judge, rest, fit, found.at.rig.scales, task.pool):
                 missing = evidence_over(term.fit, fit)
@@ -574,9 +573,6 @@ def _learned(task: _Task, found: _Searched, stage: Stage, present: Fit) -> tuple
             attempt = attempt.but_refuted("it depends on time, and no record of other commands shows that it holds there")
             continue
         together = joined(term.searcher(found.judge.searcher), found.judge.base, [*others, term.fit])
-        if not np.isfinite(together.tangent()[1]).all():
-            attempt = attempt.but_refuted("fitted to all channels together, it diverges")
-            continue
         without_it = joined(found.judge.searcher, found.judge.base, [*others, beside])
         final, why = found.shipped(present, without_it, together, [*others, term.fit])
         if not why:

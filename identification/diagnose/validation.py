@@ -90,7 +90,10 @@ def validated(
                 found = rest
     if found.effects == base.effects:
         return present, ""
-    final = _estimated(judge, knowledge, present, found, parts)
+    try:
+        final = _estimated(judge, knowledge, present, found, parts)
+    except np.linalg.LinAlgError:
+        return present, "fitted to all channels, it diverges"
     too_small = [name for name in final.effects if not judge.matters(name, final)]
     given = Replacement(judge, present, base, found, final, unseen, partly)
     why = NOTHING_LEFT.format(too_small[0]) if too_small else reason_against(given)

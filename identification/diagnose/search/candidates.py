@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from vpp_fmu.kernel.types import Effect, Parameter
+from vpp_fmu.kernel.types import Effect
 from vpp_fmu.record import Record
 
 SIZES = (0.25, 0.5, 1.0, 2.0, 4.0)
@@ -18,8 +18,9 @@ SHAPES = (0.3, 1.0, 3.0)
 TOPS = (0.85, 0.9, 0.95, 1.0, 1.05, 1.1)
 """Multiples of the highest commanded speed, for speed limits. A soft limit above it acts in one corner only."""
 
-WITHIN = 12
-"""Grid values of a limit of the pitch, evenly within its commanded range: it is as sharp as that of the speed."""
+INSIDE = 0.1
+"""Share of the commanded range of pitch by which a limit starts inside its end. A fit moves it inwards from there; from a
+tighter limit, the lags and the map of the biased base lead it astray."""
 
 DECADE, CYCLES = 12, 2.0
 """Grid frequencies per decade, and the cycles per record at the lowest. The highest is half the sampling rate."""
@@ -29,13 +30,15 @@ DECADE, CYCLES = 12, 2.0
 class Candidate:
     """An effect in one form. `form`: its `choices` parameters and those held at a limit; `free`: the others. All full names.
 
-    `levels`: grid values of free parameters that depend on the records (a top speed, a nominal voltage).
+    `levels`: grid values of free parameters that depend on the records (a top speed, a nominal voltage). `plausible`: sizes
+    that do (limits of the pitch).
     """
 
     effect: Effect
     form: Mapping[str, float]
     free: tuple[str, ...]
     levels: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    plausible: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -60,10 +63,8 @@ class Candidate:
 
     @property
     def probe(self) -> dict[str, float]:
-        """Plausible sizes, by full name. Of a limit of the pitch, the outermost of its levels: a fit moves it inwards from
-        there."""
-        plausible = {self.effect.full(n): v for n, v in self.effect.probe.items()}
-        plausible |= {self.effect.full(p.name): self.levels[self.effect.full(p.name)][0] for p in pitch_limits(self.effect)}
+        """Plausible sizes, by full name."""
+        plausible = {self.effect.full(n): v for n, v in self.effect.probe.items()} | self.plausible
         return {n: plausible.get(n, self.off[n]) for n in self.sizes}
 
     def within(self, values: Mapping[str, float]) -> dict[str, float]:
@@ -102,11 +103,6 @@ class Candidate:
         return np.geomspace(max(p.minimum, highest / 100.0), highest, count).tolist()
 
 
-def pitch_limits(effect: Effect) -> list[Parameter]:
-    """Sizes of an effect that limit the pitch itself."""
-    return [p for p in effect.parameters if p.scale == "position" and p.unlimited is not None]
-
-
 def candidates(library: Iterable[Effect], records: Iterable[Record]) -> list[Candidate]:
     """Candidates for records. Effects that need a measured input absent from a record are excluded; so are those that round a
     constant command.
@@ -123,26 +119,31 @@ def candidates(library: Iterable[Effect], records: Iterable[Record]) -> list[Can
         free = tuple(effect.full(p.name) for p in effect.parameters if not p.choices)
         shapes = [p for p in effect.parameters if p.limit_form and p.name not in effect.off]
         limits = {effect.full(p.name): p.default for p in shapes if p.default in (p.minimum, p.maximum)}
-        levels, ways = _levels(effect, records), [{}, limits] if limits else [{}]
+        levels, plausible, ways = _levels(effect, records), _plausible(effect, records), [{}, limits] if limits else [{}]
         for *values, held in product(*(options for _, options in choices), ways):
             form = dict(zip((name for name, _ in choices), values, strict=True)) | held
-            found.append(Candidate(effect, form, tuple(n for n in free if n not in held), levels))
+            found.append(Candidate(effect, form, tuple(n for n in free if n not in held), levels, plausible))
+    return found
+
+
+def _plausible(effect: Effect, records: tuple[Record, ...]) -> dict[str, float]:
+    """Limits of the pitch by full name, INSIDE the range of its commands."""
+    low, high = min(float(r["beta_ref"].min()) for r in records), max(float(r["beta_ref"].max()) for r in records)
+    found = {}
+    for p in (p for p in effect.parameters if p.scale == "position" and p.unlimited is not None):
+        inside = low + (INSIDE if p.unlimited == p.minimum else 1.0 - INSIDE) * (high - low)
+        found[effect.full(p.name)] = min(max(inside, p.minimum), p.maximum)
     return found
 
 
 def _levels(effect: Effect, records: tuple[Record, ...]) -> dict[str, tuple[float, ...]]:
     """First grid of parameters that depend on the records, by full name.
 
-    Speed limits: about the highest commanded speed. Pitch limits: within the commanded range, the outermost first.
-    Frequencies: all that the records resolve. Levels of a measured input: its minimum, median and maximum."""
+    Speed limits: about the highest commanded speed. Frequencies: all that the records resolve. Levels of a measured input: its
+    minimum, median and maximum."""
     top = max(float(np.nanmax(r["omega_ref"])) for r in records)
     limits = [p for p in effect.parameters if p.unit == "rpm" and effect.off.get(p.name) == p.maximum]
     found = {effect.full(p.name): tuple(v for k in TOPS if (v := k * top) > p.minimum) or (p.minimum,) for p in limits}
-    reached = [end for r in records for end in (float(r["beta_ref"].min()), float(r["beta_ref"].max()))]
-    inside = np.linspace(min(reached), max(reached), WITHIN + 2)[1:-1].tolist()
-    for p in pitch_limits(effect):
-        inwards = inside if p.unlimited == p.minimum else inside[::-1]
-        found[effect.full(p.name)] = (*(v for v in inwards if p.minimum < v < p.maximum), p.unlimited)
     lowest = min(CYCLES / float(r.time[-1] - r.time[0]) for r in records)
     fastest = max(0.5 / r.period for r in records)
     for p in (p for p in effect.parameters if p.unit == "Hz" and p.name in effect.off):

@@ -117,10 +117,9 @@ class _LinearScreening:
             if response.stepwise(shape):
                 return self._divided(response, shape)
             axes = {n: candidate.fine_axis(n) for n in axes}
-        apart = len(candidate.levels.keys() & axes) == 2  # both ends of a range: each acts where the other does not
-        if len(axes) == 2 and not apart:  # a speed limit is sharp: the speed is measured precisely
+        if len(axes) == 2:  # a speed limit is sharp: the speed is measured precisely
             axes |= {n: candidate.fine_axis(n) for n in axes if response.limited(shape, n)}
-        if len(axes) <= 2 and not apart:
+        if len(axes) <= 2:
             points = [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
             best = self._best(response, [shape | point for point in points])
             return best if len(axes) == 1 else self._closer(response, best)
