@@ -36,7 +36,7 @@ throttle [1]; bits of `hil.safety.limits.Cut`; the twin's residual [N] and alarm
 the slots missed before it; readings of the motor's supply [V, A, degC] and the rotor's torque [N.m]."""
 
 LEARNED = "twin."
-"""Prefix of the adaptive twin's outputs: the last columns, which have values only while a loop is closed."""
+"""Prefix of the twin's outputs: the last columns, which have values only while a loop is closed."""
 
 RUN = ("thrust_set", "omega_ref", "beta_ref", "thrust", "omega", "omega_wanted", "beta_wanted")
 """Columns of `run.csv`, beside `time`."""

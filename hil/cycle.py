@@ -33,8 +33,8 @@ class Cycle:
 
     `wanted`: the controller's set-point [N]. `throttle` [1] and `commands` [rpm, deg] are on the outputs. `residual` [N] and
     `alarm` are the twin's, for the log. `asked`: why the operator ends the run. `transitions`: (time [s], state, why). `page`:
-    the operator's page; its failure is logged and the run continues. `adapted`: the adaptive twin's `beside` outputs for the
-    log. `line`: the terminal's, if there is one.
+    the operator's page; its failure is logged and the run continues. `twin`: its `beside` outputs for the log. `line`: the
+    terminal's, if there is one.
     """
 
     def __init__(
@@ -70,8 +70,8 @@ class Cycle:
         self._woke, self._driven_since = self.bench.clock.now(), None
 
     def forget(self) -> None:
-        """Clear the adaptive twin's outputs."""
-        self.adapted: Sequence[float] = self._nothing
+        """Clear the twin's outputs."""
+        self.twin: Sequence[float] = self._nothing
 
     def wake(self) -> None:
         """Request and read the sensors before the first tick after a break."""
@@ -162,7 +162,7 @@ class Cycle:
             *(sensors.thrust_age, sensors.mark_age, sensors.counts, pulses, self.throttle, cut),
             *(self.residual, self.alarm, tick.late, busy, tick.missed),
             *sensors.supply.values(),
-            *self.adapted,
+            *self.twin,
         )
         if self._line and self.ticks.ticks % EVERY == 0:
             self._line.show(self._status())

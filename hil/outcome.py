@@ -9,19 +9,18 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from hil.columns import LEARNED
 from hil.cycle import PERIOD
 from hil.log import events_of
 from hil.page.operator_page import OperatorPage
 from hil.rig import RunEnded
 from hil.run import LOG, LimitedPlant, Run, loop_part, run_on_rig, write_run
-from hil.runs import ENDED, ENDED_EARLY, NAMES, RUNNING, alarm_of, run_folder, summary_of_files
+from hil.runs import ENDED, ENDED_EARLY, NAMES, RUNNING, run_folder, summary_of_files
 from hil.safety.faults import FaultKind
 from hil.safety.limits import Limits
 from hil.session import Setup, read_log
 from hil.timing import Timing, timing
-from hil.twin.adaptive import CERTAIN, Adaptive
-from hil.twin.band import Band
-from hil.twin.twin import Twin
+from hil.twin.twin import Twin, alarm_of
 from vpp_fmu.comparison import compare
 from vpp_fmu.date import now
 from vpp_fmu.digits import number
@@ -46,8 +45,12 @@ BEGUN = {
     "limits?": {"*": float},
     "controller?": {"limits?": {"*": float}},
     "calibration?": {"sha256?": str},
-    "twin?": {"false_alarms_per_hour": float, "smallest_found": float, "delay": float, "noise": float},
-    "adaptive_twin?": {"units": {"*": str}, "alarms?": [{"time": float, "points_to": str}]},
+    "twin?": {
+        "false_alarms_per_hour": float,
+        "units": {"*": str},
+        "adapted": {"*": {"description": str}},
+        "alarms?": [{"time": float, "cause": str}],
+    },
 }
 """Entries of hil.json that a report reads."""
 
@@ -71,29 +74,22 @@ BAND, SPAN = 0.05, 0.1
 class RunSetup:
     """A run: the rig, its controller, profile and initial commands `start` [rpm, deg], and models to compare it with.
 
-    `twin`: the constant twin, its band and the adaptive twin. `beside`: a plant FMU's name and its loop. `on_alarm` as in
-    `session`, `inject` as in `run_on_rig`.
+    `beside`: a plant FMU's name and its loop. `on_alarm` as in `session`, `inject` as in `run_on_rig`.
     """
 
     setup: Setup
     controller: Controller
     profile: Record
     start: tuple[float, float]
-    twin: tuple[Twin, Band, Adaptive] | None = None
+    twin: Twin | None = None
     beside: tuple[str, Record] | None = None
     on_alarm: FaultKind | None = None
     inject: tuple[str, float] | None = None
 
     def summary(self) -> dict:
-        """Entries of hil.json about the twins and the injected fault, before the run."""
+        """Entries of hil.json about the twin and the injected fault, before the run."""
         injected = {"injected": dict(zip(("fault", "after"), self.inject, strict=True))} if self.inject else {}
-        if self.twin is None:
-            return injected
-        twin, band, adaptive = self.twin
-        content = {"false_alarms_per_hour": twin.false_alarms, "smallest_found": twin.smallest, "delay": twin.delay}
-        adapted = {name: asdict(one) for name, one in adaptive.adapted.items()}
-        learns = {"microseconds": adaptive.microseconds, "units": adaptive.units, "adapted": adapted, "certain": CERTAIN}
-        return injected | {"twin": content | {"noise": band.noise}, "adaptive_twin": learns}
+        return injected | ({"twin": self.twin.summary()} if self.twin else {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,10 +117,9 @@ def carry_out(
 ) -> tuple[Run, OutputFolder, Outcome]:
     """Carry out the run; returns it, the folder of its files below `parent`, and the outcome. `begun`: content of hil.json
     before the run. An unforeseen error is raised after the files are written from the log, as far as possible."""
-    twin, _, adaptive = task.twin or (None, None, None)
     if page:
         rows = round((task.profile.time[-1] - task.profile.time[0]) / PERIOD)
-        page.part("run", rows=rows, band=task.twin and task.twin[1].width)
+        page.part("run", rows=rows)
     folder = OutputFolder(run_folder(parent.path, begun["begun"]))
     folder.write("hil.json", as_json(begun))
     say(f"this run's files: {folder.path}")
@@ -135,8 +130,8 @@ def carry_out(
             def progress(share):
                 bar.update(round(100 * share) - bar.n)
 
-            own = task.setup, task.controller, task.profile, folder.path, task.start, twin
-            done = run_on_rig(*own, progress, command, task.on_alarm, page, adaptive, task.inject)
+            own = task.setup, task.controller, task.profile, folder.path, task.start, task.twin
+            done = run_on_rig(*own, progress, command, task.on_alarm, page, task.inject)
     except BaseException as error:
         _cut_short(folder, begun, error, say, report)
         raise
@@ -144,9 +139,8 @@ def carry_out(
         page.end(done.ended or "as planned")
     task.controller.close()
     content = done.session.summary() | begun | {"ended": done.ended}
-    if twin is not None:
-        content["twin"] |= {"alarmed": twin.alarmed, "since": twin.since}
-        content["adaptive_twin"] |= {"alarms": [{"time": at, "points_to": what} for at, what in adaptive.alarms]}
+    if task.twin:
+        content["twin"] |= {"alarms": [one._asdict() for one in task.twin.alarms]}
     try:
         found = finish(folder, content, done.log, report, task.beside)
     except BadInput as refused:
@@ -250,11 +244,16 @@ def _collected(refusals: list[BadInput]) -> Iterator[None]:
 
 
 def _with_residual(twin: dict, log: Record | None) -> dict:
-    """The twin's entries with its residual, and its alarm from the log if the run could not report it."""
-    residual = log["residual"][np.isfinite(log["residual"])] if log is not None else np.empty(0)
-    since = alarm_of(log) if log is not None else None
-    known = {"alarmed": since is not None, "since": since}
-    return {**known, **twin, "residual_rms": float(np.sqrt(np.mean(residual**2))) if len(residual) else None}
+    """The twin's entries with its residual, and its alarms from the log if the run could not report them."""
+    if log is None or LEARNED + "direction" not in log:
+        return {"alarms": [], **twin, "residual_rms": None}
+    rows = log.part(np.isfinite(log["residual"]))
+    begins = np.flatnonzero(np.diff(rows["alarm"], prepend=0.0) > 0.5)
+    at = zip(*(column[begins].tolist() for column in (rows.time, rows["residual"], rows[LEARNED + "direction"])), strict=True)
+    known = {name: one["description"] for name, one in twin["adapted"].items()}
+    found = [alarm_of(*values, known)._asdict() for values in at]
+    rms = float(np.sqrt(np.mean(rows["residual"] ** 2))) if len(rows) else None
+    return {"alarms": found, **twin, "residual_rms": rms}
 
 
 def energy(run: Record) -> dict | None:
@@ -330,12 +329,8 @@ def lines_of(found: Outcome) -> list[str]:
         lines.append(f"rig and {content['beside']['plant']} differ by {number(content['beside']['rms_thrust'])} N rms")
     if content.get("twin") and content["twin"]["residual_rms"] is not None:
         twin = content["twin"]
-        said_so = f"alarm, since {twin['since']:.2f} s" if twin["alarmed"] else "no alarm"
-        lines.append(f"twin: {said_so}; residual {number(twin['residual_rms'])} N rms")
-    if content.get("adaptive_twin"):
-        alarms = content["adaptive_twin"].get("alarms", ())
-        said_so = ", ".join(f"{one['time']:.1f} s ({one['points_to']})" for one in alarms) or "none"
-        lines.append(f"adaptive twin: alarms: {said_so}")
+        said_so = ", ".join(f"{one['time']:.1f} s ({one['direction'] or 'no parameter'})" for one in twin["alarms"]) or "none"
+        lines.append(f"twin: alarms: {said_so}; residual {number(twin['residual_rms'])} N rms")
     log = content["log"]
     more = "".join(f"; {why}" for why in (log["failure"], log.get("warning")) if why)
     lines.append(f"log: {log['rows']} rows of {log['ticks']} ticks, {log['lost']} lost{more}")

@@ -21,7 +21,6 @@ from hil.safety.states import SafetyState
 from hil.safety.stop import StopSignals
 from hil.safety.supervisor import Supervisor
 from hil.safety.tare import Tare, TareGate, TareRefused, tare
-from hil.twin.adaptive import Adaptive
 from hil.twin.twin import Twin
 from vpp_fmu.errors import VppError
 
@@ -66,7 +65,7 @@ class RigPlant:
     Any fault ends the run: by a ramp-down if that is safe, else by the idle pulse at once. `start` or `step` then raises
     RunEnded. `supervise` starts the process that stops the rotor if this one can't; `plausibility` makes the checks of a run's
     readings; `gate`: conditions of a tare; `polarity`: check of signs at low speed. `tares`: the zeros found. `on_alarm`: the
-    fault that the twin's alarm causes (None: it is only noted in `alarms`, (time [s], words)). `adaptive`: an adaptive twin.
+    fault that an alarm of the `twin` causes (None: it is only noted).
     """
 
     def __init__(
@@ -83,15 +82,14 @@ class RigPlant:
         polarity: Polarity | None = None,
         on_alarm: FaultKind | None = None,
         page: OperatorPage | None = None,
-        adaptive: Adaptive | None = None,
     ):
         self.dt, self.bench, self.limits, self._gate = PERIOD, bench, limits, gate
         plausibility = plausibility or (lambda: Plausibility(limits, PERIOD))
-        self._cycle = Cycle(bench, limits, log, signals, line, plausibility, page, len(adaptive.outputs) if adaptive else 0)
+        self._cycle = Cycle(bench, limits, log, signals, line, plausibility, page, len(twin.outputs) if twin else 0)
         self.states, self.ticks, self.transitions = self._cycle.states, self._cycle.ticks, self._cycle.transitions
-        self._supervise, self._twin, self._adaptive, self._polarity = supervise, twin, adaptive, polarity
+        self._supervise, self.twin, self._polarity = supervise, twin, polarity
         self._pi, self._limiter = SpeedPi(), Limiter(limits)
-        self._on_alarm, self.alarms = on_alarm, []
+        self._on_alarm = on_alarm
         self.tares: list[Tare] = []
         self.counters = bench.counters
 
@@ -112,10 +110,8 @@ class RigPlant:
         at = self._go(target)
         for _ in range(round(SETTLE / self.dt)):
             self._driven_tick(*at)
-        if self._twin:
-            self._twin.start(self.ticks.time, *at)
-        if self._adaptive:
-            self._adaptive.start(self.ticks.time, *at, self.last.thrust, self.last.omega)
+        if self.twin:
+            self.twin.start(self.ticks.time, *at, self.last.thrust, self.last.omega)
         return self.last
 
     def step(self, omega_ref: float, beta_ref: float) -> RigSample:
@@ -123,32 +119,21 @@ class RigPlant:
         limited = self._limiter.apply(omega_ref, beta_ref, self.dt)
         if limited.fault:
             self._cycle.fault(limited.fault)
-        if self._twin:
-            said = self._twin.update(self.ticks.time, limited.omega_ref, limited.beta_ref, self.last.thrust)
-            self._cycle.residual = said.residual
-            if said.alarmed and not self._cycle.alarm:
-                self._alarm(said.residual)
-            self._cycle.alarm = said.alarmed
-        if self._adaptive:
-            self._adapt(self._adaptive, limited.omega_ref, limited.beta_ref)
+        if self.twin:
+            self._watch(self.twin, limited.omega_ref, limited.beta_ref)
         self._driven_tick(limited.omega_ref, limited.beta_ref, (omega_ref, beta_ref), limited.cut)
         return self.last
 
-    def _adapt(self, adaptive: Adaptive, omega_ref: float, beta_ref: float) -> None:
-        """Update the adaptive twin with the last readings, for the log; its alarms are noted and do not end the run."""
-        known, cycle = len(adaptive.alarms), self._cycle
-        cycle.adapted = adaptive.update(self.ticks.time, omega_ref, beta_ref, self.last.thrust, self.last.omega)
-        for _, points in adaptive.alarms[known:]:
-            cycle.note(f"adaptive twin: alarm, most like {points}")
-
-    def _alarm(self, residual: float) -> None:
-        """Record the twin's alarm with its time, and end the run if `on_alarm` is a fault."""
-        found = f"the rig is not its model since {self._twin.since:.2f} s, {residual:+.2f} N now, most like {self._twin.cause}"
-        self.alarms.append((self.ticks.time, found))
-        if self._on_alarm is None:
-            self._cycle.note(f"twin: alarm: {found}")
-        else:
-            self._cycle.fault(Fault("twin", self._on_alarm, found))
+    def _watch(self, twin: Twin, omega_ref: float, beta_ref: float) -> None:
+        """Update the twin with the last readings; note its alarms, and end the run if `on_alarm` is a fault."""
+        known, cycle = len(twin.alarms), self._cycle
+        cycle.twin = twin.update(self.ticks.time, omega_ref, beta_ref, self.last.thrust, self.last.omega)
+        cycle.residual, cycle.alarm = twin.residual, twin.alarmed
+        for alarm in twin.alarms[known:]:
+            if self._on_alarm is None:
+                cycle.note(f"twin: alarm: {alarm.cause}")
+            else:
+                cycle.fault(Fault("twin", self._on_alarm, alarm.cause))
 
     def idle(self, count: int) -> None:
         """Run `count` ticks with all devices active and the idle pulse on the outputs, which stays after any failure.

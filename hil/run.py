@@ -18,7 +18,6 @@ from hil.rig import ENDINGS, RigPlant, RunEnded
 from hil.safety.faults import Fault, FaultKind
 from hil.safety.limits import Limiter, Limits
 from hil.session import Session, Setup, found_log, read_log, session
-from hil.twin.adaptive import Adaptive
 from hil.twin.twin import Twin
 from vpp_fmu.commands import idle
 from vpp_fmu.errors import BadInput, VppError
@@ -46,9 +45,9 @@ class Run:
 
     def judge(self) -> None:
         """Raise TwinAlarm, RunEnded or LogLost if the run did not go as requested."""
-        if self.session.rig.alarms:
+        if (twin := self.session.rig.twin) and twin.alarms:
             ended = f"; the run ended: {self.ended}" if self.ended else ""
-            raise TwinAlarm(f"twin: {self.session.rig.alarms[0][1]}{ended}")
+            raise TwinAlarm(f"twin: {twin.alarms[0].cause}{ended}")
         if self.ended:
             raise RunEnded(self.ended)
         if (logged := self.session.logged).failure:
@@ -56,7 +55,7 @@ class Run:
 
 
 class TwinAlarm(VppError):
-    """The rig left its twin's band: its record differs from the model."""
+    """The twin raised an alarm: the rig differs from its model."""
 
     code = 3
 
@@ -139,17 +138,16 @@ def run_on_rig(
     after: Sequence[str] = (),
     on_alarm: FaultKind | None = None,
     page: OperatorPage | None = None,
-    adaptive: Adaptive | None = None,
     inject: tuple[str, float] | None = None,
 ) -> Run:
     """Close the loop over the profile, from the commands `start` [rpm, deg] on (default: the rig's idle). Writes the full-rate
-    log to `folder`, however the run ends; `after`, `on_alarm`, `page`, `adaptive` as in `session`. `inject`: a fault of
+    log to `folder`, however the run ends; `twin`, `after`, `on_alarm`, `page` as in `session`. `inject`: a fault of
     `hil.emulator.faults`, and the time [s] after which it comes."""
     ended, start = "", start or idle(setup.allowed)
     if isinstance(controller, FmuController):
         rehearse(controller, float(profile["thrust_set"][0]))
     seconds = float(profile.time[-1] - profile.time[0])
-    with session(setup, folder, LOG, seconds, twin, after=after, on_alarm=on_alarm, page=page, adaptive=adaptive) as one:
+    with session(setup, folder, LOG, seconds, twin, after=after, on_alarm=on_alarm, page=page) as one:
         fault, at = inject or ("", 0.0)
         controller = Saboteur(controller, WITHIN.get(fault))
         injector = Injector(fault, one.rig.bench, controller) if inject else None

@@ -8,8 +8,6 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
-
 from hil.log import events_of, read_events
 from hil.session import REPORT, Setup, read_log, versions
 from hil.timing import timing
@@ -114,9 +112,3 @@ def summary_of_files(log: Path, begun: Mapping) -> tuple[Record | None, dict]:
         "ended": ended,
     }
     return record, summary
-
-
-def alarm_of(log: Record) -> float | None:
-    """Time of the twin's first alarm in the log [s]."""
-    alarmed = np.flatnonzero(log["alarm"] > 0.5)
-    return float(log.time[alarmed[0]]) if len(alarmed) else None

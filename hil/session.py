@@ -37,7 +37,6 @@ from hil.safety.stop import StopSignals
 from hil.safety.supervisor import Supervisor
 from hil.safety.tare import gate_of
 from hil.timing import Timing, timing
-from hil.twin.adaptive import Adaptive
 from hil.twin.twin import Twin
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import write_whole
@@ -136,16 +135,15 @@ def session(
     after: Sequence[str] = (),
     on_alarm: FaultKind | None = None,
     page: OperatorPage | None = None,
-    adaptive: Adaptive | None = None,
 ) -> Iterator[Session]:
     """A rig to use within the context. After it the idle pulse is on the outputs, and the log and the session are complete.
 
     `log_name`: the full-rate log in `folder`. `seconds`: the length of the run, for which the disk must have room (BadInput).
     `watch`: show a line in the terminal, if there is one. `after`: the command that makes a report of the log if this process
     can't.
-    `on_alarm`, `adaptive` as in `RigPlant`. `page`: the operator's page, in real time only.
+    `twin`, `on_alarm` as in `RigPlant`. `page`: the operator's page, in real time only.
     """
-    columns = (*COLUMNS, *(Column(LEARNED + name) for name in (adaptive.outputs if adaptive else ())))
+    columns = (*COLUMNS, *(Column(LEARNED + name) for name in (twin.outputs if twin else ())))
     check_room(folder / log_name, columns, seconds)
     with contextlib.ExitStack() as ends:
         reserve = Reserve(folder, seconds)
@@ -182,7 +180,6 @@ def session(
                 setup.polarity(),
                 on_alarm,
                 page,
-                adaptive,
             )
             one = Session(rig, setup, str(granted), folder)
             try:

@@ -2,7 +2,7 @@
 "use strict";
 const at = (id) => document.getElementById(id);
 const SHOWN = 60; // s of the curves
-const LEARNED = 180; // s of the adaptive twin's curves: it adapts within minutes
+const LEARNED = 180; // s of the twin's curves: it adapts within minutes
 const SUPPLY = [["voltage", 1, "V"], ["current", 1, "A"], ["temperature", 0, "°C"], ["torque", 3, "N·m"]];
 const dark = matchMedia("(prefers-color-scheme: dark)");
 let told = {}, part = {}, number = -1, columns = [], curves = {time: []}, alarms = [], now = {}, map = [], heard = performance.now(), ended = "", presses = 0, failed = "", drawn = 0, news = false, learns = false;
@@ -54,14 +54,14 @@ stream.onmessage = (event) => {
   heard = performance.now();
   if (message.number !== number) begin(message);
   for (const point of message.curves) point.forEach((value, k) => curves[columns[k]].push(value));
-  const old = firstOf((told.adaptive_twin ? LEARNED : SHOWN) + 5);
+  const old = firstOf((told.twin ? LEARNED : SHOWN) + 5);
   if (old > 200) for (const name of columns) curves[name].splice(0, old);
   now = message.now;
   news ||= message.curves.length > 0;
   learns ||= message.curves.length > 0;
   for (const one of message.events) {
     const alarm = /alarm/.test(one.why) || one.state === "fault" || /^page:/.test(one.why);
-    if (/^adaptive twin: alarm/.test(one.why)) alarms.push(one.time);
+    if (/^twin: alarm/.test(one.why)) alarms.push(one.time);
     at("events").prepend(row([text(one.time, 2, ""), one.state, one.why], alarm ? "alarm" : ""));
   }
   map.push(...message.map);
@@ -91,11 +91,11 @@ function begin(message) {
   const current = (part.parts || []).indexOf(part.part);
   at("parts").replaceChildren(...(part.parts || []).map((name, k) =>
     element("li", `${k < current ? "✓ " : ""}${name.replaceAll("_", " ")}`, k === current ? "now" : "")));
-  at("twin").hidden = !told.adaptive_twin;
-  if (told.adaptive_twin) captions();
+  at("twin").hidden = !told.twin;
+  if (told.twin) captions();
   at("map-figure").hidden = !part.grid;
   if (part.grid) drawMap();
-  if (part.band) at("caption").textContent =
+  if (told.twin) at("caption").textContent =
     "The last minute, means over 0.1 s. Pitch is commanded, not measured. The twin's band: where 19 of 20 readings lie while nothing new happens.";
 }
 
@@ -135,9 +135,8 @@ function values() {
   ];
   const supply = SUPPLY.filter(([name]) => (told.supply || []).includes(name)).map(([name, digits, unit]) => text(now[name], digits, unit));
   if (supply.length) tiles.push(["supply", supply[0], supply.slice(1).join(", ")]);
-  if (part.band) tiles.push(["off its twin", text(now.residual, 2, "N"), now.alarm ? "ALARM: not as its model" : `band ± ${text(part.band, 2, "N")}`, now.alarm]);
   const twin = now.twin || {};
-  if (told.adaptive_twin) tiles.push(["off the adaptive twin", text(now["twin.residual"], 2, "N"), twin.alarm ? `ALARM: most like ${cause(twin)}` : `band ± ${text(now["twin.band"], 2, "N")}`, twin.alarm]);
+  if (told.twin) tiles.push(["off its twin", text(now.residual, 2, "N"), twin.alarm ? `ALARM: most like ${cause(twin)}` : `band ± ${text(now["twin.band"], 2, "N")}`, twin.alarm]);
   at("tiles").replaceChildren(...tiles.map(([label, value, small, alarm]) => {
     const tile = element("div", "", alarm ? "tile alarm" : "tile");
     tile.append(element("div", label, "label"), element("div", value, "value"), element("div", small, "small"));
@@ -152,10 +151,10 @@ function values() {
   }
 }
 
-// --- The adaptive twin: its last values stay after the loop was closed
+// --- The twin: its last values stay after the loop was closed
 
 function cause(twin) {
-  return ["no parameter", ...Object.keys(told.adaptive_twin.adapted)][twin.direction];
+  return ["no parameter", ...Object.keys(told.twin.adapted)][twin.direction];
 }
 
 function unitOf(one) {
@@ -167,23 +166,23 @@ function digits(uncertainty) { // decimals of two digits of a standard deviation
 }
 
 function captions() {
-  const adapted = Object.entries(told.adaptive_twin.adapted);
+  const adapted = Object.entries(told.twin.adapted);
   const sizes = adapted.map(([name, one]) => `${name} ${text(one.change, digits(one.change), unitOf(one))}`);
   at("learned-caption").textContent = `The last three minutes. Above: measured thrust less the adapted model's, in the band that holds 95 % of it while nothing new happens. `
     + `Below: each parameter's distance from its start, in plausible changes: ${sizes.join(", ")}.`;
-  at("adapted-caption").textContent = `Arrow: moved by more than ${told.adaptive_twin.certain} standard deviations since the start. `
+  at("adapted-caption").textContent = `Arrow: moved by more than ${told.twin.certain} standard deviations since the start. `
     + "Lags do so on a sound rig, too: motor and actuator are none.";
 }
 
 function twinSays() {
-  if (!told.adaptive_twin) return;
-  const {adapted, certain} = told.adaptive_twin, twin = now.twin || {}, known = twin.band !== undefined;
+  if (!told.twin) return;
+  const {adapted, certain} = told.twin, twin = now.twin || {}, known = twin.band !== undefined;
   const followed = twin.changes ? ` Changes followed: ${twin.changes}, the last most like ${cause(twin)}.` : " No change followed yet.";
   const points = twin.direction ? `Most like a change of ${cause(twin)} (${adapted[cause(twin)]?.description})` : "It is like no change of one parameter";
   at("twin-says").className = twin.alarm ? "alarm" : "";
   const learns = twin.learning ? "It follows the rig, to see whether its parameters explain it." : "No parameter explains it: it has stopped learning, for vpp diagnose to look at.";
   at("twin-says").textContent = !known ? "It begins when the loop is closed." : twin.alarm
-    ? `ALARM: the rig does not do what the adapted model says. ${points}. ${learns} This alarm is a note: it stops nothing.`
+    ? `ALARM: the rig does not do what the adapted model says. ${points}. ${learns}`
     : `No alarm.${followed}`;
   at("adapted").replaceChildren(...Object.entries(adapted).map(([name, one]) => {
     const [value, std] = [twin[`adapted.${name}`], twin[`std.${name}`]], places = digits(std ?? one.change);
@@ -252,8 +251,8 @@ function draw() {
   const twin = residual.map((off, k) => (off === null ? null : thrust[k] - off));
   const dashed = (color) => ({line: {color, width: 1.6, dash: "dash", shape: "hv"}});
   const traces = [];
-  if (part.band) {
-    const edge = (side) => twin.map((value) => (value === null ? null : value + side * part.band));
+  if (told.twin) {
+    const band = of("twin.band"), edge = (side) => twin.map((value, k) => (value === null ? null : value + side * band[k]));
     traces.push(...envelope(x, edge(-1), edge(1), "twin's band", "y", c));
     traces.push(line(x, twin, "twin", c.twin, "y", {line: {color: c.twin, width: 1.4}}));
   }
@@ -273,12 +272,12 @@ function draw() {
 setInterval(draw, 250);
 
 function drawLearned() {
-  if (document.hidden || !learns || !told.adaptive_twin) return;
+  if (document.hidden || !learns || !told.twin) return;
   learns = false;
   const c = colours(), x = curves.time, band = curves["twin.band"];
   const below = band.map((half) => (half === null ? null : -half));
-  const traces = [...envelope(x, below, band, "95 % expected", "y", c), line(x, curves["twin.residual"], "rig − adaptive twin", c.measured, "y", {line: {color: c.measured, width: 1.2}})];
-  Object.entries(told.adaptive_twin.adapted).forEach(([name, one], k) => {
+  const traces = [...envelope(x, below, band, "95 % expected", "y", c), line(x, curves.residual, "rig − twin", c.measured, "y", {line: {color: c.measured, width: 1.2}})];
+  Object.entries(told.twin.adapted).forEach(([name, one], k) => {
     const moved = curves[`twin.adapted.${name}`].map((value) => (value === null ? null : (value - one.start) / one.change));
     const dash = k < c.others.length ? "solid" : "dash";
     traces.push(line(x, moved, name, c.others[k % c.others.length], "y2", {line: {color: c.others[k % c.others.length], width: 1.8, dash}}));

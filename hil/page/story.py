@@ -18,10 +18,10 @@ KEPT = 1800
 MEANS = ("thrust", "omega", "residual")
 LATEST = ("thrust_set", "omega_ref", "beta_ref", "omega_wanted", "beta_wanted")
 """Values of a point after its time [s]: MEANS in N, rpm and N (rig minus twin); LATEST set-point and commands in N, rpm, deg.
-An adaptive twin adds its residual [N] to the means, and its band [N] and parameters, each in its unit, to the latest."""
+A twin adds its band [N] and parameters, each in its unit, to the latest."""
 SUPPLY = ("voltage", "current", "temperature", "torque")
-RESIDUAL, BAND = f"{LEARNED}residual", f"{LEARNED}band"
-VALUES = ("time", *MEANS, *LATEST, RESIDUAL, BAND, "throttle", "thrust_age", "omega_age", "late", *SUPPLY)
+BAND = f"{LEARNED}band"
+VALUES = ("time", *MEANS, *LATEST, BAND, "throttle", "thrust_age", "omega_age", "late", *SUPPLY)
 
 
 class Story:
@@ -38,7 +38,7 @@ class Story:
         self.map: list[list[float]] = []
         self.counters: dict = {}
         self.ended = ""
-        self._means, self._latest = MEANS, LATEST
+        self._latest = LATEST
         self._span: Mapping | None = None  # a browser that connects before the first part needs it
         self._reader: Reader | None = None
         self._events: _Tail | None = None
@@ -47,9 +47,7 @@ class Story:
         """Take a message of the loop's process, between the runs."""
         if "told" in message:
             self.told = message["told"]
-            adapted = self.told.get("adaptive_twin", {}).get("adapted")
-            if adapted:
-                self._means = (*MEANS, RESIDUAL)
+            if adapted := self.told.get("twin", {}).get("adapted"):
                 self._latest = (*LATEST, BAND, *(f"{LEARNED}adapted.{name}" for name in adapted))
         if "part" in message:
             self._begin(message)
@@ -81,7 +79,7 @@ class Story:
         told: dict = {"now": {**self.now, "age": self._age(), "done": self._done()}, "counters": self.counters}
         if number != self.number:
             point = event = mapped = 0
-            told |= {"told": self.told, "part": self.part, "columns": ["time", *self._means, *self._latest]}
+            told |= {"told": self.told, "part": self.part, "columns": ["time", *MEANS, *self._latest]}
         told |= {"number": self.number, "curves": self.points[max(0, point - self.first) :], "events": self.events[event:]}
         told |= {"map": self.map[mapped:], "seen": [self.first + len(self.points), len(self.events), len(self.map)]}
         return told | ({"ended": self.ended} if self.ended else {})
@@ -106,7 +104,7 @@ class Story:
             return
         columns = dict(zip(self._names, zip(*self._bin, strict=True), strict=True))
         point = [_known(row[0])]
-        point += [_known(sum(columns[name]) / len(self._bin)) for name in self._means]
+        point += [_known(sum(columns[name]) / len(self._bin)) for name in MEANS]
         self.points.append(point + [_known(columns[name][-1]) for name in self._latest])
         band = columns.get(BAND)
         if band and math.isfinite(band[-1]):  # else the loop is open, and the last values stay

@@ -1,1 +1,1 @@
-"""Compare the rig with the plant model at run time: residual, its expected band, and change detection."""
+"""The twin that runs beside the rig: its band from an identification, its parameters, and one update per tick."""

@@ -1,145 +1,162 @@
-"""Simulate the model with the rig's commands, and raise an alarm if the thrust residual leaves its band.
+"""The twin of an identified rig: its priors, residual band and adapted parameters, and one update per tick beside the rig."""
 
-Three tests share the allowed false alarms. Cumulative sums of the whitened residual means over half a second, and of the
-variances about them (`hil.twin.band`, `hil.twin.cusum`), detect large offsets and vibrations within a second or two. Each sum
-tolerates a bound of the model error: at constant commands the quantile for a quarter of the false alarms, and HALF of a change
-of thrust in addition. A cumulative sum is monotonic in its input, so an error within the bound alarms no sooner than an error
-at the bound. Small changes of one cause are detected over minutes of changing commands (`hil.twin.directions`).
-"""
-
-from math import hypot
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
-from hil.commands import PAPERS, operating_pitch
-from hil.twin.band import Band, Spread, Whitener
-from hil.twin.cusum import Cusum, run_length, threshold_for
-from hil.twin.directions import CAUSES, EVERY, Directions, Grid
-from vpp_fmu.plants import Plant, Sample
-from vpp_fmu.rig import Rig
+from scipy.special import stdtrit
 
-BLOCK = 0.5
-"""Block duration, s. Block means are nearly normal for any noise of readings, and neighbours are nearly independent."""
+from hil.twin.band import Band
+from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.plant import LIBRARY
+from vpp_fmu.kernel.scales import Scales
+from vpp_fmu.kernel.twin import BROUGHT, WITHIN, adapted_by_default, plausible_change, sums, threshold, twin, watched
+from vpp_fmu.kernel.twin.prediction import SAMPLE_TIME
+from vpp_fmu.native.stepper import Stepper
+from vpp_fmu.parameters import Estimate, ParameterSet
 
-SHIFT = 3.0
-"""Shift beyond the model error for which the sums are designed, in standard deviations of a whitened block."""
+FALSE_ALARMS = 0.01
+"""Most false alarms per hour."""
 
-HALF = 0.5
-"""Tolerated error during a change of thrust, as a share of the change: a braking motor or an actuator at its slew limit is
-not a linear lag, and a campaign gives no bound. In the next block a change counts half."""
+CERTAIN = 2.0
+"""Least change of an adapted parameter that counts, in standard deviations; one test in 20 exceeds it by chance."""
 
-TESTS = 4
-"""Sums of means, sums of variances, the model error's bound in both, and causes: each has an equal share of false alarms."""
-
-
-class Twinned(NamedTuple):
-    """The model's thrust [N], the residual (rig minus model) [N], and whether the alarm is on."""
-
-    thrust: float
-    residual: float
-    alarmed: bool
+TRIED = 200
+"""Steps before a run whose median gives the twin's computing time per tick."""
 
 
-class Block(NamedTuple):
-    """Half a second: the commands [rpm, deg] at its end; mean [N] and variance [N^2] of the residual; the model's mean thrust
-    [N]; the smallest and largest outputs of the model since the previous block."""
+def twin_of(
+    parameters: ParameterSet,
+    band: Band,
+    adapted: Sequence[str] | None = None,
+    where: str = "twin",
+    sample_time: float | None = None,
+) -> ParameterSet:
+    """The twin's model with its parameters: those of the plant, their standard deviations as priors, and the band's noises.
 
-    commands: tuple[float, float]
-    mean: float
-    variance: float
-    thrust: float
-    lowest: Sample
-    highest: Sample
+    The prior of a parameter that was not estimated is its plausible change. The same holds for lags: an estimate is valid for
+    one kind of motion, and a real motor or actuator has another lag for each kind. `sample_time` s: between readings (default:
+    the loop of the rig). BadInput, with `where`, for an unknown name in `adapted`.
+    """
+    parameters = _widened(parameters.without_power)
+    values, names = parameters.values, [p.name for p in parameters.model.parameters]
+    for name in adapted or ():
+        if name not in names:
+            raise BadInput(where, "--adapt", name, f"one of {', '.join(names)}")
+    adapted = tuple(adapted or adapted_by_default(values))
+    model, shows = twin(parameters.model, adapted, sample_time or SAMPLE_TIME), watched(parameters.model, adapted)
+    # Few degrees of freedom: scale the model error so that 1.96 standard deviations cover 95 %, as Student's t does.
+    steady = band.steady * float(stdtrit(band.freedom, 0.975)) / WITHIN
+    noises = {"white": band.white, "slow": band.slow, "slow_time": band.slow_time, "steady": steady, "moving": band.moving}
+    alarms = threshold(FALSE_ALARMS, sums(len(shows)), model.values()["sample_time"])
+    found, allowed = values | noises | {"threshold": alarms}, {p.name: p for p in model.parameters}
+    for name in adapted:
+        size = plausible_change(parameters.model, name, values[name])
+        estimate = parameters.estimates.get(name)
+        prior = estimate.std if estimate and name in shows else None
+        for kind, value in (("change", size), ("prior", prior or size)):
+            own = allowed[f"{kind}.{name}"]
+            found[own.name] = min(max(value, own.minimum), own.maximum)
+    known = {name: e.std for name, e in parameters.estimates.items()}
+    estimates = {name: Estimate(value, known.get(name), allowed[name].unit) for name, value in found.items()}
+    return ParameterSet(model, estimates, parameters.source)
+
+
+def _widened(parameters: ParameterSet) -> ParameterSet:
+    """The plant with the effects that each twin includes, switched off if they are added."""
+    model, order = parameters.model, {e.name: k for k, e in enumerate(LIBRARY)}
+    effects, scales = list(model.effects), Scales().with_values(parameters.values)
+    for e in (e.sized(scales) for e in LIBRARY if e.name in BROUGHT and e.name not in model.optional):
+        before = [k for k, other in enumerate(effects) if order.get(other.name, -1) < order[e.name]]
+        effects.insert(max(before) + 1, e)
+    return replace(parameters, model=replace(model, effects=tuple(effects)))
+
+
+@dataclass(frozen=True)
+class Adapted:
+    """An adapted parameter: its initial value and a plausible change, in its unit."""
+
+    start: float
+    change: float
+    unit: str
+    description: str
+
+
+class Alarm(NamedTuple):
+    """An alarm at `time` [s], the parameter whose change is the likeliest `direction` (None: of no parameter), and that in
+    words."""
+
+    time: float
+    direction: str | None
+    cause: str
+
+
+def alarm_of(t: float, residual: float, direction: float, adapted: Mapping[str, str]) -> Alarm:
+    """The alarm at t [s] for a twin's outputs; `adapted`: descriptions of the adapted parameters by name."""
+    name = [None, *adapted][round(direction)]
+    like = f"most like a change of {name}, {adapted[name]}" if name else "like no change of one parameter"
+    return Alarm(t, name, f"the rig is not its model, {residual:+.2f} N now, {like}")
 
 
 class Twin:
-    """A plant (an FMU or the kernel's functions) simulated in parallel; `rig`: the ranges of its commands.
+    """The twin of `twin_of`, in this process; `outputs`: names of the values that `update` returns.
 
-    `false_alarms`: most per hour in normal operation. Resulting sensitivity: `smallest` [N], the constant residual detected
-    after `delay` s on average at constant commands; larger ones are detected sooner. An alarm is latched; `since` [s]: the
-    likeliest time of the change; `cause`: the most significant cause.
+    `adapted`: adapted parameters by name, in the order of the outputs. `alarms`: those since the start. `residual` [N] and
+    `alarmed`: of the last update. `microseconds`: computing time of a step.
     """
 
-    def __init__(self, plant: Plant, band: Band, false_alarms: float = 0.01, rig: Rig = PAPERS):
-        self._plant, self._rows, self._band = plant, max(1, round(BLOCK / plant.dt)), band
-        self._block = self._rows * plant.dt
-        self._whitener = Whitener(band, self._rows, plant.dt)
-        rate = false_alarms / TESTS / 3600.0  # 1/s of each test
-        self._most = band.deviations(rate * self._block)
-        reference = 0.5 * SHIFT
-        threshold = threshold_for(1.0 / (rate * self._block), reference, 0.0)
-        self._above, self._below = Cusum(threshold, reference), Cusum(threshold, reference)
-        self._spread = Spread(band, self._rows, plant.dt)
-        self._about = Cusum(threshold_for(1.0 / (rate * self._block), reference, 0.0, two_sided=False), reference)
-        self._error = hypot(band.steady, self._whitener.spread)
-        self._directions = Directions(
-            lambda omega, beta: plant.start(omega, beta).thrust,
-            Grid.of(rig.speed, rig.scales.omega_scale),
-            Grid.of(operating_pitch(rig), rig.scales.beta_scale),
-            self._error,
-            band.deviations(rate * EVERY / len(CAUSES)),
-            self._block,
-        )
-        self.false_alarms = false_alarms
-        self.smallest = (self._most * band.steady + SHIFT * self._whitener.scale) / self._whitener.gain
-        self.delay = run_length(threshold, reference, SHIFT) * self._block
-        self.start(0.0, 0.0, 0.0)
+    def __init__(self, own: ParameterSet, dt: float = SAMPLE_TIME):
+        self.outputs = tuple(y.name for y in own.model.outputs)
+        self.units = {y.name: y.unit for y in own.model.outputs}
+        values, parts = own.values, {p.name: p for p in own.model.parameters}
+        self.adapted = {
+            name: Adapted(values[name], values[f"change.{name}"], parts[name].unit, parts[name].description)
+            for name in (y.removeprefix("adapted.") for y in self.outputs if y.startswith("adapted."))
+        }
+        self._inputs = [u.start for u in own.model.inputs]
+        self._at = [[u.name for u in own.model.inputs].index(name) for name in ("omega_ref", "beta_ref", "thrust", "omega")]
+        self._shown = [self.outputs.index(name) for name in ("residual", "alarm", "direction")]
+        self._stepper, self._dt, self._time = Stepper(own.model, own.values), dt, 0.0
+        self.alarms: list[Alarm] = []
+        self.microseconds = self._measured_time()
 
-    @property
-    def largest_error(self) -> float:
-        """Bound of the model error at constant commands, N."""
-        return self._most * self._band.steady
+    def start(self, t: float, omega_ref: float, beta_ref: float, thrust: float, omega: float) -> None:
+        """Start at t [s] from a settled rig: its commands [rpm, deg] and readings [N, rpm]."""
+        self._stepper.start(self._given(omega_ref, beta_ref, thrust, omega))
+        self._time, self._before, self.residual, self.alarmed = t, None, 0.0, False
+        self.alarms.clear()
 
-    def start(self, t: float, omega_ref: float, beta_ref: float) -> None:
-        """Reset to the steady state at the commands [rpm, deg] at time t [s], at which the rig has settled."""
-        self._shown = self._plant.start(omega_ref, beta_ref)
-        self._time, self._held = t, (omega_ref, beta_ref)
-        self._begin()
-        self._moved = 0.0
-        self.alarmed, self.since, self.cause = False, None, ""
-        for part in (self._whitener, self._above, self._below, self._about, self._directions):
-            part.reset()
+    def update(self, t: float, omega_ref: float, beta_ref: float, thrust: float, omega: float) -> list[float]:
+        """Outputs for the readings [N, rpm] at t [s], just before these commands [rpm, deg] act. Missed ticks are computed with
+        the previous commands and readings."""
+        for _ in range(round((t - self._time) / self._dt) - 1 if self._before else 0):
+            self._stepper.step(self._before, self._dt)
+        self._before, self._time = self._given(omega_ref, beta_ref, thrust, omega), t
+        outputs = self._stepper.step(self._before, self._dt)
+        self.residual, alarm, direction = (outputs[k] for k in self._shown)
+        if alarm > 0.5 and not self.alarmed:
+            self.alarms.append(alarm_of(t, self.residual, direction, {n: a.description for n, a in self.adapted.items()}))
+        self.alarmed = alarm > 0.5
+        return outputs
 
-    def _begin(self) -> None:
-        """Begin a block."""
-        self._sum = self._squares = self._total = 0.0
-        self._count, self._lowest, self._highest = 0, self._shown, self._shown
+    def summary(self) -> dict:
+        """Entries of hil.json before a run."""
+        adapted = {name: asdict(one) for name, one in self.adapted.items()}
+        content = {"false_alarms_per_hour": FALSE_ALARMS, "microseconds": self.microseconds, "certain": CERTAIN}
+        return content | {"units": self.units, "adapted": adapted}
 
-    def update(self, t: float, omega_ref: float, beta_ref: float, thrust: float) -> Twinned:
-        """Add the thrust [N] measured at t [s], just before these commands [rpm, deg] act; the previous ones acted until t."""
-        for _ in range(round((t - self._time) / self._plant.dt)):
-            self._shown = self._plant.step(*self._held)
-        shown, residual = self._shown, thrust - self._shown.thrust
-        self._sum += residual
-        self._squares += residual * residual
-        self._total += shown.thrust
-        self._lowest = Sample(*map(min, self._lowest, shown))
-        self._highest = Sample(*map(max, self._highest, shown))
-        self._count += 1
-        if self._count == self._rows:
-            mean = self._sum / self._rows
-            variance = max(self._squares - self._rows * mean * mean, 0.0) / max(self._rows - 1, 1)
-            self.decide(t, Block(self._held, mean, variance, self._total / self._rows, self._lowest, self._highest))
-            self._begin()
-        self._time, self._held = t, (omega_ref, beta_ref)
-        return Twinned(shown.thrust, residual, self.alarmed)
+    def _given(self, *values: float) -> list[float]:
+        given = list(self._inputs)
+        for place, value in zip(self._at, values, strict=True):
+            given[place] = value
+        return given
 
-    def decide(self, t: float, block: Block) -> None:
-        """Test a block that ended at t [s]. `update` calls it; use it directly for given blocks."""
-        self._moved = self._move(block.lowest, block.highest) + HALF * self._moved
-        most, whitened = self._most * self._band.steady + HALF * self._moved, self._whitener.update(block.mean)
-        tolerated = most / self._whitener.scale
-        spread = self._spread.update(block.variance, most)
-        tests = (self._above, whitened - tolerated), (self._below, -whitened - tolerated), (self._about, spread)
-        ages = [cusum.age * self._block for cusum, value in tests if cusum.update(value)]
-        share = self._error**2 / (self._error**2 + (self._band.moving * self._moved) ** 2)
-        if self._directions.update(block.commands, block.mean, block.thrust, share):
-            ages.append(self._directions.age)
-        if ages and not self.alarmed:
-            self.alarmed, self.since, self.cause = True, t - max(ages), self._directions.cause
-
-    def _move(self, lowest: Sample, highest: Sample) -> float:
-        """Change of the model's thrust [N] due to speed plus that due to pitch, in absolute values: they may cancel."""
-        omega, beta = 0.5 * (lowest.omega + highest.omega), 0.5 * (lowest.beta + highest.beta)
-        by_speed = 2.0 * max(abs(lowest.thrust), abs(highest.thrust)) / max(omega, 1.0)
-        by_pitch = abs(self._directions.slope(omega, beta))
-        return by_speed * (highest.omega - lowest.omega) + by_pitch * (highest.beta - lowest.beta)
+    def _measured_time(self) -> float:
+        took = []
+        self.start(0.0, 4000.0, 4.0, 5.0, 4000.0)
+        for k in range(1, TRIED + 1):
+            began = time.perf_counter()
+            self.update(k * self._dt, 4000.0, 4.0, 5.0, 4000.0)
+            took.append(time.perf_counter() - began)
+        return 1e6 * sorted(took)[TRIED // 2]

@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.twin.adaptive import adaptable, adaptive
 from hil.twin.band import Band
+from hil.twin.twin import twin_of
 from tests.interop import exporter, hosts
 from tests.interop.trials import BEFORE, COMMANDS, IMPORTERS, LOOP_STEPS, NOT_RUN, STEP, STEPS, WANTED
 from vpp_fmu.app.api.export import exported
@@ -131,7 +131,7 @@ def row(importer: str, flavour: str, folder: Path, expected: dict) -> tuple[list
 def not_python(flavours: list[str]) -> None:
     """Plant, controller and twin in the C host and in every checker that is installed."""
     parts = {"plant": PLANT, "controller": ParameterSet(CONTROLLER)}
-    parts["twin"] = adaptive(adaptable(parts["plant"], "interop"), BAND)
+    parts["twin"] = twin_of(parts["plant"], BAND)
     print("| host or checker | FMU | exit code: what it printed last |\n|---|---|---|")
     with tempfile.TemporaryDirectory() as name:
         folder, fmus = Path(name), {}

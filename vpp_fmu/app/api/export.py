@@ -157,8 +157,8 @@ def _own(model: str | Model | type, parameters: Any) -> ParameterSet:
 def _twin(held: ParameterSet, given: Any, twin: Any, adapt: Sequence[str] | None) -> ParameterSet:
     """The adaptive twin of the plant, with the band from an identification.json (True: the one beside the parameters).
     BadInput."""
-    from hil.twin.adaptive import adaptable, adaptive  # noqa: PLC0415 the main way needs no twin
-    from hil.twin.band import read_band  # noqa: PLC0415
+    from hil.twin.band import read_band  # noqa: PLC0415 the main way needs no twin
+    from hil.twin.twin import twin_of  # noqa: PLC0415
 
     file = file_of(given) or "parameters"
     known_in = beside(file) if twin is True else twin
@@ -167,7 +167,7 @@ def _twin(held: ParameterSet, given: Any, twin: Any, adapt: Sequence[str] | None
         raise BadInput(known_in, "file", "no such file", "the identification.json of --parameters: noise and model error", hint)
     band = read_band(known_in)
     check_same_model(known_in, held, file)
-    return adaptive(adaptable(held, "vpp export", adapt), band, adapt, sample_time=held.sample_period)
+    return twin_of(held, band, adapt, "vpp export", held.sample_period)
 
 
 def about(part: ParameterSet, given: Mapping[str, Any]) -> ParameterSet:

@@ -49,9 +49,8 @@ from hil.runs import begun, file_entry
 from hil.safety.limits import Limits
 from hil.selftest import selftest
 from hil.session import REPORT, Setup, found_log
-from hil.twin.adaptive import Adaptive, adaptable, adaptive
-from hil.twin.band import Band, read_band
-from hil.twin.twin import Twin
+from hil.twin.band import read_band
+from hil.twin.twin import Twin, twin_of
 from identification.tune.controllers import rig_controller, said_of
 from vpp_fmu.app.api.objects import as_gains, as_parameters
 from vpp_fmu.app.cli.answer import Answer, Lines, say
@@ -152,7 +151,7 @@ def _add_run(parser) -> None:
     add_rig(parser, fmu=True)
     text = "the plant's parameters, for --twin and for what the rig may do (default: the paper's)"
     add("--parameters", type=parameters_file, metavar="F", help=text)
-    text = "run the plant's model beside the rig and tell when the rig leaves its band; I: identification.json of --parameters"
+    text = "run the adaptive twin beside the rig and tell when the rig is not its model; I: identification.json of --parameters"
     add("--twin", nargs="?", const="", type=knowledge_file, metavar="I", help=f"{text} (default: the one beside F)")
     add("--adapt", nargs="+", metavar="NAME", help=ADAPT)
     text = "what the twin's alarm does: tell (note), ramp down, idle at once (default: note); the exit code is 3 either way"
@@ -247,7 +246,7 @@ def _run(options) -> Answer:
         warn_beyond_reach(profile, plant, reach(asdict(setup.limits), limits_by_end(controller.limits)))
     if options.parameters:
         setup = replace(setup, plant=as_parameters(options.parameters).values)
-    twin = _twin(options, setup.allowed)
+    twin = _twin(options)
     other = (Path(options.beside).name, _fmu_loop(options.beside, options, profile)[0]) if options.beside else None
     inject = _injected(options, setup, float(profile.time[-1] - profile.time[0]))
     task = RunSetup(setup, controller, profile, start, twin, other, ON_ALARM[options.on_alarm], inject)
@@ -256,7 +255,7 @@ def _run(options) -> Answer:
     content = _begun(options, setup) | task.summary()
     content["controller"]["limits"] = limits_by_end(controller.limits)
     if twin:
-        lines.append(f"adaptive twin: {twin[2].microseconds:.0f} us of a tick")
+        lines.append(f"twin: {twin.microseconds:.0f} us of a tick")
     with watched(options, content) as page, Lines(options) as shown:
         confirm(setup, lines)
         done, folder, found = carry_out(
@@ -508,8 +507,8 @@ def _fmu_loop(path: str, options, profile: Record) -> tuple[Record, dict[str, tu
     return fmu_loop(path, controller, profile, start, limits), reached
 
 
-def _twin(options, allowed: Rig) -> tuple[Twin, Band, Adaptive] | None:
-    """(twin that detects when the rig leaves its band, that band, adaptive twin); None without --twin. BadInput."""
+def _twin(options) -> Twin | None:
+    """The twin of the options; None without --twin. BadInput."""
     if options.twin is None:
         if options.adapt:
             raise BadInput("command line", "--adapt", "--adapt without --twin", "both: the twin adapts these parameters")
@@ -522,8 +521,7 @@ def _twin(options, allowed: Rig) -> tuple[Twin, Band, Adaptive] | None:
     band = read_band(source)
     if options.parameters:
         check_same_model(source, parameters, options.parameters)
-    learning = adaptive(adaptable(parameters, "command line", options.adapt), band, options.adapt)
-    return Twin(KernelPlant(parameters.model, parameters.values), band, rig=allowed), band, Adaptive(learning, PERIOD)
+    return Twin(twin_of(parameters, band, options.adapt, "command line"))
 
 
 def _injected(options, setup: Setup, length: float) -> tuple[str, float] | None:

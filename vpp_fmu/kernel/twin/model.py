@@ -73,6 +73,7 @@ def twin(plant: Model, adapted: Sequence[str], sample_time: float = SAMPLE_TIME)
             for p in parts
         ),
     )
+    outputs += tuple(Signal(f"ev.{k}", "1", "debug", -1e6, 1e6, 1.0) for k in ("joint", "0", "1", "2"))
     bounds = Parameter("sample_time", "s", min(sample_time, longest), 1e-5, longest, "period at which it samples", 0.004)
     return Model(
         "VppTwin",

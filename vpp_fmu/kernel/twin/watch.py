@@ -101,7 +101,7 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
             "changes": changes,
             **{f"kept.{name}": value for name, value in known.items()},
         }
-        said = {
+        said = _debug(ops, s, places) | {
             "alarm": ops.where(mode > 0.5, 1.0, 0.0),
             "direction": direction,
             "changes": changes,
@@ -171,3 +171,20 @@ def _ratio(s: Any, x: Any, i: int, sign: float, name: str) -> tuple[Any, Any, li
     if by_speed is not None:
         more = more + s.speed.fresh * (sign * s.speed.misses - 0.5 * by_speed) * by_speed / s.speed.variance
     return more, shape, absorbed
+
+
+def _debug(ops, s, places):
+    C = {(i, j): s.P[places[i], places[j]] for i in range(len(places)) for j in range(i, len(places))}
+    v = [s.theta[i] for i in places]
+    joint = 0.0
+    for k in range(len(v)):
+        d = C[k, k] + TINY
+        joint = joint + 0.5 * (v[k] * v[k] / d + ops.log(d))
+        for i in range(k + 1, len(v)):
+            for j in range(i, len(v)):
+                C[i, j] = C[i, j] - C[k, i] * C[k, j] / d
+            v[i] = v[i] - C[k, i] * v[k] / d
+    out = {"ev.joint": joint}
+    for n, i in enumerate(places):
+        out[f"ev.{n}"] = 0.5 * (s.theta[i] * s.theta[i] / (s.P[i, i] + TINY) + ops.log(s.P[i, i] + TINY))
+    return out

@@ -1,4 +1,4 @@
-"""Figures of the closed loop: stability margins, costs of many plants, and the adaptive twin."""
+"""Figures of the closed loop: stability margins, costs of many plants, and the twin."""
 
 from collections.abc import Mapping, Sequence
 
@@ -71,18 +71,13 @@ def residual_in_band(time: np.ndarray, twin: Mapping[str, np.ndarray]) -> go.Fig
     kept = places([twin["residual"], twin["band"], twin["alarm"]])
     alarms = time[np.diff(twin["alarm"], prepend=0.0) > 0.5]
     said = f"alarm at {', '.join(f'{at:.1f}' for at in alarms[:5])} s" if len(alarms) else "no alarm"
-    fig = panels(f"Adaptive twin: {said}, {twin['changes'][-1]:.0f} changes followed", ["residual [N]"], [240])
+    fig = panels(f"Twin: {said}, {twin['changes'][-1]:.0f} changes followed", ["residual [N]"], [240])
     half = twin["band"][kept]
     add_envelope(fig, time[kept], -half, half, "95 % of readings expected", style.BAND, 0)
-    add_twin_residual(fig, time[kept], twin["residual"][kept], alarms)
-    return fig
-
-
-def add_twin_residual(fig: go.Figure, time: np.ndarray, residual: np.ndarray, alarms: Sequence[float]) -> None:
-    """Measured thrust less a twin's [N], and a line at each of its alarms [s]."""
-    add_line(fig, time, residual, "rig − twin", style.MEASURED, 1, 0)
+    add_line(fig, time[kept], twin["residual"][kept], "rig − twin", style.MEASURED, 1, 0)
     for at in alarms:
         fig.add_vline(x=float(at), line={"color": style.BEFORE, "width": 1.6, "dash": "dash"})
+    return fig
 
 
 def adapted_parameters(time: np.ndarray, twin: Mapping[str, np.ndarray], units: Mapping[str, str]) -> go.Figure:

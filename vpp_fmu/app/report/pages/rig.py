@@ -13,8 +13,7 @@ from hil.run import profile_start
 from hil.selftest import SelfTest
 from hil.timing import EDGES, Timing
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_band, figure, panels, places, thinning
-from vpp_fmu.app.report.figures.loop import add_twin_residual
+from vpp_fmu.app.report.canvas import figure, places, thinning
 from vpp_fmu.app.report.figures.time import closed_loop, stacked, two_records
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.loop import add_adaptive, headline, percent, row
@@ -42,9 +41,7 @@ def run_page(found: Outcome) -> Page:
     if len(loops) > 1:
         _add_difference(page, *reversed(loops.items()))
     if log is not None and content.get("twin"):
-        _add_twin(page, log, content["twin"])
-    if log is not None and content.get("adaptive_twin"):
-        _add_adaptive(page, log, content["adaptive_twin"])
+        _add_twin(page, log, content["twin"], begin)
     if found.timing:
         _add_timing(page, found.timing, content.get("real_time", "not known"))
     _add_counts(page, content, begin)
@@ -130,37 +127,16 @@ def _add_counts(page: Page, content: Mapping, begin: float = 0.0) -> None:
     page.table(("device", "what", "times"), rows, "What the devices counted.")
 
 
-def _add_twin(page: Page, log: Record, twin: Mapping) -> None:
-    """The rig's thrust less its twin's, and the twin's alarm."""
-    rows = log.part(np.isfinite(log["residual"]))
-    if not len(rows):
-        return
-    time, alarmed, band = rows.time, np.flatnonzero(rows["alarm"] > 0.5), twin["noise"]
-    begin = (
-        f"from {time[alarmed[0]]:.2f} s on the rig was not its twin"
-        if len(alarmed)
-        else "the rig stayed within its twin's band"
-    )
-    fig = panels(f"Twin: {begin}", ["residual [N]"], [240])
-    add_band(fig, 0, 2 * band, f"± 2 noise ({number(2 * band)} N)")
-    kept = places([rows["residual"]])
-    add_twin_residual(fig, time[kept], rows["residual"][kept], time[alarmed[:1]])
-    page.figure(
-        fig,
-        f"At most {twin['false_alarms_per_hour']:g} false alarms an hour; a constant {number(twin['smallest_found'], 3)} N is "
-        f"found after {twin['delay']:.1f} s in the mean. {thinning(len(time))}",
-    )
-
-
-def _add_adaptive(page: Page, log: Record, twin: Mapping) -> None:
-    """Residual and parameters of the adaptive twin, if the log has them."""
+def _add_twin(page: Page, log: Record, twin: Mapping, begin: float) -> None:
+    """Residual and parameters of the twin, if the log has them; `begin`: time [s] of the profile's first row."""
     units = {name: unit for name, unit in twin["units"].items() if LEARNED + name in log}
     if not units or not np.isfinite(log[LEARNED + "band"]).any():
         return
     rows = log.part(np.isfinite(log[LEARNED + "band"]))
     outputs = {name: rows[LEARNED + name] for name in units}
-    caption = "What the adaptive twin made of its parameters."
-    add_adaptive(page, rows.time, outputs, units, "the adapted model's", caption)
+    causes = "".join(f" At {one['time'] - begin:.1f} s: {one['cause']}." for one in twin["alarms"])
+    caption = f"What the twin made of its parameters. At most {twin['false_alarms_per_hour']:g} false alarms an hour.{causes}"
+    add_adaptive(page, rows.time, outputs, units, "the twin's", caption)
 
 
 def _summary(content: dict) -> str:
