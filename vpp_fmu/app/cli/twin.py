@@ -1,13 +1,10 @@
 """A rig's day: model and controller improve each other round by round, during operation.
 
-Each round flies a mission, random levels of thrust, beside the adaptive twin. The twin may raise an alarm, or the model may
-predict worse than before. If the adapted model does not explain that, the mission's record is diagnosed. The model that
-predicts the next mission best is kept. Gains are retuned on that model and searched on the rig; the model rejects gains that
-break limits. The gains with the least cost on the rig are used next, if they are better than the present ones. On the real rig
-each flight waits for the operator's consent."""
+Each round runs the rig over random thrust levels, a mission, beside the twin, and diagnoses the mission's record with the
+present model as the reference. Effects that the diagnosis accepts are added to the model. If it changed, a new law is made for
+it. The laws are compared by their measured cost on the rig, and the new one is used next if it is better. On the real rig each
+flight waits for the operator's consent."""
 
-import math
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from statistics import mean
@@ -16,12 +13,13 @@ from hil.session import Setup
 from hil.twin.band import Band, read_band
 from identification.tune.controllers import controllers
 from vpp_fmu.app.api.objects import as_gains, as_parameters
+from vpp_fmu.app.api.rounds import MODEL_BASED, POLICIES, RigAccess, new_day, next_round
 from vpp_fmu.app.cli import hil
 from vpp_fmu.app.cli.answer import Answer, Lines
 from vpp_fmu.app.cli.hil import allowed_words
 from vpp_fmu.app.cli.options import WORKERS, add_gains, whole
 from vpp_fmu.app.cli.output import stages, written
-from vpp_fmu.app.day.day import BOTH, POLICIES, Day, RigAccess, Round, diagnosed, new_day, next_round
+from vpp_fmu.app.day import GAINS, PRESENT, Day, Round
 from vpp_fmu.app.report.pages.day import day_page
 from vpp_fmu.app.report.result import dated
 from vpp_fmu.app.report.sentences import change
@@ -41,9 +39,9 @@ def configure(parser):
     parser.add_argument("--parameters", type=parameters_file, metavar="F", required=True, help=text)
     text = "the controller's that fly first (default: the published ones, at the pace of the parameters' rig)"
     add_gains(parser, text)
-    text = "source of the next law (default: %(default)s, model-based and model-free; fixed: the gains stay; learned: a "
-    text += "network that is learned on plants of the model; all: the three of them)"
-    parser.add_argument("--policy", choices=POLICIES, default=BOTH, help=text)
+    text = "source of new laws (default: %(default)s, gains tuned on the model; fixed: none; learned: a network that is "
+    text += "learned on plants of the model)"
+    parser.add_argument("--policy", choices=POLICIES, default=MODEL_BASED, help=text)
     text = "of the emulated rig: first round with the effects of --hide (default: %(default)s)"
     parser.add_argument("--hidden-from", type=whole(1, 50), default=2, metavar="K", help=text)
     text = "number of parallel fits of a diagnosis (default: %(default)s)"
@@ -87,14 +85,13 @@ def _round(options, day: Day, rig: RigAccess, band: Band, number: int, folder: O
 
 
 def headline(day: Day) -> str:
-    """The day in a sentence: error and cost of its first and last round."""
+    """The day in a sentence: error and cost at its begin and end."""
     first, last = day.rounds[0], day.rounds[-1]
-    errors, costs = ([each.chosen.error for each in (first, last)], [mean(each.costs[each.winner]) for each in (first, last)])
-    alarms = sum(one.alarm is not None for one in day.rounds)
-    law = "as it flew" if last.winner == "what flew" else last.winner
+    alarms = sum(bool(one.mission.alarms) for one in day.rounds)
+    added = [name for one in day.rounds for name in one.named]
     return (
-        f"{len(day.rounds)} rounds, {alarms} with an alarm: thrust error {change(*errors, 'N')}, cost on the rig "
-        f"{change(*costs, '1')}; next: the model {last.chosen.name}, the law {law}."
+        f"{len(day.rounds)} rounds, {alarms} with an alarm: thrust error {change(first.before, last.after, 'N')}, cost on the "
+        f"rig {change(mean(first.costs[PRESENT]), last.cost, '1')}; effects added: {', '.join(added) or 'none'}."
     )
 
 
@@ -126,23 +123,15 @@ def _rig(options, setup: Setup) -> RigAccess:
 
 def said(done: Round) -> list[str]:
     """A round in words."""
-    lines = [f"round {done.number}: no alarm"]
-    if done.alarm:
-        at, what = done.alarm
-        found = diagnosed(done)
-        became = f"diagnosed from the mission's record: {found}" if found else "the adapted model explains it"
-        lines = [f"round {done.number}: alarm after {at:.0f} s, {what}; {became}"]
-    if len(done.models) > 1:
-        errors = ", ".join(f"{m.name} {m.unseen:.4f} N" for m in done.models)
-        lines.append(f"  error of the thrust on a mission that nobody fitted: {errors}; the model {done.chosen.name} goes on")
-    else:
-        lines.append(f"  error of the thrust: {done.chosen.error:.4f} N; the model goes on as it was")
+    alarms = [f"alarm after {one.time:.0f} s, {one.cause}" for one in done.mission.alarms]
+    lines = [f"round {done.number}: {'; '.join(alarms) or 'no alarm'}"]
+    lines.append(f"  diagnosis of the mission: {done.verdict}{''.join(f' {name}' for name in done.named)}")
+    fitted = f", {done.after:.4f} N with what was added" if done.named else ""
+    lines.append(f"  error of the thrust in the mission: {done.before:.4f} N{fitted}")
     costs = ", ".join(f"{name} {mean(c):.4f}" for name, c in done.costs.items())
     cheapest = min(done.costs, key=lambda name: sum(done.costs[name]))
     doubt = "" if cheapest == done.winner else f", {cheapest} may be no cheaper"
     lines.append(f"  cost on the rig: {costs}; {done.winner} flies next{doubt}")
-    if done.refused:
-        lines.append(f"  the model refused {done.refused} of the gains that were to be tried")
     return lines
 
 
@@ -150,15 +139,14 @@ def _write(folder: OutputFolder, own: OutputFolder, day: Day, done: Round) -> di
     """Files after a round: its model and gains, and the day so far; returns the content of day.json."""
     gains = ParameterSet(CONTROLLER, source={"made_by": "vpp twin", "round": done.number})
     gains = gains.replaced({n: v for n, v in done.settings.items() if n in {p.name for p in CONTROLLER.parameters}})
-    model = replace(
-        done.chosen.parameters, source={**done.chosen.parameters.source, "made_by": "vpp twin", "round": done.number}
-    )
+    source = {**done.parameters.source, "made_by": "vpp twin", "round": done.number}
+    model = replace(done.parameters, source=source)
     for where in (own, folder):
         where.write("parameters.json", to_json(dated(model)))
         where.write("gains.json", to_json(dated(gains)))
         if done.law.policy:
             where.write(POLICY, as_json(done.law.policy.to_dict()))
-    content = {"format": "vpp-day/1", "rounds": [summary(one) for one in day.rounds]}
+    content = {"format": "vpp-day/2", "rounds": [summary(one) for one in day.rounds]}
     folder.write("day.json", as_json(content))
     folder.write("report.html", day_page(day).html())
     return content
@@ -166,23 +154,14 @@ def _write(folder: OutputFolder, own: OutputFolder, day: Day, done: Round) -> di
 
 def summary(done: Round) -> dict:
     """A round for day.json."""
-
-    def known(number: float) -> float | None:
-        return number if math.isfinite(number) else None
-
-    models = [{"name": m.name, "fitted": m.fitted, "unseen": known(m.unseen), "unit": "N"} for m in done.models]
-    costs: Mapping[str, list] = {name: list(each) for name, each in done.costs.items()}
     return {
         "round": done.number,
         "hidden": list(done.hidden),
-        "alarm": done.alarm and {"time": done.alarm[0], "points_to": done.alarm[1]},
-        "verdict": done.verdict or None,
+        "alarms": [one._asdict() for one in done.mission.alarms],
+        "verdict": done.verdict,
         "named": list(done.named),
-        "models": models,
-        "model": done.chosen.name,
-        "costs": costs,
-        "tries": list(done.tries),
-        "refused": done.refused,
+        "error": {"before": done.before, "after": done.after, "unit": "N"},
+        "costs": {name: list(each) for name, each in done.costs.items()},
         "flies_next": done.winner,
-        "gains": {n: done.settings[n] for n in done.settings if n.startswith(("kp_", "ki_", "kd_"))},
+        "gains": {name: done.settings[name] for name in GAINS},
     }

@@ -1,0 +1,110 @@
+"""The rounds of a rig's day (`vpp twin`): run, diagnose, tune, and compare on the rig."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from hil.rig import RunEnded
+from hil.session import Setup
+from hil.twin.band import Band
+from hil.twin.twin import Twin, twin_of
+from identification.assessment.prediction import predict
+from identification.diagnose.diagnose import diagnose
+from identification.tune.profile import common_reach, rig_profile
+from vpp_fmu.app.api.control import learn, tune
+from vpp_fmu.app.day import PRESENT, Day, Flight, Law, Round, best_of, fly, mission
+from vpp_fmu.campaign import Campaign
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.scales import PAPER
+from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.record import Record
+
+POLICIES = ("fixed", "model-based", "learned")
+FIXED, MODEL_BASED, LEARNED = POLICIES
+
+TIMES = 4
+"""Repetitions of the profile per law. The cost scatters by 2 % between them; the best and fair gains differ by as much."""
+
+GENERATIONS, JUDGED = 300, 40
+"""Of a learned law: generations of its search (some 20 s), and held-out plants of its comparison."""
+
+
+@dataclass(frozen=True, eq=False)
+class RigAccess:
+    """Access to the rig: `setup(round, flight)` returns it, `word(what)` waits for the operator's consent to `what`,
+    `hidden(round)` returns the names of its hidden effects."""
+
+    setup: Callable[[int, int], Setup]
+    word: Callable[[str], None]
+    hidden: Callable[[int], tuple[str, ...]]
+
+
+def new_day(parameters: ParameterSet, settings: Mapping[str, float]) -> Day:
+    """A day that begins with this model and this controller."""
+    return Day(parameters, dict(settings), rig_profile(parameters, {"dual": settings}))
+
+
+def next_round(
+    day: Day, rig: RigAccess, band: Band, policy: str, folder: Path, seed: int, workers: int, stage: Callable[[str], None]
+) -> Round:
+    """Fly one round; its logs go to `folder`. BadInput; RunEnded for a flight that ended early, after which none begins."""
+    number, law, model, flown = len(day.rounds) + 1, day.law, day.parameters, 0
+
+    def flight(what: str, law: Law, profile: Record, twin: Twin | None = None, times: int = 1) -> Flight:
+        nonlocal flown
+        rig.word(f"round {number}: {what}")
+        flown += 1
+        done = fly(rig.setup(number, flown), law, profile, folder / f"flight_{flown:02d}", twin, times)
+        if done.ended:
+            raise RunEnded(f"round {number}: {what}: {done.ended}")
+        return done
+
+    stage("mission")
+    low, high = common_reach(model, {"dual": law.settings})
+    low, high = low + 0.1 * (high - low), high - 0.1 * (high - low)
+    pace = max(model.rig.scales.time_scale / PAPER.time_scale, 1.0)
+    first = flight("mission", law, mission(low, high, pace, 1000 * seed + number), Twin(twin_of(model, band)))
+    stage("diagnose")
+    record = Record({name: first.record[name] for name in ("time", "omega_ref", "beta_ref", "thrust", "omega")}, "mission")
+    # The rig waits, and a mission is too short to learn a term of unknown form.
+    campaign = Campaign(folder, None, (), record, None, None, rig=model.rig)
+    found = diagnose(campaign, given=model, workers=workers, thorough=False)
+    named = tuple(e for e in found.final.effects if e not in model.model.optional)
+    own = found.parameters(found.final)
+    adapted = replace(own, source={**model.source, **own.source}) if named else model
+    laws = {PRESENT: law}
+    if policy == MODEL_BASED and (named or number == 1):
+        stage("tune")
+        tuned = tune(adapted, gains=_gains(law), profile=day.profile, noise=band.noise, seed=seed)
+        laws[policy] = Law(tuned.gains["dual"].values)
+    if policy == LEARNED and (named or number == 1):
+        stage("learn")
+        taught = learn(adapted, _gains(law), generations=GENERATIONS, plants=JUDGED, seed=1000 * seed + number)
+        if taught.found.passes:
+            laws[policy] = Law(law.settings, taught.policy)
+    stage("compare on the rig")
+    costs = {name: flight(name, each, day.profile, times=TIMES).costs for name, each in laws.items()}
+    winner = best_of(costs)
+    return Round(
+        number=number,
+        hidden=rig.hidden(number),
+        mission=first,
+        verdict=found.verdict,
+        named=named,
+        parameters=adapted,
+        before=error(model, record),
+        after=error(adapted, record),
+        costs=costs,
+        winner=winner,
+        law=laws[winner],
+    )
+
+
+def _gains(law: Law) -> ParameterSet:
+    """A law's settings as those of the controller."""
+    return ParameterSet(CONTROLLER).replaced({p.name: law.settings[p.name] for p in CONTROLLER.parameters})
+
+
+def error(parameters: ParameterSet, record: Record) -> float:
+    """rms error of the model's thrust for a record's commands, N."""
+    return float(predict(parameters.model, parameters.values, record).rmse_thrust)
