@@ -73,7 +73,6 @@ def twin(plant: Model, adapted: Sequence[str], sample_time: float = SAMPLE_TIME)
             for p in parts
         ),
     )
-    outputs += tuple(Signal(f"ev.{k}", "1", "debug", -1e6, 1e6, 1.0) for k in ("joint", "0", "1", "2"))
     bounds = Parameter("sample_time", "s", min(sample_time, longest), 1e-5, longest, "period at which it samples", 0.004)
     return Model(
         "VppTwin",
@@ -110,9 +109,15 @@ def adaptation(plant: Model, parts: Sequence[Parameter], sample_time: Parameter)
     m, defaults = len(parts), plant.values()
     entries = pairs(m + 2 + len(AT_NODES))
 
+    def prior(ops, p, q: Parameter):
+        """Variance of a parameter at the start, in plausible changes: at most that of one."""
+        share = getattr(p, f"prior.{q.name}") / getattr(p, f"change.{q.name}")
+        return ops.minimum(share * share, 1.0)
+
     def step(ops, s, x, p, dt):
         return {
             "theta": [getattr(x, f"theta.{q.name}") for q in parts],
+            "prior": [prior(ops, p, q) for q in parts],
             "noises": [x.slow_noise, x.between, *(getattr(x, name) for name in AT_NODES)],
             "P": {(i, j): getattr(x, f"covariance_{i}_{j}") for i, j in entries},
             "change": [getattr(p, f"change.{q.name}") for q in parts],
@@ -124,8 +129,7 @@ def adaptation(plant: Model, parts: Sequence[Parameter], sample_time: Parameter)
             if i != j:
                 return 0.0
             if i < m:
-                share = getattr(p, f"prior.{parts[i].name}") / getattr(p, f"change.{parts[i].name}")
-                return ops.minimum(share * share, 1.0)
+                return prior(ops, p, parts[i])
             if i == m:
                 return p.slow * p.slow
             share = BETWEEN if i == m + 1 else NODE

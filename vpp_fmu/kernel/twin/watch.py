@@ -10,7 +10,7 @@ from math import log
 from typing import Any
 
 from vpp_fmu.kernel.duals import TINY
-from vpp_fmu.kernel.twin.noises import AT_NODES, PLACE, TOLERATED, nothing
+from vpp_fmu.kernel.twin.noises import AT_NODES, PLACE, TOLERATED, nothing, pairs
 from vpp_fmu.kernel.twin.prediction import settled_ones
 from vpp_fmu.kernel.types import BOOLEAN, Effect, Model, Parameter, Signal, State
 
@@ -49,8 +49,9 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
     def taken(ops, s, x, p, dt):
         watching = ops.where(x.mode < 0.5, 1.0, 0.0)
         found, ahead = [], {}
+        identified = ops.where(x.changes < 0.5, watching, 0.0)  # no change was followed yet
         for i, name in zip(places, names, strict=True):
-            heights = []
+            heights = [identified * _departure(ops, s, (*(k for k in places if k != i), i))]
             for sign, way in ((1.0, UP), (-1.0, DOWN)):
                 more, shape, absorbed = _ratio(s, x, i, sign, f"{name}.{way}")
                 height = watching * ops.maximum(getattr(x, f"sum.{name}.{way}") + more, 0.0)
@@ -101,7 +102,7 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
             "changes": changes,
             **{f"kept.{name}": value for name, value in known.items()},
         }
-        said = _debug(ops, s, places) | {
+        said = {
             "alarm": ops.where(mode > 0.5, 1.0, 0.0),
             "direction": direction,
             "changes": changes,
@@ -147,6 +148,23 @@ def _moved_most(ops: Any, s: Any, x: Any, before: Iterable) -> Any:
     return which
 
 
+def _departure(ops: Any, s: Any, places: Sequence[int]) -> Any:
+    """Logarithm of the Bayes factor that the last of these parameters, and no other, differs from its identified value.
+
+    With its mean v and its variance C, given that the others have their identified values, and its variance R at the start,
+    the Savage-Dickey ratio is (v^2 / C + ln(C / R)) / 2.
+    """
+    v, C = [s.theta[i] for i in places], {at: s.P[tuple(sorted(places[k] for k in at))] for at in pairs(len(places))}
+    for k in range(len(v) - 1):
+        for i in range(k + 1, len(v)):
+            share = C[k, i] / (C[k, k] + TINY)
+            v[i] = v[i] - share * v[k]
+            for j in range(i, len(v)):
+                C[i, j] = C[i, j] - share * C[k, j]
+    left = C[len(v) - 1, len(v) - 1] + TINY
+    return 0.5 * (v[-1] * v[-1] / left + ops.log(left / (s.prior[places[-1]] + TINY)))
+
+
 def _now(s: Any) -> list:
     """Parameters, and the model's error at the nodes of the map."""
     return [*s.theta, *s.noises[2:]]
@@ -171,20 +189,3 @@ def _ratio(s: Any, x: Any, i: int, sign: float, name: str) -> tuple[Any, Any, li
     if by_speed is not None:
         more = more + s.speed.fresh * (sign * s.speed.misses - 0.5 * by_speed) * by_speed / s.speed.variance
     return more, shape, absorbed
-
-
-def _debug(ops, s, places):
-    C = {(i, j): s.P[places[i], places[j]] for i in range(len(places)) for j in range(i, len(places))}
-    v = [s.theta[i] for i in places]
-    joint = 0.0
-    for k in range(len(v)):
-        d = C[k, k] + TINY
-        joint = joint + 0.5 * (v[k] * v[k] / d + ops.log(d))
-        for i in range(k + 1, len(v)):
-            for j in range(i, len(v)):
-                C[i, j] = C[i, j] - C[k, i] * C[k, j] / d
-            v[i] = v[i] - C[k, i] * v[k] / d
-    out = {"ev.joint": joint}
-    for n, i in enumerate(places):
-        out[f"ev.{n}"] = 0.5 * (s.theta[i] * s.theta[i] / (s.P[i, i] + TINY) + ops.log(s.P[i, i] + TINY))
-    return out
