@@ -101,7 +101,10 @@ def rig_page(begin: float = 0.0) -> Page:
     run = test_report.record(2000)
     rng = np.random.default_rng(2)
     alarm = (run["time"] > 6.0).astype(float)
-    columns = {"residual": 0.1 * rng.normal(size=2000), "alarm": alarm, "omega_wanted": run["omega_ref"]}
+    units = {"residual": "N", "band": "N", "alarm": "1", "changes": "1"}
+    units |= {"adapted.sensor_gain.gain": "1", "std.sensor_gain.gain": "1"}
+    shown = 0.1 * rng.normal(size=2000), np.full(2000, 0.2), alarm, np.zeros(2000), 1.0 + 0.1 * alarm, np.full(2000, 0.02)
+    columns = {f"twin.{name}": column for name, column in zip(units, shown, strict=True)} | {"omega_wanted": run["omega_ref"]}
     log = Record({"time": begin + run["time"]} | columns, "log")
     ticks = timing(rng.exponential(2e-4, 2000), rng.exponential(1e-4, 2000), np.zeros(2000))
     content = {
@@ -115,7 +118,11 @@ def rig_page(begin: float = 0.0) -> Page:
             {"time": begin, "state": "safe", "why": "start"},
             {"time": begin + 0.1, "state": "running", "why": "all answer"},
         ],
-        "twin": {"false_alarms_per_hour": 0.1, "smallest_found": 0.2, "delay": 1.0, "noise": 0.1},
+        "twin": {
+            "false_alarms_per_hour": 0.1,
+            "units": units,
+            "alarms": [{"time": begin + 6.0, "direction": "sensor_gain.gain", "cause": "the rig is not its model"}],
+        },
     }
     return run_page(Outcome(content, log, {"rig": Record(run, "run")}, ticks))
 

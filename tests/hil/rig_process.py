@@ -25,11 +25,13 @@ from hil.run import ON_ALARM, run_on_rig
 from hil.safety.limits import Limits
 from hil.session import Setup
 from hil.twin.band import Band
-from hil.twin.twin import Twin
+from hil.twin.twin import Twin, twin_of
 from tests.hil.quick_vpp import shorten_waits
 from tests.hil.stubborn import stubborn
 from vpp_fmu.errors import VppError
-from vpp_fmu.plants import FmuController, KernelController, KernelPlant
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.plants import FmuController, KernelController
 from vpp_fmu.record import Record
 
 CALIBRATION = Path(__file__).parents[2] / "hil" / "emulator" / "calibration.json"
@@ -94,7 +96,8 @@ def main(task):
     within = FmuController(stubborn(folder, how, folder / "now")) if how else KernelController()
     controller = Asked(within, task.get("sabotage"))
     try:
-        beside = {"twin": Twin(KernelPlant(), BAND), "on_alarm": ON_ALARM[task["twin"]]} if "twin" in task else {}
+        twin = Twin(twin_of(ParameterSet(plant()), BAND)) if "twin" in task else None
+        beside = {"twin": twin, "on_alarm": ON_ALARM[task["twin"]]} if twin else {}
         done = run_on_rig(setup, controller, profile(task["seconds"], task.get("swing")), folder, **beside)
     except VppError as error:
         say(ended=str(error), state="safe", transitions=[], counters={}, lost=0)

@@ -79,7 +79,7 @@ def test_a_log_whose_writer_died_too_is_cut_behind_its_last_whole_row(tmp_path, 
         "counters": ({"arduino": {"pulses": "many"}}, 'counters, arduino, pulses: found "many", expected a whole number'),
         "tares": ({}, "tares: found {}, expected a list"),
         "log": (None, "log: found null, expected an object in braces { }"),
-        "twin": ({"delay": 1}, "twin, false_alarms_per_hour: found nothing, expected a number"),
+        "twin": ({"units": {}}, "twin, false_alarms_per_hour: found nothing, expected a number"),
     }
     for name, (found, says) in wrong.items():
         (folder / "hil.json").write_text(json.dumps(summary | {name: found}))

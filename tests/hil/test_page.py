@@ -141,14 +141,14 @@ TWIN = {
         "tau_beta_1": {"start": 0.16, "change": 0.08, "unit": "s", "description": "time constant of a lag"},
     },
 }
-"""Entry of hil.json at the start for an adaptive twin of these parameters."""
+"""Entry of hil.json at the start for a twin of these parameters."""
 PARTS = [f"{kind}.{name}" for kind in ("adapted", "std") for name in TWIN["adapted"]]
-LEARNS = ("residual", "band", "alarm", "direction", "changes", *PARTS)
+LEARNS = ("band", "alarm", "direction", "changes", *PARTS)
 """Outputs of the twin that the page reads."""
 
 
 def learned(folder: Path, rows: int, closed: range, alarm: int) -> ProcessLog:
-    """A log with an adaptive twin beside the loop in the rows `closed`; its residual is the row's number in mN. From the row
+    """A log with a twin beside the loop in the rows `closed`; its residual is the row's number in mN. From the row
     `alarm` on, its gain is 0.8 +- 0.05 and its alarm is on."""
     columns = [*COLUMNS, *(Column(LEARNED + name) for name in LEARNS)]
     log = ProcessLog(folder / "log.csv", columns)
@@ -157,15 +157,16 @@ def learned(folder: Path, rows: int, closed: range, alarm: int) -> ProcessLog:
         row |= {"time": 0.004 * k, "state": COLUMNS[1].words.index("run"), "thrust": 5.0, "alarm": 0.0}
         if k in closed:
             alarmed = k >= alarm
-            says = [0.001 * k, 0.5, alarmed, alarmed, 0.0, 0.8 if alarmed else 1.0, 0.17, 0.05, 0.01]
+            says = [0.5, alarmed, alarmed, 0.0, 0.8 if alarmed else 1.0, 0.17, 0.05, 0.01]
+            row |= {"residual": 0.001 * k, "alarm": float(alarmed)}
             row |= dict(zip((LEARNED + name for name in LEARNS), says, strict=True))
         log.put(*row.values())
     return log
 
 
-def test_the_story_includes_the_adaptive_twin(tmp_path):
+def test_the_story_includes_the_twin(tmp_path):
     log, story = learned(tmp_path, 1001, range(250, 900), 600), Story()
-    story.tell({"told": {"adaptive_twin": TWIN}}, [])
+    story.tell({"told": {"twin": TWIN}}, [])
     story.tell({"part": "run", "before": []}, [])
     columns = [[column.name, list(column.words)] for column in log.columns]
     story.tell({"log": {"columns": columns, "slots": log.slots, "events": str(tmp_path / "none")}}, [log.shared])
@@ -176,13 +177,13 @@ def test_the_story_includes_the_adaptive_twin(tmp_path):
     found = story.since(-1, 0, 0, 0)
     log.close()
     by_name = dict(zip(found["columns"], zip(*found["curves"], strict=True), strict=True))
-    assert by_name["twin.residual"][:10] == (None,) * 10
-    assert by_name["twin.residual"][10:36] == pytest.approx([0.001 * (25 * k + 12) for k in range(10, 36)])  # means
+    assert by_name["residual"][:10] == (None,) * 10
+    assert by_name["residual"][10:36] == pytest.approx([0.001 * (25 * k + 12) for k in range(10, 36)])  # means
     assert by_name["twin.band"][10:36] == (0.5,) * 26
     assert by_name["twin.adapted.sensor_gain.gain"][10:] == (1.0,) * 14 + (0.8,) * 12 + (None,) * 4
     twin = found["now"]["twin"]  # as it was when the loop was closed last
     assert (twin["alarm"], twin["direction"], twin["adapted.sensor_gain.gain"]) == (1.0, 1.0, 0.8)
-    assert found["now"]["twin.residual"] is None
+    assert found["now"]["residual"] is None
     assert json.loads(json.dumps(found, allow_nan=False)) == json.loads(json.dumps(found))
 
 

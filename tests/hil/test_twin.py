@@ -1,253 +1,186 @@
-"""The twin: run lengths against published ones, false alarms at the stated rate, steps found after the computed delay."""
+"""The twin of an identified rig: its values and band, one update per tick, its alarms, and `vpp export|cosim|hil run --twin`."""
 
-import itertools
 import json
 import time
-from dataclasses import replace
+import zipfile
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
-from scipy.stats import norm
+from scipy.stats import t
 
-from hil import commands
-from hil.twin.band import Band, Spread, Whitener, read_band
-from hil.twin.cusum import Cusum, run_length, threshold_for
-from hil.twin.directions import Directions, Grid
-from hil.twin.twin import BLOCK, Twin
+from hil.twin.band import Band, read_band
+from hil.twin.twin import CERTAIN, Twin, twin_of
+from vpp_fmu.app.cli import main
 from vpp_fmu.errors import BadInput
-from vpp_fmu.kernel.plant import BASE
-from vpp_fmu.plants import FmuPlant, KernelPlant, Sample
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.kernel.twin import DAILY, sums, threshold
+from vpp_fmu.native.simulator import Simulator
+from vpp_fmu.parameters import ParameterSet
 
-WHITE = Band(white=0.12, slow=0.0, slow_time=0.1, steady=0.0)
-COLOURED = Band(white=0.12, slow=0.05, slow_time=0.15, steady=0.04)
-
-
-@pytest.mark.parametrize(
-    ("threshold", "shift", "expected"),
-    [(4.0, 0.0, 168.0), (4.0, 1.0, 8.38), (5.0, 0.0, 465.0), (5.0, 1.0, 10.4)],
-)
-def test_run_lengths_are_those_of_the_tables(threshold, shift, expected):
-    """Lucas and Crosier (Technometrics 24, 1982): two-sided sums with reference 0.5."""
-    rate = 1.0 / run_length(threshold, 0.5, shift) + 1.0 / run_length(threshold, 0.5, -shift)
-    assert 1.0 / rate == pytest.approx(expected, rel=0.003)
+BAND = Band(0.12, 0.05, 0.15, 0.1, 0.04, 20.0)
+DT = 0.004
 
 
-@pytest.mark.parametrize("run", [50.0, 720000.0])
-@pytest.mark.parametrize("mean", [0.0, 2.0])
-def test_the_threshold_gives_the_run_length_it_was_asked_for(run, mean):
-    found = threshold_for(run, mean + 1.5, mean)
-    rate = 1.0 / run_length(found, mean + 1.5, mean) + 1.0 / run_length(found, mean + 1.5, -mean)
-    assert 1.0 / rate == pytest.approx(run, rel=1e-4)
+@pytest.fixture(scope="module")
+def identified():
+    return ParameterSet(plant()).replaced({"tau_beta_2": 0.3, "c20": 0.36}, {"tau_beta_2": 0.01, "c20": 0.002})
 
 
-def test_the_sums_have_the_computed_run_length():
-    """Simulated: mean of about 4000 runs, whose standard error is that of exponential times."""
-    threshold, runs, count = threshold_for(40.0, 1.5, 0.0), [], 0
-    above, below = Cusum(threshold, 1.5), Cusum(threshold, 1.5)
-    for z in np.random.default_rng(3).standard_normal(170000).tolist():
-        count += 1
-        if above.update(z) | below.update(-z):
-            runs.append(count)
-            count = 0
-            above.reset()
-            below.reset()
-    assert np.mean(runs) == pytest.approx(40.0, rel=4.0 / len(runs) ** 0.5)
+@pytest.fixture(scope="module")
+def results(identified, tmp_path_factory):
+    """A folder with the results of `vpp identify` for such a plant."""
+    folder = tmp_path_factory.mktemp("identified")
+    identified.save(folder)
+    error = {"steady": 0.1, "moving": 0.04, "freedom": 20}
+    fitted = {name: {"value": e.value} for name, e in identified.estimates.items()}
+    content = {"noise_floor_thrust": 0.13, "model_error": error, "effects": [], "parameters": fitted}
+    (folder / "identification.json").write_text(json.dumps(content))
+    (folder / "profile.csv").write_text("time,thrust_set\n0,2\n1,6\n3,4\n4,4\n")
+    return folder
 
 
-def noise(band, n, dt, seed):
-    """White noise and stationary first-order noise of the band [N], (n,)."""
-    dice, a = np.random.default_rng(seed), np.exp(-dt / band.slow_time)
-    drive = band.slow * dice.standard_normal(n) * np.sqrt(1.0 - a * a)
-    slow = lfilter([1.0], [1.0, -a], drive, zi=[a * band.slow * dice.standard_normal()])[0]
-    return band.white * dice.standard_normal(n) + slow
+def test_values_come_from_the_band_and_the_identification(identified):
+    values = twin_of(identified, BAND).values
+    steady = 0.1 * t.isf(0.025, 20.0) / 1.96
+    assert values["steady"] == pytest.approx(steady)
+    assert (values["white"], values["slow"], values["moving"]) == (0.12, 0.05, 0.04)
+    assert values["threshold"] == threshold(0.01, sums(3), DT)
+    assert values["change.sensor_drift.offset"] == 0.1
+    assert values["change.tau_beta_2"] == values["prior.tau_beta_2"] == pytest.approx(0.15)
+    chosen = twin_of(identified, BAND, ["c20"]).values
+    assert chosen["prior.c20"] == 0.002
 
 
-@pytest.mark.parametrize(("slow", "slow_time"), [(0.0, 0.1), (0.05, 0.15), (0.05, 2.0), (0.3, 0.5)])
-def test_whitened_blocks_are_white_and_of_variance_one(slow, slow_time):
-    band, n = Band(0.12, slow, slow_time, 0.0), 40000
-    blocks = noise(band, 25 * n, 0.02, 5).reshape(n, 25).mean(axis=1)
-    whitener = Whitener(band, 25, 0.02)
-    z = np.array([whitener.update(mean) for mean in blocks.tolist()])[10:]
-    assert z.std() == pytest.approx(1.0, abs=4 / (2 * n) ** 0.5)
-    for lag in (1, 2, 3, 5):
-        assert abs(np.mean(z[lag:] * z[:-lag])) < 4 / n**0.5
+def test_the_plants_effects_keep_their_places():
+    """The twin has a prediction of the plant's parameters in the order of the model that has all these effects from the start."""
+    own = twin_of(ParameterSet(plant(["pitch_backlash", "pitch_offset"])), BAND).values
+    whole = plant(["pitch_backlash", *(name.split(".")[0] for name in DAILY)])
+    assert [name for name in own if name in whole.values()] == list(whole.values())
 
 
-def test_a_constant_residual_comes_through_with_the_gain():
-    whitener = Whitener(COLOURED, 125, 0.004)
-    for _ in range(200):
-        z = whitener.update(0.3)
-    assert z * whitener.scale == pytest.approx(0.3 * whitener.gain, rel=1e-9)
+def test_missed_ticks_are_simulated_with_the_last_inputs(identified):
+    twin = twin_of(identified, BAND)
+    one, other = Twin(twin), Twin(twin)
+    for each in (one, other):
+        each.start(0.0, 3000.0, 0.0, 2.0, 3000.0)
+        each.update(DT, 5000.0, 4.0, 2.0, 3000.0)
+    for k in range(2, 8):
+        one.update(k * DT, 5000.0, 4.0, 2.0, 3000.0)
+    assert one.update(8 * DT, 4000.0, 2.0, 3.0, 3500.0) == other.update(8 * DT, 4000.0, 2.0, 3.0, 3500.0)
 
 
-@pytest.mark.parametrize(("slow", "slow_time"), [(0.0, 0.1), (0.05, 0.15), (0.05, 2.0)])
-def test_the_spread_statistic_of_noise_is_standard_normal(slow, slow_time):
-    band, n = Band(0.12, slow, slow_time, 0.0), 20000
-    spread = Spread(band, 125, 0.004)
-    variances = noise(band, 125 * n, 0.004, 6).reshape(n, 125).var(axis=1, ddof=1)
-    z = np.array([spread.update(value, 0.0) for value in variances.tolist()])
-    assert abs(z.mean()) < 4 / n**0.5
-    assert z.std() == pytest.approx(1.0, abs=4 / (2 * n) ** 0.5)
-    for level in (2.0, 3.0):
-        assert np.mean(z > level) == pytest.approx(norm.sf(level), rel=4 / (n * norm.sf(level)) ** 0.5)
-
-
-class Still:
-    """A plant without thrust, so that the measured thrust is the residual."""
-
-    dt = 0.02
-
-    def start(self, omega_ref, beta_ref):
-        return Sample(0.0, 0.0, 0.0)
-
-    step = start
-
-    def close(self):
-        pass
-
-
-def alarms(twin, residual):
-    """Number of alarms of the twin over a residual [N]; it restarts after each."""
-    found, began = 0, 0
-    for k, value in enumerate(residual.tolist()):
-        if twin.update((k - began) * Still.dt, 0.0, 0.0, value).alarmed:
-            found, began = found + 1, k
-            twin.start(0.0, 0.0, 0.0)
-    return found
-
-
-def test_alarms_are_as_frequent_as_stated_and_no_more_while_the_model_errs_within_its_band():
-    """A rate of one in 20 s gives enough alarms to count. Cases: white noise, slow noise, and a model error that varies within
-    its band. Of the four tests, those of mean and variance respond to noise."""
-    n = 150000
-    stated = 180.0 * n * Still.dt / 3600.0
-    for band in (WHITE, replace(COLOURED, steady=0.0)):
-        twin = Twin(Still(), band, false_alarms=180.0)
-        assert alarms(twin, noise(band, n, Still.dt, 2)) == pytest.approx(0.5 * stated, rel=4.0 / (0.5 * stated) ** 0.5)
-    twin = Twin(Still(), COLOURED, false_alarms=180.0)
-    wandering = twin.largest_error * np.sign(np.sin(np.arange(n) * Still.dt * 2.0))
-    assert alarms(twin, wandering + noise(COLOURED, n, Still.dt, 3)) < stated / 2.0
-
-
-def test_the_allowed_error_depends_on_its_degrees_of_freedom():
-    """Student's t with few degrees of freedom is wider than the normal; at 1e-5 the tables have 4.417, and 6.44 with 15."""
-    known, short = Band(0.1, 0.0, 0.1, 0.1), Band(0.1, 0.0, 0.1, 0.1, freedom=15)
-    assert known.deviations(1e-5) == pytest.approx(4.417, abs=0.001)
-    assert short.deviations(1e-5) == pytest.approx(2 * 3.2, rel=0.02)
-    assert Twin(Still(), short).largest_error > Twin(Still(), known).largest_error
-
-
-def test_a_vibration_of_zero_mean_is_detected():
-    twin, n = Twin(Still(), replace(WHITE, steady=0.02)), 20000
-    hiss = noise(WHITE, n, Still.dt, 4)
-    within, beyond = (a * 2**0.5 * np.sin(np.arange(n) * Still.dt * 50.0) for a in (twin.largest_error, 0.25))
-    assert alarms(twin, hiss + within) == 0
-    twin.start(0.0, 0.0, 0.0)
-    for k, value in enumerate((hiss + beyond)[:200].tolist()):
-        twin.update(k * Still.dt, 0.0, 0.0, value)
-    assert twin.alarmed
-    assert twin.since < 1.0
-
-
-SPEED, PITCH = Grid(2000.0, 6000.0, 2), Grid(-5.0, 10.0, 4)
-PLACES = [(2500.0, -4.0), (2500.0, 4.0), (5000.0, -1.0), (5000.0, 7.0), (3000.0, 9.0), (4800.0, 3.0)]
-
-
-def settled(omega, beta):
-    """Thrust [N], bilinear: 0.4 N/deg at 6000 rpm."""
-    return 4.0 * omega / 6000.0 + 0.4 * beta * omega / 6000.0
-
-
-@pytest.mark.parametrize(
-    ("cause", "of"),
-    [
-        ("thrust x 0.90", lambda w, b: -0.1 * settled(w, b)),
-        ("pitch +0.50 deg", lambda w, b: 0.5 * 0.4 * (3000.0 if w < 4000.0 else 5000.0) / 6000.0),  # the slope at its place
-        ("reading -0.20 N", lambda w, b: -0.2),
-    ],
-)
-def test_a_cause_is_named_with_its_size_once_enough_places_show_it(cause, of):
-    directions = Directions(settled, SPEED, PITCH, 0.06, 4.5, BLOCK)
-    found = False
-    for k in range(240):
-        at = PLACES[k // 4 % len(PLACES)]
-        found |= directions.update(at, of(*at), settled(*at), 1.0)
-    assert found
-    assert directions.cause == cause
-    directions.reset()
-    for _ in range(2000):  # an error of one place alone is no cause
-        assert not directions.update(PLACES[0], 4.4 * 0.06, settled(*PLACES[0]), 1.0)
-
-
-def test_the_number_of_places_follows_from_the_scales_and_is_one_at_a_fixed_command():
-    assert Grid.of((2000.0, 6000.0), 6000.0) == Grid(2000.0, 6000.0, 4)
-    assert [Grid.of((-5.0, 10.0), 15.0).part(beta) for beta in (-9.0, -5.0, -2.1, -1.9, 9.9, 10.0, 12.0)] == [
-        0,
-        0,
-        0,
-        1,
-        4,
-        4,
-        4,
-    ]
-    fixed = Grid.of((3.0, 3.0), 15.0)
-    assert (fixed.count, fixed.part(3.0), fixed.middles) == (1, 0, [3.0])
-
-
-def test_model_errors_without_a_common_cause_have_no_cause():
-    """Independent errors of the known size at each place: over 400 models the statistics have a standard deviation near 1."""
-    dice, largest = np.random.default_rng(5), []
-    grid = [(w, b) for w in (2600.0, 5200.0) for b in (-3.0, 1.0, 4.0, 8.0)]
-    for _ in range(400):
-        directions = Directions(settled, SPEED, PITCH, 0.1, 4.5, BLOCK)
-        errors = dict(zip(grid, (0.1 * dice.standard_normal(8)).tolist(), strict=True))
-        for k in range(160):
-            at = grid[k // 4 % 8]
-            assert not directions.update(at, errors[at], settled(*at), 1.0)
-        largest.append([directions._size(k)[1] for k in range(3)])
-    assert np.std(largest, axis=0) == pytest.approx(np.ones(3), abs=0.35)  # SPAN makes them less than 1
-    assert np.all(np.std(largest, axis=0) < 1.1)
-
-
-def test_a_step_is_found_after_the_stated_delay():
-    """Mean over 500 steps of the smallest size, and of twice that, in white noise, for which the theory is exact."""
-    twin = Twin(Still(), WHITE, false_alarms=0.01)
-    for size, expected in ((twin.smallest, twin.delay), (2.0 * twin.smallest, None)):
-        hiss, delays = iter((size + noise(WHITE, 150000, Still.dt, 7)).tolist()), []
-        for _ in range(500):
-            twin.start(0.0, 0.0, 0.0)
-            ticks = next(k for k in itertools.count(1) if twin.update(k * Still.dt, 0.0, 0.0, next(hiss)).alarmed)
-            delays.append(ticks * Still.dt)
-            assert twin.since == pytest.approx(ticks * Still.dt - twin._above.age * BLOCK)
-        if expected:
-            assert np.mean(delays) == pytest.approx(expected, abs=4.0 * np.std(delays) / 500**0.5)
-        else:
-            assert np.mean(delays) < 0.7 * twin.delay
-
-
-def test_missed_ticks_are_simulated():
-    """The commands before a gap acted throughout it."""
-    twin, whole = Twin(KernelPlant(), WHITE), KernelPlant()
-    twin.start(0.0, 3000.0, 0.0)
-    whole.start(3000.0, 0.0)
-    twin.update(0.0, 5000.0, 4.0, 0.0)
-    for _ in range(7):
-        expected = whole.step(5000.0, 4.0).thrust
-    assert twin.update(7 * 0.004, 3000.0, 0.0, 1.0).thrust == expected
-    assert twin.update(8 * 0.004, 3000.0, 0.0, 1.0).residual == 1.0 - whole.step(3000.0, 0.0).thrust
-
-
-def test_an_update_is_short_beside_a_tick(fmu_files):
+def test_an_update_is_short_beside_a_tick(identified):
     """The aim is 50 us on an idle machine; the best of many batches counts."""
-    twin = Twin(FmuPlant(fmu_files["plain"]), COLOURED)
-    best = 1.0
+    twin, best = Twin(twin_of(identified, BAND)), 1.0
     for batch in range(20):
         began = time.perf_counter()
         for k in range(100):
-            twin.update((100 * batch + k) * 0.004, 4000.0, 5.0, 8.0)
+            twin.update((100 * batch + k) * DT, 4000.0, 5.0, 8.0, 4000.0)
         best = min(best, (time.perf_counter() - began) / 100)
     assert best < 500e-6
+
+
+def flown(identified, gain: float, begin: float, after: float):
+    """The alarms of a twin beside its own plant under steps of 3 s. The reading is `gain` times the thrust from `begin` [s] on;
+    the run ends `after` s later."""
+    rng, rows = np.random.default_rng(4), round((begin + after) / DT)
+    levels = rng.uniform((2500.0, -2.0), (5500.0, 9.0), (rows // 750 + 1, 2)).repeat(750, axis=0)[:rows]
+    told = dict(zip(("omega_ref", "beta_ref"), levels.T, strict=True))
+    values = {name: e.value for name, e in identified.estimates.items()}
+    thrust, omega, _ = Simulator(identified.model).simulate(values, told, np.full(rows - 1, DT)).T
+    thrust = thrust * np.where(np.arange(rows) * DT < begin, 1.0, gain) + 0.12 * rng.standard_normal(rows)
+    columns = [column.tolist() for column in (told["omega_ref"], told["beta_ref"], thrust, omega)]
+    twin = Twin(twin_of(identified, BAND))
+    twin.start(0.0, *(column[0] for column in columns))
+    for k, row in enumerate(zip(*columns, strict=True)):
+        twin.update(k * DT, *row)
+    return twin.alarms
+
+
+def test_a_twin_beside_its_own_plant_has_no_alarm(identified):
+    assert flown(identified, 1.0, 0.0, 300.0) == []
+
+
+@pytest.mark.parametrize("begin", [0.0, 120.0], ids=["from the start", "later"])
+def test_a_wrong_gain_is_detected_within_a_short_run(identified, begin):
+    """Also if the gain was wrong from the start, so that no reading is without it."""
+    alarm = flown(identified, 1.4, begin, 9.0)[0]
+    assert begin <= alarm.time <= begin + 9.0
+    assert alarm.direction in DAILY
+    assert f"most like a change of {alarm.direction}" in alarm.cause
+
+
+def test_export_and_cosim(results, tmp_path, printed):
+    """Beside the plant of which it is made, the twin has no residual and no alarm, in both flavours."""
+    printed("export", "--parameters", results / "parameters.json", "--twin", "--flavour", "both", "-o", tmp_path / "fmus")
+    runs = []
+    for flavour in ("", ".native"):
+        plant_fmu, controller, twin = (tmp_path / "fmus" / f"Vpp{n}{flavour}.fmu" for n in ("Plant", "Controller", "Twin"))
+        loop = ["--twin", twin, "--profile", results / "profile.csv", "-o", tmp_path / f"run{flavour}"]
+        printed("cosim", plant_fmu, controller, *loop)
+        runs.append((tmp_path / f"run{flavour}" / "run.csv").read_bytes())
+        assert "Adapted parameters" in (tmp_path / f"run{flavour}" / "report.html").read_text()
+    assert runs[0] == runs[1]
+    columns = np.genfromtxt(tmp_path / "run" / "run.csv", delimiter=",", names=True, deletechars="")
+    assert not np.any(columns["residual"])
+    assert not np.any(columns["alarm"])
+    with zipfile.ZipFile(tmp_path / "fmus" / "VppTwin.fmu") as packed:
+        assert "acknowledge" in packed.read("modelDescription.xml").decode()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["export", "--twin"], "--parameters"),
+        (["export", "--adapt", "c20"], "--twin"),
+        (["export", "--parameters", "{}/parameters.json", "--twin", "--adapt", "tau_gamma"], "tau_gamma"),
+        (["export", "--parameters", "{}/parameters.json", "--twin", "{}/profile.csv"], "profile.csv"),
+        (["hil", "run", "--rig", "emulated", "--virtual", "--profile", "{}/profile.csv", "--adapt", "c20"], "--twin"),
+    ],
+    ids=["no parameters", "nothing to adapt", "no such parameter", "no identification", "hil without a twin"],
+)
+def test_bad_input_is_one_clear_line(words, said, results, tmp_path, refused):
+    assert said in refused(*(word.format(results) for word in words), "-o", tmp_path / "out")
+
+
+@pytest.fixture(scope="module")
+def run(results, tmp_path_factory):
+    """The folder of a run of the emulated rig beside a twin."""
+    out = tmp_path_factory.mktemp("run")
+    rig = ["--rig", "emulated", "--virtual", "--parameters", str(results / "parameters.json"), "--twin"]
+    code = main(["hil", "run", *rig, "--profile", str(results / "profile.csv"), "-o", str(out)])
+    (folder,) = (out / "runs").iterdir()
+    alarms = json.loads((folder / "hil.json").read_text())["twin"]["alarms"]
+    assert code == (3 if alarms else 0)
+    return folder
+
+
+def test_it_runs_in_the_loop_of_a_rig(run):
+    head, *rows = (run / "log.csv").read_text().splitlines()
+    names, last = head.split(","), [row.split(",") for row in rows]
+    at = names.index("twin.adapted.sensor_gain.gain")
+    shown = [float(row[at]) for row in last if row[at]]
+    assert len(shown) == pytest.approx(4.0 / DT, abs=2)
+    assert 0.5 < shown[-1] < 1.5
+    twin = json.loads((run / "hil.json").read_text())["twin"]
+    assert twin["microseconds"] > 0.0
+    assert twin["certain"] == CERTAIN
+    assert [f"twin.adapted.{name}" for name in twin["adapted"]] == [n for n in names if n.startswith("twin.adapted.")]
+    lag = twin["adapted"]["tau_beta_2"]
+    assert (lag["start"], lag["change"], lag["unit"]) == (0.3, pytest.approx(0.15), "s")
+    assert "Adapted parameters" in (run / "report.html").read_text()
+
+
+def test_alarms_are_found_in_the_log_of_a_run_that_died(run, printed):
+    path, content = run / "hil.json", json.loads((run / "hil.json").read_text())
+    alarms = content["twin"].pop("alarms")
+    assert alarms  # the emulated rig is not this plant
+    path.write_text(json.dumps(content | {"status": "running"}))
+    printed("hil", "report", run)
+    again = json.loads(path.read_text())["twin"]["alarms"]
+    assert [(one["time"], one["direction"], one["cause"]) for one in again] == [
+        (pytest.approx(one["time"]), one["direction"], one["cause"]) for one in alarms
+    ]
 
 
 def test_the_band_is_read_from_identification_json(tmp_path):
@@ -268,20 +201,3 @@ def test_the_band_is_read_from_identification_json(tmp_path):
         path.write_text(content)
         with pytest.raises(BadInput, match=r"identification\.json"):
             read_band(path)
-
-
-def test_the_studys_blocks_are_the_twins_own():
-    """`tests.studies twin` gives the twin whole blocks; its alarm equals that of the twin that runs tick by tick."""
-    from studies import twin as study
-
-    orders = commands.validation(5, 40.0, study.DT)
-    known = study.Known({}, BASE.values(), Band(0.12, 0.05, 0.15, 0.02), "")
-    omega, beta = orders["omega_ref"], orders["beta_ref"]
-    thrust = 0.93 * study._plant().simulate({}, {"omega_ref": omega, "beta_ref": beta}, np.full(len(omega) - 1, study.DT))[:, 0]
-    twin = Twin(KernelPlant(), known.band)
-    twin.start(0.0, float(omega[0]), float(beta[0]))
-    rows = zip(orders.time[1:].tolist(), omega[1:].tolist(), beta[1:].tolist(), thrust[1:].tolist(), strict=True)
-    found = next(t for t, *row in rows if twin.update(t, *row).alarmed)
-    assert study.watched(known, omega, beta, thrust) == (pytest.approx(found), twin.cause)
-    assert found > BLOCK
-    assert twin.cause == "thrust x 0.93"

@@ -70,14 +70,14 @@ def next_round(
     campaign = Campaign(folder, None, (), record, None, None, rig=model.rig)
     found = diagnose(campaign, given=model, workers=workers, thorough=False)
     named = tuple(e for e in found.final.effects if e not in model.model.optional)
-    own = found.parameters(found.final)
-    adapted = replace(own, source={**model.source, **own.source}) if named else model
+    adapted = found.parameters(found.final)
+    adapted = replace(adapted, source={**model.source, **adapted.source})
     laws = {PRESENT: law}
-    if policy == MODEL_BASED and (named or number == 1):
+    if policy == MODEL_BASED:
         stage("tune")
         tuned = tune(adapted, gains=_gains(law), profile=day.profile, noise=band.noise, seed=seed)
         laws[policy] = Law(tuned.gains["dual"].values)
-    if policy == LEARNED and (named or number == 1):
+    if policy == LEARNED:
         stage("learn")
         taught = learn(adapted, _gains(law), generations=GENERATIONS, plants=JUDGED, seed=1000 * seed + number)
         if taught.found.passes:

@@ -1,9 +1,9 @@
 """A rig's day: model and controller improve each other round by round, during operation.
 
-Each round runs the rig over random thrust levels, a mission, beside the twin, and diagnoses the mission's record with the
-present model as the reference. Effects that the diagnosis accepts are added to the model. If it changed, a new law is made for
-it. The laws are compared by their measured cost on the rig, and the new one is used next if it is better. On the real rig each
-flight waits for the operator's consent."""
+Each round runs the rig over random thrust levels, a mission, beside the twin, and diagnoses the mission's record from the
+present model on: its parameters are fitted anew, and missing effects are added. A new law is made for this model, and compared
+with the present one by the measured cost on the rig; it is used next if it is better. On the real rig each flight waits for the
+operator's consent."""
 
 from dataclasses import replace
 from pathlib import Path
