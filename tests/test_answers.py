@@ -132,6 +132,7 @@ def said(tmp_path_factory):
         shorten_tuning(patch.setattr)
         library = tuple(e for e in LIBRARY if e.off is None or e.name in FEW[1])
         patch.setattr("identification.demo.diagnose", partial(diagnose, library=library))
+        patch.setattr("vpp_fmu.app.api.rounds.diagnose", partial(diagnose, library=library))
         for name in CALLS:
             found.run(name, patch)
     return found
