@@ -12,8 +12,10 @@ from vpp_fmu.fmu import Fmu, FmuInstance
 from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.simulation import Simulation
-from vpp_fmu.kernel.twin import BETWEEN, BROUGHT, DAILY, NODE, NODES, adapted_by_default, threshold, twin, watched
-from vpp_fmu.kernel.twin.noises import weights
+from vpp_fmu.kernel.twin.model import DAILY, adapted_by_default, twin
+from vpp_fmu.kernel.twin.noises import BETWEEN, NODE, NODES, weights
+from vpp_fmu.kernel.twin.prediction import BROUGHT
+from vpp_fmu.kernel.twin.watch import threshold, watched
 from vpp_fmu.native import Simulator, stepper
 from vpp_fmu.native.stepper import Stepper
 

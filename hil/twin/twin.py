@@ -11,8 +11,10 @@ from hil.twin.band import Band
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.kernel.scales import Scales
-from vpp_fmu.kernel.twin import BROUGHT, WITHIN, adapted_by_default, plausible_change, sums, threshold, twin, watched
-from vpp_fmu.kernel.twin.prediction import SAMPLE_TIME
+from vpp_fmu.kernel.twin.model import adapted_by_default, plausible_change, twin
+from vpp_fmu.kernel.twin.noises import WITHIN
+from vpp_fmu.kernel.twin.prediction import BROUGHT, SAMPLE_TIME
+from vpp_fmu.kernel.twin.watch import sums, threshold, watched
 from vpp_fmu.native.stepper import Stepper
 from vpp_fmu.parameters import Estimate, ParameterSet
 

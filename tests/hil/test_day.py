@@ -67,8 +67,7 @@ def test_gains_are_replaced_only_by_significantly_cheaper_ones():
     assert flight.best_of({"what flew": flew, "learned": tuple(0.21 + scatter)}) == "what flew"
     assert flight.best_of({"what flew": flew}) == "what flew"
     assert (
-        flight.best_of({"what flew": flew, "model-based": tuple(0.18 + scatter), "learned": tuple(0.15 + scatter)})
-        == "learned"
+        flight.best_of({"what flew": flew, "model-based": tuple(0.18 + scatter), "learned": tuple(0.15 + scatter)}) == "learned"
     )
 
 
@@ -146,9 +145,9 @@ def test_the_policy_is_the_source_of_new_laws(results, tmp_path, monkeypatch, po
 def a_round(results, folder, policy):
     """The first round of a day on the emulated rig."""
     day = rounds.new_day(read_parameters(results / "parameters.json", plant), SETTINGS)
-    rig = rounds.RigAccess(lambda number, flight: days_setup(results, ""), lambda what: None, lambda number: ())
     band = read_band(results / "identification.json")
-    return rounds.next_round(day, rig, band, policy, folder, 0, 1, lambda text: None)
+    rig = days_setup(results, "")
+    return rounds.next_round(day, lambda *_: rig, band, policy, folder, 0, 1, lambda text: None)
 
 
 def days_setup(results, hidden):

@@ -1,4 +1,4 @@
-"""The twin of an identified rig: its values and band, one update per tick, its alarms, and `vpp export|cosim|hil run --twin`."""
+"""The twin of an identified rig: values and band, one update per tick, alarms, and `vpp export|cosim|hil run --twin`."""
 
 import json
 import time
@@ -13,7 +13,8 @@ from hil.twin.twin import CERTAIN, Twin, twin_of
 from vpp_fmu.app.cli import main
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import plant
-from vpp_fmu.kernel.twin import DAILY, sums, threshold
+from vpp_fmu.kernel.twin.model import DAILY
+from vpp_fmu.kernel.twin.watch import sums, threshold
 from vpp_fmu.native.simulator import Simulator
 from vpp_fmu.parameters import ParameterSet
 
@@ -52,7 +53,7 @@ def test_values_come_from_the_band_and_the_identification(identified):
 
 
 def test_the_plants_effects_keep_their_places():
-    """The twin has a prediction of the plant's parameters in the order of the model that has all these effects from the start."""
+    """The twin's plant has its parameters in the order of the model that has all these effects from the start."""
     own = twin_of(ParameterSet(plant(["pitch_backlash", "pitch_offset"])), BAND).values
     whole = plant(["pitch_backlash", *(name.split(".")[0] for name in DAILY)])
     assert [name for name in own if name in whole.values()] == list(whole.values())
@@ -145,9 +146,10 @@ def test_bad_input_is_one_clear_line(words, said, results, tmp_path, refused):
 
 @pytest.fixture(scope="module")
 def run(results, tmp_path_factory):
-    """The folder of a run of the emulated rig beside a twin."""
+    """The folder of a run of the emulated rig, whose load cell reads too much, beside a twin."""
     out = tmp_path_factory.mktemp("run")
     rig = ["--rig", "emulated", "--virtual", "--parameters", str(results / "parameters.json"), "--twin"]
+    rig += ["--hide", "load_cell_gain=1.5"]
     code = main(["hil", "run", *rig, "--profile", str(results / "profile.csv"), "-o", str(out)])
     (folder,) = (out / "runs").iterdir()
     alarms = json.loads((folder / "hil.json").read_text())["twin"]["alarms"]
@@ -174,7 +176,7 @@ def test_it_runs_in_the_loop_of_a_rig(run):
 def test_alarms_are_found_in_the_log_of_a_run_that_died(run, printed):
     path, content = run / "hil.json", json.loads((run / "hil.json").read_text())
     alarms = content["twin"].pop("alarms")
-    assert alarms  # the emulated rig is not this plant
+    assert alarms
     path.write_text(json.dumps(content | {"status": "running"}))
     printed("hil", "report", run)
     again = json.loads(path.read_text())["twin"]["alarms"]

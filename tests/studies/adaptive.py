@@ -18,11 +18,11 @@ from math import exp, sqrt
 from pathlib import Path
 
 import numpy as np
+from hil.twin.adaptive import adaptive
 from scipy.interpolate import RegularGridInterpolator
 from scipy.signal import lfilter
 
 from hil import commands
-from hil.twin.adaptive import adaptive
 from hil.twin.band import Band
 from identification.workers import spread
 from tests.studies.twin import (
@@ -43,7 +43,8 @@ from vpp_fmu.fmu import Fmu, FmuInstance
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.simulation import Simulation
-from vpp_fmu.kernel.twin import BETWEEN, BLOCK, BROUGHT, HALVES, NODE, NODES, ON_THE_WAY, PLACE, SPEED_ON_THE_WAY
+from vpp_fmu.kernel.twin.noises import BETWEEN, BLOCK, HALVES, NODE, NODES, ON_THE_WAY, PLACE, SPEED_ON_THE_WAY
+from vpp_fmu.kernel.twin.prediction import BROUGHT
 from vpp_fmu.native.simulator import Simulator
 from vpp_fmu.native.stepper import Stepper
 from vpp_fmu.parameters import ParameterSet

@@ -19,6 +19,9 @@ from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
+from vpp_fmu.app.day.day import POLICIES, RigAccess, new_day, next_round
+from vpp_fmu.app.day.flight import GAINS, Law, fly
+from vpp_fmu.app.day.policy import task
 
 from hil.calibration import read_calibration
 from hil.emulator.rig import CALIBRATION
@@ -31,12 +34,9 @@ from identification.tune.operating import operating_points
 from identification.tune.rounds import rounds
 from identification.tune.tune import STARTS, TuningTask
 from identification.workers import spread
-from vpp_fmu.app.day.day import POLICIES, RigAccess, new_day, next_round
-from vpp_fmu.app.day.flight import GAINS, Law, fly
-from vpp_fmu.app.day.policy import task
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
-from vpp_fmu.kernel.twin import BROUGHT
+from vpp_fmu.kernel.twin.prediction import BROUGHT
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native.closed_loop import ClosedLoop
 from vpp_fmu.parameters import ParameterSet

@@ -1,7 +1,7 @@
 """The rounds of a rig's day (`vpp twin`): run, diagnose, tune, and compare on the rig."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from hil.rig import RunEnded
@@ -29,14 +29,8 @@ GENERATIONS, JUDGED = 300, 40
 """Of a learned law: generations of its search (some 20 s), and held-out plants of its comparison."""
 
 
-@dataclass(frozen=True, eq=False)
-class RigAccess:
-    """Access to the rig: `setup(round, flight)` returns it, `word(what)` waits for the operator's consent to `what`,
-    `hidden(round)` returns the names of its hidden effects."""
-
-    setup: Callable[[int, int], Setup]
-    word: Callable[[str], None]
-    hidden: Callable[[int], tuple[str, ...]]
+Rig = Callable[[int, int, str], Setup]
+"""Access to the rig: for a round, a flight of it, and what it is, waits for the operator's consent, and returns the set-up."""
 
 
 def new_day(parameters: ParameterSet, settings: Mapping[str, float]) -> Day:
@@ -45,16 +39,18 @@ def new_day(parameters: ParameterSet, settings: Mapping[str, float]) -> Day:
 
 
 def next_round(
-    day: Day, rig: RigAccess, band: Band, policy: str, folder: Path, seed: int, workers: int, stage: Callable[[str], None]
+    day: Day, rig: Rig, band: Band, policy: str, folder: Path, seed: int, workers: int, stage: Callable[[str], None]
 ) -> Round:
     """Fly one round; its logs go to `folder`. BadInput; RunEnded for a flight that ended early, after which none begins."""
     number, law, model, flown = len(day.rounds) + 1, day.law, day.parameters, 0
+    hidden: tuple[str, ...] = ()
 
     def flight(what: str, law: Law, profile: Record, twin: Twin | None = None, times: int = 1) -> Flight:
-        nonlocal flown
-        rig.word(f"round {number}: {what}")
+        nonlocal flown, hidden
         flown += 1
-        done = fly(rig.setup(number, flown), law, profile, folder / f"flight_{flown:02d}", twin, times)
+        setup = rig(number, flown, f"round {number}: {what}")
+        hidden = setup.emulated.hidden if setup.emulated else ()
+        done = fly(setup, law, profile, folder / f"flight_{flown:02d}", twin, times)
         if done.ended:
             raise RunEnded(f"round {number}: {what}: {done.ended}")
         return done
@@ -87,7 +83,7 @@ def next_round(
     winner = best_of(costs)
     return Round(
         number=number,
-        hidden=rig.hidden(number),
+        hidden=hidden,
         mission=first,
         verdict=found.verdict,
         named=named,

@@ -13,7 +13,7 @@ from hil.session import Setup
 from hil.twin.band import Band, read_band
 from identification.tune.controllers import controllers
 from vpp_fmu.app.api.objects import as_gains, as_parameters
-from vpp_fmu.app.api.rounds import MODEL_BASED, POLICIES, RigAccess, new_day, next_round
+from vpp_fmu.app.api.rounds import MODEL_BASED, POLICIES, Rig, new_day, next_round
 from vpp_fmu.app.cli import hil
 from vpp_fmu.app.cli.answer import Answer, Lines
 from vpp_fmu.app.cli.hil import allowed_words
@@ -69,7 +69,7 @@ def run(options):
     return Answer(headline(day), content, shown, written=written(options, folder))
 
 
-def _round(options, day: Day, rig: RigAccess, band: Band, number: int, folder: OutputFolder, shown: Lines) -> dict:
+def _round(options, day: Day, rig: Rig, band: Band, number: int, folder: OutputFolder, shown: Lines) -> dict:
     """Fly a round and write its files; returns the content of day.json so far."""
     own = OutputFolder(folder.path / f"round_{number}")
     with stages("vpp twin", options.quiet) as stage:
@@ -102,23 +102,17 @@ def _check_new(path: str) -> None:
         raise BadInput("command line", "DAY", found, "a new or empty folder")
 
 
-def _rig(options, setup: Setup) -> RigAccess:
+def _rig(options, setup: Setup) -> Rig:
     """The rig of the options. Hidden effects of the emulated rig appear in a later round; each flight has its own noise."""
-    hidden = setup.emulated.hidden if setup.emulated else ()
 
-    def there(number: int) -> tuple[str, ...]:
-        return hidden if number >= options.hidden_from else ()
-
-    def flown(number: int, flight: int) -> Setup:
+    def flown(number: int, flight: int, what: str) -> Setup:
+        hil.confirm(setup, [what])
         if setup.emulated is None:
             return setup
-        own = setup.emulated if there(number) else replace(setup.emulated, parameters={}, hidden=())
+        own = setup.emulated if number >= options.hidden_from else replace(setup.emulated, parameters={}, hidden=())
         return replace(setup, emulated=replace(own, seed=100_000 * (options.seed + 1) + 1000 * number + flight))
 
-    def word(what: str) -> None:
-        hil.confirm(setup, [what])
-
-    return RigAccess(flown, word, there)
+    return flown
 
 
 def said(done: Round) -> list[str]:

@@ -151,26 +151,10 @@ def adaptation(plant: Model, parts: Sequence[Parameter], sample_time: Parameter)
         Parameter("slow", "N", 0.02, 0.0, 1e4, "slow noise of the thrust reading, standard deviation", 0.05),
         Parameter("slow_time", "s", 0.15, 1e-3, 10.0, "correlation time of the slow noise", 0.15),
         Parameter("steady", "N", 0.03, 0.0, 1e4, "error of the model at the operating point, standard deviation", 0.05),
+        Parameter("moving", "1", 0.03, 0.0, 1.0, "model error per N that its thrust moves, standard deviation", 0.05),
+        Parameter("speed_error", "rpm", 20.0, 1e-3, 1e5, "error of the model's speed, standard deviation, as slow noise", 20.0),
         Parameter(
-            "moving", "1", 0.03, 0.0, 1.0, "error of the model for each N that its thrust moves, standard deviation", 0.05
-        ),
-        Parameter(
-            "speed_error",
-            "rpm",
-            20.0,
-            1e-3,
-            1e5,
-            "error of the model's speed, standard deviation; it lasts as slow noise",
-            20.0,
-        ),
-        Parameter(
-            "memory",
-            "1",
-            MEMORY,
-            1.0,
-            1e9,
-            "distance in which what is known of a lag falls to 1/e, in scales of the map",
-            100.0,
+            "memory", "1", MEMORY, 1.0, 1e9, "distance in the map's scales over which a lag is forgotten", 100.0
         ),
     )
     states = [
