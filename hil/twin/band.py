@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from math import inf, sqrt
 
 from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.twin.noises import SLOW_TIME
 from vpp_fmu.structured import read_object
 
-SLOW_SHARE, SLOW_TIME = 0.37, 0.15
-"""Default share of slow noise in the standard deviation, and its correlation time [s]. Repeated runs of four rigs have 0.36 to
-0.38, and 0.12 to 0.17 s."""
+SLOW_SHARE = 0.37
+"""Share of slow noise in the standard deviation. Repeated runs of four rigs have 0.36 to 0.38."""
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from math import ceil
 from vpp_fmu.kernel.plant import OURS
 from vpp_fmu.kernel.signals import BETA_REF, OMEGA, OMEGA_REF, THRUST
 from vpp_fmu.kernel.twin.innovation import innovation, motion
-from vpp_fmu.kernel.twin.noises import AT_NODES, BETWEEN, NODE, nothing, pairs
+from vpp_fmu.kernel.twin.noises import AT_NODES, BETWEEN, NODE, SLOW_TIME, nothing, pairs
 from vpp_fmu.kernel.twin.prediction import SAMPLE_TIME, ahead_of, prediction
 from vpp_fmu.kernel.twin.watch import ACKNOWLEDGE, watch, watched
 from vpp_fmu.kernel.types import BOOLEAN, INTEGER, Effect, Model, Parameter, Signal, State
@@ -84,7 +84,7 @@ def twin(plant: Model, adapted: Sequence[str], sample_time: float = SAMPLE_TIME)
             prediction(plant, adapted, pieces),
             motion(),
             innovation([name not in followed for name in adapted]),
-            watch(adapted, followed, sample_time),
+            watch(adapted, followed),
             update(parts),
         ),
         sample_time="sample_time",
@@ -149,13 +149,11 @@ def adaptation(plant: Model, parts: Sequence[Parameter], sample_time: Parameter)
     noise = (
         Parameter("white", "N", 0.05, 1e-6, 1e4, "white noise of the thrust reading, standard deviation", 0.05),
         Parameter("slow", "N", 0.02, 0.0, 1e4, "slow noise of the thrust reading, standard deviation", 0.05),
-        Parameter("slow_time", "s", 0.15, 1e-3, 10.0, "correlation time of the slow noise", 0.15),
+        Parameter("slow_time", "s", SLOW_TIME, 1e-3, 10.0, "correlation time of the slow noise", 0.15),
         Parameter("steady", "N", 0.03, 0.0, 1e4, "error of the model at the operating point, standard deviation", 0.05),
         Parameter("moving", "1", 0.03, 0.0, 1.0, "model error per N that its thrust moves, standard deviation", 0.05),
         Parameter("speed_error", "rpm", 20.0, 1e-3, 1e5, "error of the model's speed, standard deviation, as slow noise", 20.0),
-        Parameter(
-            "memory", "1", MEMORY, 1.0, 1e9, "distance in the map's scales over which a lag is forgotten", 100.0
-        ),
+        Parameter("memory", "1", MEMORY, 1.0, 1e9, "distance in the map's scales over which a lag is forgotten", 100.0),
     )
     states = [
         *(

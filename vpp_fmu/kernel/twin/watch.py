@@ -1,8 +1,8 @@
 """Test whether a parameter explains the readings: cumulative sums of log-likelihood ratios, and the action after an alarm.
 
-For each monitored parameter, two sums test a plausible change up and down against no change. One more sum tests twice the
-variance of the innovations. After an alarm the parameters adapt, and Wald's test of this last ratio decides whether they
-explain the readings.
+For each monitored parameter, two sums test a plausible change up and down against no change, and a Bayes factor tests whether
+it ever had its identified value. Two more sums test a larger variance of the innovations and of the slow noise. After an alarm
+the parameters adapt, and Wald's test of the ratio of the innovations decides whether they explain the readings.
 """
 
 from collections.abc import Iterable, Sequence
@@ -10,7 +10,7 @@ from math import log
 from typing import Any
 
 from vpp_fmu.kernel.duals import TINY
-from vpp_fmu.kernel.twin.noises import AT_NODES, PLACE, TOLERATED, nothing, pairs
+from vpp_fmu.kernel.twin.noises import AT_NODES, PLACE, SLOW_TIME, TOLERATED, nothing, pairs
 from vpp_fmu.kernel.twin.prediction import settled_ones
 from vpp_fmu.kernel.types import BOOLEAN, Effect, Model, Parameter, Signal, State
 
@@ -25,10 +25,17 @@ SUSPECT = log(100.0)
 it, the readings may come from a change, and the estimates from before are kept."""
 
 
-def threshold(false_alarms: float, count: int, sample_time: float) -> float:
+FAR = 8.0
+"""Ratio of the slow noise's variance that is tested. A sum of these ratios decreases up to 1.5 times the standard deviation."""
+
+START = 60.0
+"""s. A wrong identification is as probable at a start as a change is in this time of a run, and so needs less evidence."""
+
+
+def threshold(false_alarms: float, count: int, every: float = SLOW_TIME) -> float:
     """Threshold of `count` log-likelihood sums for at most `false_alarms` false alarms an hour: a sum takes at least
-    e^threshold samples on average (Lorden, Annals of Mathematical Statistics 42, 1971)."""
-    return log(count * 3600.0 / (false_alarms * sample_time))
+    e^threshold independent values on average (Lorden, Annals of Mathematical Statistics 42, 1971), one `every` s."""
+    return log(count * 3600.0 / (false_alarms * every))
 
 
 def watched(plant: Model, adapted: Sequence[str]) -> tuple[str, ...]:
@@ -38,37 +45,30 @@ def watched(plant: Model, adapted: Sequence[str]) -> tuple[str, ...]:
 
 
 def sums(count: int) -> int:
-    """Number of sums for changes of `count` parameters: two for each, and one for the variance of the innovations."""
-    return 2 * count + 1
+    """Number of sums for changes of `count` parameters: two for each, one for the innovations, one for the slow noise."""
+    return 2 * count + 2
 
 
-def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) -> Effect:
+def watch(adapted: tuple[str, ...], names: tuple[str, ...]) -> Effect:
     m, places = len(adapted), [adapted.index(name) for name in names]
     kept = (*adapted, *AT_NODES)
 
     def taken(ops, s, x, p, dt):
         watching = ops.where(x.mode < 0.5, 1.0, 0.0)
-        found, ahead = [], {}
-        identified = ops.where(x.changes < 0.5, watching, 0.0)  # no change was followed yet
-        for i, name in zip(places, names, strict=True):
-            heights = [identified * _departure(ops, s, (*(k for k in places if k != i), i))]
-            for sign, way in ((1.0, UP), (-1.0, DOWN)):
-                more, shape, absorbed = _ratio(s, x, i, sign, f"{name}.{way}")
-                height = watching * ops.maximum(getattr(x, f"sum.{name}.{way}") + more, 0.0)
-                ahead[f"sum.{name}.{way}"] = height
-                heights.append(height)
-                for k, a in enumerate(absorbed):
-                    after = a if shape is None else a + s.takes[k] * shape
-                    ahead[f"absorbed.{name}.{way}.{NOISES[k]}"] = ops.where(height > 0.0, after, 0.0)
-            found.append(ops.maximum(*heights))
+        found, departed, ahead = _heights(ops, s, x, places, names, watching)
 
         # Innovations with twice the predicted variance against those with the predicted one.
         unlike = s.standing * (0.25 * s.pulls * s.pulls / s.S - 0.5 * log(2.0))
         nothing_else = watching * ops.maximum(x.unlike + unlike, 0.0)
-        largest = nothing_else
+        # The same of the slow noise, whose estimate takes up a sudden change at first; one value in `slow_time` is new.
+        size = s.noises[0] * s.noises[0] / (s.stationary[0] + TINY)
+        wide = 0.5 * (1.0 - 1.0 / FAR) * size - 0.5 * log(FAR)
+        wandering = watching * ops.maximum(x.wandering + dt / s.noise_model.slow_time * wide, 0.0)
+        largest = ops.maximum(nothing_else, wandering)
         for height in found:
             largest = ops.maximum(largest, height)
-        starts = ops.where(largest > p.threshold, watching, 0.0)
+        enough = ops.maximum(p.threshold - log(START / SLOW_TIME), SUSPECT)
+        starts = ops.where(largest > p.threshold, watching, ops.where(departed > enough, watching, 0.0))
         calm = ops.where(largest < SUSPECT, watching, 0.0) > 0.5
         known = {name: ops.where(calm, now, getattr(x, f"kept.{name}")) for name, now in zip(kept, _now(s), strict=True)}
         points, best = 0.0, 0.0
@@ -95,6 +95,7 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
         changes = x.changes + explained
         ahead |= {
             "unlike": nothing_else,
+            "wandering": wandering,
             "doubt": ops.where(starts > 0.5, 0.0, doubt),
             "seen": ops.where(starts > 0.5, 0.0, seen),
             "mode": mode,
@@ -123,6 +124,7 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
                     said = "what of such a change the noises' estimates have taken up"
                     yield State(f"absorbed.{name}.{way}.{NOISES[k]}", "N", said, nothing)
         yield State("unlike", "1", "log-likelihood ratio of twice the variance", nothing)
+        yield State("wandering", "1", f"log-likelihood ratio of {FAR:g} times the variance of the slow noise", nothing)
         yield State("doubt", "1", "the same since an alarm", nothing)
         yield State("seen", "1", "how far the operating point has gone since an alarm", nothing)
         yield State("mode", "1", "0 watches, 1 follows a change, 2 has stopped", nothing)
@@ -131,12 +133,32 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
         for name in kept:
             yield State(f"kept.{name}", "1", f"{name} when no sum was suspicious, parameters in plausible changes", nothing)
 
-    usual = threshold(0.01, sums(len(names)), sample_time)
-    said = "log-likelihood ratio at which a change counts as one: ln(sums x samples between false alarms)"
+    usual = threshold(0.01, sums(len(names)))
+    said = "log-likelihood ratio at which a change counts as one: ln(sums x independent values between false alarms)"
     parameters = (Parameter("threshold", "1", usual, 1.0, 1000.0, said, 20.0),)
     return Effect(
         "watch", "whether a parameter explains what is read", taken, parameters, tuple(states()), inputs=(ACKNOWLEDGE,)
     )
+
+
+def _heights(ops: Any, s: Any, x: Any, places: Sequence[int], names: Sequence[str], watching: Any) -> tuple[list, Any, dict]:
+    """(for each monitored parameter the largest evidence of a change; the largest evidence of a wrong identified value; next
+    values of the states)."""
+    identified = ops.where(x.changes < 0.5, watching, 0.0)  # no change was followed yet
+    found, departed, ahead = [], 0.0, {}
+    for i, name in zip(places, names, strict=True):
+        heights = [identified * _departure(ops, s, (*(k for k in places if k != i), i))]
+        departed = ops.maximum(departed, heights[0])
+        for sign, way in ((1.0, UP), (-1.0, DOWN)):
+            more, shape, absorbed = _ratio(s, x, i, sign, f"{name}.{way}")
+            height = watching * ops.maximum(getattr(x, f"sum.{name}.{way}") + more, 0.0)
+            ahead[f"sum.{name}.{way}"] = height
+            heights.append(height)
+            for k, a in enumerate(absorbed):
+                after = a if shape is None else a + s.takes[k] * shape
+                ahead[f"absorbed.{name}.{way}.{NOISES[k]}"] = ops.where(height > 0.0, after, 0.0)
+        found.append(ops.maximum(*heights))
+    return found, departed, ahead
 
 
 def _moved_most(ops: Any, s: Any, x: Any, before: Iterable) -> Any:
