@@ -1,43 +1,27 @@
-"""python -m tests.studies adaptive: errors, alarms, false alarms and computing time of the adaptive twin.
+"""python -m tests.studies adaptive: errors of the parameters that the twin adapts, and its computing time.
 
-Three parts. (a) Rigs that equal their model, with the noise that the twin assumes: errors of the adapted parameters over the
-Cramer-Rao bound of the same record (information of the whole record, by numpy), coverage of the band, and hours without
-excitation. (b) Changes on rigs that equal their model, where the truth is known, and on the emulated rigs of
-`tests.studies.twin`, each identified from a campaign; then hours on the latter without a change, under three kinds of commands.
-(c) Microseconds a step.
+(a) Rigs that equal their model, with the noise that the twin assumes: errors of the adapted parameters over the Cramer-Rao
+bound of the same record (information of the whole record, by numpy), coverage of the band, and hours without excitation.
+(b) Microseconds a step.
 
-All of it is compiled and runs in virtual time. Aims: within 1.2 of the bound; 93 to 97 % in the band; no change missed, and no
-more than one false alarm in 100 h.
+All of it is compiled and runs in virtual time. Aims: within 1.2 of the bound; 93 to 97 % in the band.
 """
 
 import tempfile
 import time
-from collections import Counter
-from functools import cache, partial
+from functools import cache
 from math import exp, sqrt
 from pathlib import Path
 
 import numpy as np
-from hil.twin.adaptive import adaptive
 from scipy.interpolate import RegularGridInterpolator
 from scipy.signal import lfilter
 
 from hil import commands
 from hil.twin.band import Band
+from hil.twin.twin import twin_of
 from identification.workers import spread
-from tests.studies.twin import (
-    DT,
-    KINDS,
-    RUN,
-    WATCHED,
-    Known,
-    _loop,
-    _noise,
-    _orders,
-    _plant,
-    _rig,
-    identified,
-)
+from tests.studies.twin import DT, _noise
 from vpp_fmu.export import native_fmu, python_fmu
 from vpp_fmu.fmu import Fmu, FmuInstance
 from vpp_fmu.kernel.controller import CONTROLLER
@@ -49,27 +33,11 @@ from vpp_fmu.native.simulator import Simulator
 from vpp_fmu.native.stepper import Stepper
 from vpp_fmu.parameters import ParameterSet
 
-CHANGES = ("thrust x 0.85", "pitch +1 deg", "slow lag x 1.5", "drift 0.01 N/s")
-OF = ("sensor_gain.gain", "pitch_offset.offset", "lag", "sensor_drift.offset")
-"""The parameter that adapts to each change; the lag is the pitch's slower one."""
-
-BEGIN = 120.0
-"""s until a change begins; the twin has converged by then."""
-
-STEADY = 4.0
-"""s of constant commands before a change, so that both models have settled when one replaces the other."""
-
-DRIFTS = 100.0
-"""s that a drift lasts; its final value is the truth."""
-
 CONSTANT = Band(0.12, 0.047, 0.15, 0.03, 0.0)
 """Band of the rigs that equal their model: the emulated load cell's noise, and a map that is right to 0.03 N."""
 
 
 def main(parser, arguments):
-    parser.add_argument("--seeds", type=int, default=100, metavar="N", help="of each change (default: %(default)s)")
-    parser.add_argument("--hours", type=int, default=100, metavar="H", help="for false alarms (default: %(default)s)")
-    parser.add_argument("--twins", type=int, default=24, metavar="N", help="rigs, each with a campaign (default: %(default)s)")
     parser.add_argument("--constant", type=int, default=40, metavar="N", help="constant rigs (default: %(default)s)")
     parser.add_argument("--first-seed", type=int, default=0, metavar="K", help="(default: %(default)s)")
     parser.add_argument("--workers", type=int, default=2, metavar="N", help="side by side (default: %(default)s)")
@@ -78,12 +46,6 @@ def main(parser, arguments):
     print(__doc__.split("\n\n")[-1].strip())
     _show_constant(spread(constant, range(first, first + options.constant), workers, what="constant rigs"))
     _show_idle(idle_hours(first))
-    at = range(first, first + options.seeds)
-    _show_changes("rigs that are their model", spread(followed, at, workers, what="changes"))
-    if options.twins:
-        known = spread(identified, range(first, first + options.twins), workers, what="campaigns")
-        _show_changes("emulated rigs", spread(partial(followed, known=known), at, workers, what="changes"))
-        _show_alarms(spread(partial(alarms, known=known), range(first, first + options.hours), workers, what="hours"))
     _show_times()
 
 
@@ -97,7 +59,7 @@ def constant(seed: int) -> tuple[np.ndarray, np.ndarray, float]:
     orders = commands.validation(int(rng.integers(2**31)), 900.0, DT)
     given = {name: orders[name][:rows] for name in ("omega_ref", "beta_ref")}
     parameters = _own()
-    twin, adapted = adaptive(parameters, CONSTANT), _adapted(adaptive(parameters, CONSTANT))
+    twin, adapted = twin_of(parameters, CONSTANT), _adapted(twin_of(parameters, CONSTANT))
     plain = Simulator(parameters.model, adapted)
     shown, slopes = plain.sensitivities(parameters.values, given, np.full(rows - 1, DT))
     moves, gone = _moves(parameters.values, shown, given)
@@ -217,7 +179,7 @@ IDLE = 10
 def idle_hours(seed: int, hours: int = IDLE) -> dict[str, float]:
     """Range of each parameter over its standard deviation in hours at one set-point, after the first minute; and the alarms."""
     parameters = _own()
-    twin, rng = adaptive(parameters, CONSTANT), np.random.default_rng([seed, 6])
+    twin, rng = twin_of(parameters, CONSTANT), np.random.default_rng([seed, 6])
     rows = round(hours * 3600.0 / DT)
     at = {"omega_ref": 4500.0, "beta_ref": 4.0}
     thrust = Simulation(parameters.model, parameters.values).start(at)["thrust"]
@@ -237,9 +199,6 @@ def idle_hours(seed: int, hours: int = IDLE) -> dict[str, float]:
     return found | {"alarms": float(alarms)}
 
 
-# --- (b) ---------------------------------------------------------------------------------------------------------------------
-
-
 SIMULATORS: dict[tuple[str, ...], Simulator] = {}
 """By the names of a twin's states, since each call of `adaptive` makes a new model."""
 
@@ -257,107 +216,12 @@ def _ran(twin: ParameterSet, inputs: dict[str, np.ndarray]) -> dict[str, np.ndar
     return dict(zip(simulator.outputs, shown.T, strict=True))
 
 
-def twin_of(one: Known) -> ParameterSet:
-    """The twin of an identified rig, as `vpp hil run --twin` makes it."""
-    return adaptive(ParameterSet(plant(BROUGHT)).replaced(one.values, one.std), one.band)
-
-
-def tachometer(omega: np.ndarray) -> np.ndarray:
-    """A speed [rpm] as one mark a turn measures it: the mean of the last whole turn, held until the next."""
-    turns = np.concatenate([[0.0], np.cumsum(0.5 * (omega[1:] + omega[:-1]) / 60.0 * DT)])
-    marks = np.interp(np.arange(int(turns[-1]) + 1), turns, np.arange(len(omega)) * DT)
-    read = np.concatenate([omega[:1], 60.0 / np.diff(marks)])
-    return read[np.floor(turns).astype(int)]
-
-
-def followed(seed: int, known: list[Known] | None = None) -> list[tuple[float, float, str]]:
-    """For each change: s to the alarm (NaN: none, negative: before), s until its parameter stays within 10 % of the truth, and
-    the parameter that the alarm names. `known`: emulated rigs; None: rigs that equal their model."""
-    found = []
-    for k, change in enumerate(CHANGES):
-        rng = np.random.default_rng([seed, 7, k])
-        if known is None:
-            twin, values = adaptive(_own(), CONSTANT), _own().values
-        else:
-            one = known[seed % len(known)]
-            twin, values = twin_of(one), one.values
-        orders = commands.validation(int(rng.integers(2**31)), BEGIN + WATCHED, DT)
-        given = {name: np.array(orders[name]) for name in ("omega_ref", "beta_ref")}
-        after, still = orders.time >= BEGIN, (orders.time >= BEGIN - STEADY) & (orders.time < BEGIN)
-        for column in given.values():
-            column[still] = column[np.flatnonzero(still)[0]]
-        lag = _adapted(twin)[3]
-        thrust, speed = _shown(change, given, after, lag, values, None if known is None else one.own)
-        if change.startswith("drift"):
-            thrust = thrust + 0.01 * np.clip(orders.time - BEGIN, 0.0, DRIFTS)
-        shown = _ran(twin, given | {"thrust": thrust + _noise(rng, len(thrust)), "omega": tachometer(speed)})
-        found.append(_judged(change, OF[k] if OF[k] != "lag" else lag, shown, orders.time, _adapted(twin)))
-    return found
-
-
-def _shown(change, given, after, lag, values, own) -> tuple[np.ndarray, np.ndarray]:
-    """Thrust [N] and speed [rpm] without noise of a rig in which something changes at BEGIN."""
-    steps = np.full(len(after) - 1, DT)
-
-    def run(changed: dict[str, float], orders) -> np.ndarray:
-        if own is None:
-            return _plant().simulate({p.name: values[p.name] for p in plant().parameters} | changed, orders, steps)
-        return _rig().simulate(own | changed, orders, steps)
-
-    if change.startswith("pitch"):
-        return run({}, given | {"beta_ref": given["beta_ref"] + after}).T[:2]
-    shown = run({}, given)
-    if change.startswith("slow"):
-        # The emulated actuator has no lag as a parameter; its loop's gain is decreased by the same factor.
-        slower = run({lag: 1.5 * values[lag]} if own is None else {"kp_lac": own["kp_lac"] / 1.5}, given)
-        shown = np.where(after[:, None], slower, shown)
-    return shown[:, 0] * np.where(after & change.startswith("thrust"), 0.85, 1.0), shown[:, 1]
-
-
-def _judged(change, name, shown, at, adapted) -> tuple[float, float, str]:
-    onsets = np.flatnonzero(np.diff(shown["alarm"], prepend=0.0) > 0.5)
-    before, later = onsets[at[onsets] < BEGIN], onsets[at[onsets] >= BEGIN]
-    when = at[before[0]] - BEGIN if len(before) else at[later[0]] - BEGIN if len(later) else np.nan
-    reached = shown[f"adapted.{name}"]
-    was = float(reached[at < BEGIN][-1])
-    truth = {"t": 0.85 * was, "p": was + 1.0, "s": 1.5 * was, "d": was + 0.01 * DRIFTS}[change[0]]
-    allowed = 0.1 * (abs(truth) if change[0] in "ts" else abs(truth - was))
-    outside = np.flatnonzero(np.abs(reached - truth) > allowed)
-    settled = at[outside[-1]] - BEGIN if outside[-1] + 1 < len(at) else np.nan
-    settles = np.flatnonzero((np.diff(shown["changes"], prepend=0.0) > 0.5) & (at >= BEGIN))
-    points = int(shown["direction"][settles[0]]) if len(settles) else 0
-    return float(when), float(settled), adapted[points - 1] if points else ""
-
-
-def alarms(hour: int, known: list[Known]) -> tuple[str, str, int, float, float]:
-    """(kind of commands, campaign's length, alarms, hours, share within the band) of an hour in which nothing changes."""
-    one, kind = known[hour % len(known)], KINDS[hour // 3 % len(KINDS)]
-    twin, count, inside = twin_of(one), 0, []
-    for k in range(round(3600.0 / RUN)):
-        rng = np.random.default_rng([hour, 3, k])
-        shown = _ran(twin, _undisturbed(kind, rng, one))
-        count += int(np.sum(np.diff(shown["alarm"]) > 0.5))
-        first = len(shown["band"]) // 10
-        inside.append(np.mean(np.abs(shown["residual"][first:]) < shown["band"][first:]))
-    return kind, one.length, count, 1.0, float(np.mean(inside))
-
-
-def _undisturbed(kind: str, rng: np.random.Generator, one: Known) -> dict[str, np.ndarray]:
-    if kind == "closed loop":
-        omega, beta, thrust, speed = _loop(rng, one.own)
-    else:
-        omega, beta = _orders(kind, rng)
-        shown = _rig().simulate(one.own, {"omega_ref": omega, "beta_ref": beta}, np.full(len(omega) - 1, DT))
-        thrust, speed = shown[:, 0] + _noise(rng, len(omega)), shown[:, 1]
-    return {"omega_ref": omega, "beta_ref": beta, "thrust": thrust, "omega": tachometer(speed)}
-
-
-# --- (c) ---------------------------------------------------------------------------------------------------------------------
+# --- (b) ---------------------------------------------------------------------------------------------------------------------
 
 
 def microseconds() -> dict[str, float]:
     """Of a step of 4 ms: plant and twin alone, native and Python; and plant, controller and twin in one loop through fmpy."""
-    twin, found = adaptive(_own(), CONSTANT), {}
+    twin, found = twin_of(_own(), CONSTANT), {}
     parts = {"plant": ParameterSet(plant()), "controller": ParameterSet(CONTROLLER), "twin": twin}
     with tempfile.TemporaryDirectory() as folder:
         for flavour, make in (("native", native_fmu), ("Python", python_fmu)):
@@ -412,7 +276,7 @@ def _best(step, batch: int = 200) -> float:
 
 def _show_constant(found) -> None:
     errors, bounds, inside = (np.array(column) for column in zip(*found, strict=True))
-    names = _adapted(adaptive(_own(), CONSTANT))
+    names = _adapted(twin_of(_own(), CONSTANT))
     print(f"\nconstant rigs, {len(errors)} of 15 min: rmse over the Cramer-Rao bound (chance: +-{0.7 / sqrt(len(errors)):.2f})")
     for name, own, bound in zip(names, errors.T, bounds.T, strict=True):
         rms, limit = sqrt(np.mean(own**2)), sqrt(np.mean(bound**2))
@@ -424,34 +288,6 @@ def _show_idle(found: dict[str, float]) -> None:
     moved = max(value for name, value in found.items() if name != "alarms")
     moves = f"a parameter goes through {moved:.2f} of its standard deviation at most, {found['alarms']:.0f} alarms"
     print(f"\n{IDLE} h at one set-point: {moves}")
-
-
-def _show_changes(what: str, found) -> None:
-    print(f"\nchanges at {BEGIN:g} s on {what}: s to the alarm, s to within 10 % of the truth for good, within {WATCHED:g} s")
-    head = f"{'change':16} {'runs':>5} {'alarm':>6} {'95 %':>6} {'missed':>7} {'before':>7}"
-    print(f"{head} {'learned':>8} {'95 %':>6} {'never':>6}  points to")
-    for k, change in enumerate(CHANGES):
-        when, settled, points = zip(*(one[k] for one in found), strict=True)
-        when, settled = np.array(when), np.array(settled)
-        right = when[when >= 0.0]
-        median, late = (np.quantile(right, q, method="higher") if len(right) else np.nan for q in (0.5, 0.95))
-        there = np.where(np.isnan(settled), np.inf, settled)
-        usual, slow = (np.quantile(there, q, method="higher") for q in (0.5, 0.95))
-        causes = ", ".join(f"{name or 'nothing'} {n}" for name, n in Counter(points).most_common())
-        line = f"{change:16} {len(when):5} {median:6.1f} {late:6.1f} {np.sum(np.isnan(when)):7} {np.sum(when < 0.0):7}"
-        print(f"{line} {usual:8.1f} {slow:6.1f} {np.sum(np.isinf(there)):6}  {causes}")
-
-
-def _show_alarms(found) -> None:
-    count, hours, inside = Counter(), Counter(), {}
-    for kind, length, n, h, share in found:
-        for name in (kind, length, "all"):
-            count[name] += n
-            hours[name] += h
-            inside.setdefault(name, []).append(share)
-    print("\nfalse alarms on emulated rigs while nothing changes, and readings within the band")
-    for name, shares in inside.items():
-        print(f"{name:20} {count[name]:4} in {hours[name]:6.1f} h   {100 * np.mean(shares):5.1f} %")
 
 
 def _show_times() -> None:
