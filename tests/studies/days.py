@@ -1,8 +1,8 @@
 """python -m tests.studies days: does a rig's day (`vpp twin`) improve model and controller, and under which policy?
 
 Emulated rigs of the paper's size, each slightly different, are identified from a campaign; from the second round on each has a
-hidden effect. Each rig has the same day with fixed gains, and with gains tuned on the model. The final gains are compared on new
-noise with gains that are tuned with full knowledge: by the method of `vpp tune`, under the same limits, on the rig's own
+hidden effect. Each rig has the same day with fixed gains, and with gains tuned on the model. The final gains are compared on
+new noise with gains that are tuned with full knowledge: by the method of `vpp tune`, under the same limits, on the rig's own
 physics with the hidden effect.
 
 Aims: a cost within 5 % of that of full knowledge; no day ends at a higher cost than it began.
@@ -87,8 +87,8 @@ def _kept(path: Path, count: int, wanted: tuple[str, int]) -> None:
 
 def days(change: str, count: int, seed: int) -> dict:
     """Results of one rig: final costs on new noise, of the first gains (`began`) and of gains tuned with full knowledge
-    (`full`). For each policy: by round the error of the present model in a mission that it has not seen [N], the cost of the next gains, and alarms with their
-    verdicts; effects of the final model, its final cost, and CPU seconds."""
+    (`full`). For each policy: by round the error of the present model in a mission that it has not seen [N], the cost of the
+    next gains, and alarms with the verdicts; effects of the final model, its final cost, and CPU seconds."""
     known = identified(3 * seed)  # from a campaign as long as the paper's
     parameters = ParameterSet(plant()).replaced(known.values)
     settings = {name: (CAREFUL if name in GAINS else 1.0) * value for name, value in CONTROLLER.values().items()}
