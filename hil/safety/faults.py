@@ -44,7 +44,7 @@ class FaultKind(Enum):
     STALE = "stale", Reaction.RAMP_DOWN, "the newest reading is too old"
 
     # Found by the loop on itself.
-    TWIN = "twin's alarm", Reaction.RAMP_DOWN, "the rig has left its model's band, and that is to end the run"
+    TWIN = "twin's alarm", Reaction.RAMP_DOWN, "the rig is not its model, and that is to end the run"
     TWIN_NOW = "twin's alarm, at once", Reaction.IDLE, "the same, where it is to end it at once"
     FAILED = "failed", Reaction.RAMP_DOWN, "the controller gave an error instead of commands"
     LOG_LOST = "log lost", Reaction.RAMP_DOWN, "what is measured no longer reaches the disk"
