@@ -51,7 +51,7 @@ def twin_of(
     # Few degrees of freedom: scale the model error so that 1.96 standard deviations cover 95 %, as Student's t does.
     steady = band.steady * float(stdtrit(band.freedom, 0.975)) / WITHIN
     noises = {"white": band.white, "slow": band.slow, "slow_time": band.slow_time, "steady": steady, "moving": band.moving}
-    noises["threshold"] = threshold(FALSE_ALARMS, sums(len(shows)))
+    noises["threshold"] = threshold(FALSE_ALARMS, sums(len(shows)), model.values()["sample_time"])
     found, allowed = values | noises, {p.name: p for p in model.parameters}
     for name in adapted:
         size = plausible_change(parameters.model, name, values[name])

@@ -45,7 +45,7 @@ def test_values_come_from_the_band_and_the_identification(identified):
     steady = 0.1 * t.isf(0.025, 20.0) / 1.96
     assert values["steady"] == pytest.approx(steady)
     assert (values["white"], values["slow"], values["moving"]) == (0.12, 0.05, 0.04)
-    assert values["threshold"] == threshold(0.01, sums(3))
+    assert values["threshold"] == threshold(0.01, sums(3), DT)
     assert values["change.sensor_drift.offset"] == 0.1
     assert values["change.tau_beta_2"] == values["prior.tau_beta_2"] == pytest.approx(0.15)
     chosen = twin_of(identified, BAND, ["c20"]).values

@@ -84,7 +84,7 @@ def twin(plant: Model, adapted: Sequence[str], sample_time: float = SAMPLE_TIME)
             prediction(plant, adapted, pieces),
             motion(),
             innovation([name not in followed for name in adapted]),
-            watch(adapted, followed),
+            watch(adapted, followed, sample_time),
             update(parts),
         ),
         sample_time="sample_time",

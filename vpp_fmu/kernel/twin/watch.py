@@ -1,16 +1,17 @@
 """Test whether a parameter explains the readings: cumulative sums of log-likelihood ratios, and the action after an alarm.
 
 For each monitored parameter, two sums test a plausible change up and down against no change, and a Bayes factor tests whether
-it ever had its identified value. Two more sums test a larger variance of the innovations and of the slow noise. After an alarm
-the parameters adapt, and Wald's test of the ratio of the innovations decides whether they explain the readings.
+it has left its earlier value, at first the identified one. Two more sums test a larger variance of the innovations and of the
+slow noise. After an alarm the parameters adapt, and Wald's test of the ratio of the innovations decides whether they explain
+the readings.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import log
 from typing import Any
 
 from vpp_fmu.kernel.duals import TINY
-from vpp_fmu.kernel.twin.noises import AT_NODES, PLACE, SLOW_TIME, TOLERATED, nothing, pairs
+from vpp_fmu.kernel.twin.noises import AT_NODES, PLACE, TOLERATED, nothing, pairs
 from vpp_fmu.kernel.twin.prediction import settled_ones
 from vpp_fmu.kernel.types import BOOLEAN, Effect, Model, Parameter, Signal, State
 
@@ -25,17 +26,20 @@ SUSPECT = log(100.0)
 it, the readings may come from a change, and the estimates from before are kept."""
 
 
-FAR = 8.0
-"""Ratio of the slow noise's variance that is tested. A sum of these ratios decreases up to 1.5 times the standard deviation."""
+FAR, MOST = 8.0, 3.0
+"""Ratio of the slow noise's variance that is tested, and standard deviations beyond which more does not count: a sum of these
+ratios decreases up to 1.5, and needs a second at MOST, longer than a single move."""
 
-START = 60.0
-"""s. A wrong identification is as probable at a start as a change is in this time of a run, and so needs less evidence."""
+LATELY = 120.0
+"""s. A parameter is tested against its value one to two times this ago, at first the identified one; the errors of a model in
+its moves add up over longer times. The test has one independent result in this time, and so needs less evidence than one at
+every sample."""
 
 
-def threshold(false_alarms: float, count: int, every: float = SLOW_TIME) -> float:
+def threshold(false_alarms: float, count: int, sample_time: float) -> float:
     """Threshold of `count` log-likelihood sums for at most `false_alarms` false alarms an hour: a sum takes at least
-    e^threshold independent values on average (Lorden, Annals of Mathematical Statistics 42, 1971), one `every` s."""
-    return log(count * 3600.0 / (false_alarms * every))
+    e^threshold samples on average (Lorden, Annals of Mathematical Statistics 42, 1971)."""
+    return log(count * 3600.0 / (false_alarms * sample_time))
 
 
 def watched(plant: Model, adapted: Sequence[str]) -> tuple[str, ...]:
@@ -49,25 +53,25 @@ def sums(count: int) -> int:
     return 2 * count + 2
 
 
-def watch(adapted: tuple[str, ...], names: tuple[str, ...]) -> Effect:
+def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) -> Effect:
     m, places = len(adapted), [adapted.index(name) for name in names]
     kept = (*adapted, *AT_NODES)
 
     def taken(ops, s, x, p, dt):
         watching = ops.where(x.mode < 0.5, 1.0, 0.0)
-        found, departed, ahead = _heights(ops, s, x, places, names, watching)
+        found, departed, ahead = _heights(ops, s, x, dt, places, names, watching)
 
         # Innovations with twice the predicted variance against those with the predicted one.
         unlike = s.standing * (0.25 * s.pulls * s.pulls / s.S - 0.5 * log(2.0))
         nothing_else = watching * ops.maximum(x.unlike + unlike, 0.0)
         # The same of the slow noise, whose estimate takes up a sudden change at first; one value in `slow_time` is new.
-        size = s.noises[0] * s.noises[0] / (s.stationary[0] + TINY)
+        size = ops.minimum(s.noises[0] * s.noises[0] / (s.stationary[0] + TINY), MOST * MOST)
         wide = 0.5 * (1.0 - 1.0 / FAR) * size - 0.5 * log(FAR)
         wandering = watching * ops.maximum(x.wandering + dt / s.noise_model.slow_time * wide, 0.0)
         largest = ops.maximum(nothing_else, wandering)
         for height in found:
             largest = ops.maximum(largest, height)
-        enough = ops.maximum(p.threshold - log(START / SLOW_TIME), SUSPECT)
+        enough = ops.maximum(p.threshold - log(LATELY / sample_time), SUSPECT)
         starts = ops.where(largest > p.threshold, watching, ops.where(departed > enough, watching, 0.0))
         calm = ops.where(largest < SUSPECT, watching, 0.0) > 0.5
         known = {name: ops.where(calm, now, getattr(x, f"kept.{name}")) for name, now in zip(kept, _now(s), strict=True)}
@@ -118,13 +122,16 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...]) -> Effect:
 
     def states() -> Iterable[State]:
         for name in names:
+            for what in ("before", "lately"):
+                yield State(f"{what}.{name}", "1", f"{name} {what}, in plausible changes", nothing)
             for way in (UP, DOWN):
                 yield State(f"sum.{name}.{way}", "1", f"log-likelihood ratio of a change of {name}, {way}", nothing)
                 for k in range(len(NOISES)):
                     said = "what of such a change the noises' estimates have taken up"
                     yield State(f"absorbed.{name}.{way}.{NOISES[k]}", "N", said, nothing)
-        yield State("unlike", "1", "log-likelihood ratio of twice the variance", nothing)
+        yield State("clock", "s", "time since the values before were renewed", nothing)
         yield State("wandering", "1", f"log-likelihood ratio of {FAR:g} times the variance of the slow noise", nothing)
+        yield State("unlike", "1", "log-likelihood ratio of twice the variance", nothing)
         yield State("doubt", "1", "the same since an alarm", nothing)
         yield State("seen", "1", "how far the operating point has gone since an alarm", nothing)
         yield State("mode", "1", "0 watches, 1 follows a change, 2 has stopped", nothing)
@@ -133,21 +140,22 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...]) -> Effect:
         for name in kept:
             yield State(f"kept.{name}", "1", f"{name} when no sum was suspicious, parameters in plausible changes", nothing)
 
-    usual = threshold(0.01, sums(len(names)))
-    said = "log-likelihood ratio at which a change counts as one: ln(sums x independent values between false alarms)"
+    usual = threshold(0.01, sums(len(names)), sample_time)
+    said = "log-likelihood ratio at which a change counts as one: ln(sums x samples between false alarms)"
     parameters = (Parameter("threshold", "1", usual, 1.0, 1000.0, said, 20.0),)
     return Effect(
         "watch", "whether a parameter explains what is read", taken, parameters, tuple(states()), inputs=(ACKNOWLEDGE,)
     )
 
 
-def _heights(ops: Any, s: Any, x: Any, places: Sequence[int], names: Sequence[str], watching: Any) -> tuple[list, Any, dict]:
-    """(for each monitored parameter the largest evidence of a change; the largest evidence of a wrong identified value; next
-    values of the states)."""
-    identified = ops.where(x.changes < 0.5, watching, 0.0)  # no change was followed yet
-    found, departed, ahead = [], 0.0, {}
+def _heights(ops: Any, s: Any, x: Any, dt: Any, places: Sequence[int], names: Sequence[str], watching: Any) -> tuple:
+    """(for each monitored parameter the largest evidence of a change; the largest evidence of a departure from earlier
+    values; next values of the states)."""
+    before = {i: getattr(x, f"before.{name}") for i, name in zip(places, names, strict=True)}
+    turns = x.clock + dt > LATELY
+    found, departed, ahead = [], 0.0, {"clock": ops.where(turns, 0.0, x.clock + dt)}
     for i, name in zip(places, names, strict=True):
-        heights = [identified * _departure(ops, s, (*(k for k in places if k != i), i))]
+        heights = [watching * _departure(ops, s, before, (*(k for k in places if k != i), i))]
         departed = ops.maximum(departed, heights[0])
         for sign, way in ((1.0, UP), (-1.0, DOWN)):
             more, shape, absorbed = _ratio(s, x, i, sign, f"{name}.{way}")
@@ -157,6 +165,9 @@ def _heights(ops: Any, s: Any, x: Any, places: Sequence[int], names: Sequence[st
             for k, a in enumerate(absorbed):
                 after = a if shape is None else a + s.takes[k] * shape
                 ahead[f"absorbed.{name}.{way}.{NOISES[k]}"] = ops.where(height > 0.0, after, 0.0)
+        lately = getattr(x, f"lately.{name}")
+        for what, held, new in (("before", before[i], lately), ("lately", lately, s.theta[i])):
+            ahead[f"{what}.{name}"] = ops.where(watching > 0.5, ops.where(turns, new, held), s.theta[i])
         found.append(ops.maximum(*heights))
     return found, departed, ahead
 
@@ -170,13 +181,17 @@ def _moved_most(ops: Any, s: Any, x: Any, before: Iterable) -> Any:
     return which
 
 
-def _departure(ops: Any, s: Any, places: Sequence[int]) -> Any:
-    """Logarithm of the Bayes factor that the last of these parameters, and no other, differs from its identified value.
+def _departure(ops: Any, s: Any, before: Mapping, places: Sequence[int]) -> Any:
+    """Logarithm of the Bayes factor that the last of these parameters, and no other, differs from its value before, at first
+    the identified one.
 
-    With its mean v and its variance C, given that the others have their identified values, and its variance R at the start,
+    With its mean v above that value and its variance C, given that the others have theirs, and its variance R at the start,
     the Savage-Dickey ratio is (v^2 / C + ln(C / R)) / 2.
     """
-    v, C = [s.theta[i] for i in places], {at: s.P[tuple(sorted(places[k] for k in at))] for at in pairs(len(places))}
+    v, C = (
+        [s.theta[i] - before[i] for i in places],
+        {at: s.P[tuple(sorted(places[k] for k in at))] for at in pairs(len(places))},
+    )
     for k in range(len(v) - 1):
         for i in range(k + 1, len(v)):
             share = C[k, i] / (C[k, k] + TINY)
