@@ -250,8 +250,7 @@ def _with_residual(twin: dict, log: Record | None) -> dict:
     rows = log.part(np.isfinite(log["residual"]))
     begins = np.flatnonzero(np.diff(rows["alarm"], prepend=0.0) > 0.5)
     at = zip(*(column[begins].tolist() for column in (rows.time, rows["residual"], rows[LEARNED + "direction"])), strict=True)
-    known = {name: one["description"] for name, one in twin["adapted"].items()}
-    found = [alarm_of(*values, known)._asdict() for values in at]
+    found = [alarm_of(*values, twin["adapted"])._asdict() for values in at]
     rms = float(np.sqrt(np.mean(rows["residual"] ** 2))) if len(rows) else None
     return {"alarms": found, **twin, "residual_rms": rms}
 

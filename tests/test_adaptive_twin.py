@@ -239,6 +239,6 @@ def test_every_effects_plant_has_a_twin_that_starts_settled(effect):
 
 def test_watched_parameters_and_the_alarm_threshold():
     assert watched(PLANT, ADAPTED) == DAILY
-    assert threshold(0.01, 7, DT) == pytest.approx(np.log(7 * 3600.0 * 100.0 / DT))
+    assert threshold(0.01, 3, DT) == pytest.approx(np.log(8 * 3600.0 * 100.0 / DT))
     with pytest.raises(KeyError):
         twin(PLANT, ["tau_gamma"])

@@ -1,8 +1,7 @@
 """The twin of an identified rig: its priors, residual band and adapted parameters, and one update per tick beside the rig."""
 
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 from scipy.special import stdtrit
@@ -14,7 +13,7 @@ from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.kernel.twin.model import adapted_by_default, plausible_change, twin
 from vpp_fmu.kernel.twin.noises import WITHIN
 from vpp_fmu.kernel.twin.prediction import BROUGHT, SAMPLE_TIME
-from vpp_fmu.kernel.twin.watch import sums, threshold, watched
+from vpp_fmu.kernel.twin.watch import threshold, watched
 from vpp_fmu.native.stepper import Stepper
 from vpp_fmu.parameters import Estimate, ParameterSet
 
@@ -23,9 +22,6 @@ FALSE_ALARMS = 0.01
 
 CERTAIN = 2.0
 """Least change of an adapted parameter that counts, in standard deviations; one test in 20 exceeds it by chance."""
-
-TRIED = 200
-"""Steps before a run whose median gives the twin's computing time per tick."""
 
 
 def twin_of(
@@ -51,7 +47,7 @@ def twin_of(
     # Few degrees of freedom: scale the model error so that 1.96 standard deviations cover 95 %, as Student's t does.
     steady = band.steady * float(stdtrit(band.freedom, 0.975)) / WITHIN
     noises = {"white": band.white, "slow": band.slow, "slow_time": band.slow_time, "steady": steady, "moving": band.moving}
-    noises["threshold"] = threshold(FALSE_ALARMS, sums(len(shows)), model.values()["sample_time"])
+    noises["threshold"] = threshold(FALSE_ALARMS, len(shows), model.values()["sample_time"])
     found, allowed = values | noises, {p.name: p for p in model.parameters}
     for name in adapted:
         size = plausible_change(parameters.model, name, values[name])
@@ -75,16 +71,6 @@ def _widened(parameters: ParameterSet) -> ParameterSet:
     return replace(parameters, model=replace(model, effects=tuple(effects)))
 
 
-@dataclass(frozen=True)
-class Adapted:
-    """An adapted parameter: its initial value and a plausible change, in its unit."""
-
-    start: float
-    change: float
-    unit: str
-    description: str
-
-
 class Alarm(NamedTuple):
     """An alarm at `time` [s], the parameter whose change is the likeliest `direction` (None: of no parameter), and that in
     words."""
@@ -94,34 +80,34 @@ class Alarm(NamedTuple):
     cause: str
 
 
-def alarm_of(t: float, residual: float, direction: float, adapted: Mapping[str, str]) -> Alarm:
-    """The alarm at t [s] for a twin's outputs; `adapted`: descriptions of the adapted parameters by name."""
+def alarm_of(t: float, residual: float, direction: float, adapted: Mapping[str, Mapping]) -> Alarm:
+    """The alarm at t [s] for a twin's outputs; `adapted` as in `Twin`."""
     name = [None, *adapted][round(direction)]
-    like = f"most like a change of {name}, {adapted[name]}" if name else "like no change of one parameter"
+    like = f"most like a change of {name}, {adapted[name]['description']}" if name else "like no change of one parameter"
     return Alarm(t, name, f"the rig is not its model, {residual:+.2f} N now, {like}")
 
 
 class Twin:
     """The twin of `twin_of`, in this process; `outputs`: names of the values that `update` returns.
 
-    `adapted`: adapted parameters by name, in the order of the outputs. `alarms`: those since the start. `residual` [N] and
-    `alarmed`: of the last update. `microseconds`: computing time of a step.
+    `adapted`: by the parameter's name, in the order of the outputs, its value at the `start`, a plausible `change`, `unit` and
+    `description`. `alarms`: those since the start. `residual` [N] and `alarmed`: of the last update.
     """
 
     def __init__(self, own: ParameterSet, dt: float = SAMPLE_TIME):
         self.outputs = tuple(y.name for y in own.model.outputs)
         self.units = {y.name: y.unit for y in own.model.outputs}
         values, parts = own.values, {p.name: p for p in own.model.parameters}
+        names = [y.removeprefix("adapted.") for y in self.outputs if y.startswith("adapted.")]
         self.adapted = {
-            name: Adapted(values[name], values[f"change.{name}"], parts[name].unit, parts[name].description)
-            for name in (y.removeprefix("adapted.") for y in self.outputs if y.startswith("adapted."))
+            n: {"start": values[n], "change": values[f"change.{n}"], "unit": parts[n].unit, "description": parts[n].description}
+            for n in names
         }
         self._inputs = [u.start for u in own.model.inputs]
         self._at = [[u.name for u in own.model.inputs].index(name) for name in ("omega_ref", "beta_ref", "thrust", "omega")]
         self._shown = [self.outputs.index(name) for name in ("residual", "alarm", "direction")]
         self._stepper, self._dt, self._time = Stepper(own.model, own.values), dt, 0.0
         self.alarms: list[Alarm] = []
-        self.microseconds = self._measured_time()
 
     def start(self, t: float, omega_ref: float, beta_ref: float, thrust: float, omega: float) -> None:
         """Start at t [s] from a settled rig: its commands [rpm, deg] and readings [N, rpm]."""
@@ -138,27 +124,17 @@ class Twin:
         outputs = self._stepper.step(self._before, self._dt)
         self.residual, alarm, direction = (outputs[k] for k in self._shown)
         if alarm > 0.5 and not self.alarmed:
-            self.alarms.append(alarm_of(t, self.residual, direction, {n: a.description for n, a in self.adapted.items()}))
+            self.alarms.append(alarm_of(t, self.residual, direction, self.adapted))
         self.alarmed = alarm > 0.5
         return outputs
 
     def summary(self) -> dict:
         """Entries of hil.json before a run."""
-        adapted = {name: asdict(one) for name, one in self.adapted.items()}
-        content = {"false_alarms_per_hour": FALSE_ALARMS, "microseconds": self.microseconds, "certain": CERTAIN}
-        return content | {"units": self.units, "adapted": adapted}
+        known = {"false_alarms_per_hour": FALSE_ALARMS, "certain": CERTAIN}
+        return known | {"units": self.units, "adapted": self.adapted}
 
     def _given(self, *values: float) -> list[float]:
         given = list(self._inputs)
         for place, value in zip(self._at, values, strict=True):
             given[place] = value
         return given
-
-    def _measured_time(self) -> float:
-        took = []
-        self.start(0.0, 4000.0, 4.0, 5.0, 4000.0)
-        for k in range(1, TRIED + 1):
-            began = time.perf_counter()
-            self.update(k * self._dt, 4000.0, 4.0, 5.0, 4000.0)
-            took.append(time.perf_counter() - began)
-        return 1e6 * sorted(took)[TRIED // 2]

@@ -91,11 +91,6 @@ class Round:
     law: Law
 
     @property
-    def settings(self) -> Mapping[str, float]:
-        """Settings of the next controller, or of the fallback of the next learned law."""
-        return self.law.settings
-
-    @property
     def cost(self) -> float:
         """Mean measured cost of the next law."""
         return float(np.mean(self.costs[self.winner]))
@@ -129,7 +124,7 @@ def fly(setup: Setup, law: Law, profile: Record, folder: Path, twin: Twin | None
     write_run(folder / "run.csv", done.record)
     rows = np.flatnonzero(np.isfinite(done.log["omega_wanted"]))
     shown = {name: done.log[LEARNED + name][rows] for name in twin.outputs} if twin else {}
-    units = {name: one.unit for name, one in twin.adapted.items()} if twin else {}
+    units = {name: one["unit"] for name, one in twin.adapted.items()} if twin else {}
     began = profile_start(done.log)
     alarms = tuple(one._replace(time=one.time - began) for one in twin.alarms) if twin else ()
     went = [] if done.ended else passes(done.record, profile, times)

@@ -4,6 +4,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from hil.rig import RunEnded
 from hil.session import Setup
 from hil.twin.band import Band
@@ -103,4 +105,5 @@ def _gains(law: Law) -> ParameterSet:
 
 def error(parameters: ParameterSet, record: Record) -> float:
     """rms error of the model's thrust for a record's commands, N."""
-    return float(predict(parameters.model, parameters.values, record).rmse_thrust)
+    off = predict(parameters.model, parameters.values, record).thrust - record["thrust"]
+    return float(np.sqrt(np.nanmean(off**2)))

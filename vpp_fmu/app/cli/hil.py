@@ -254,8 +254,6 @@ def _run(options) -> Answer:
     lines.append(allowed_words(setup.allowed))
     content = _begun(options, setup) | task.summary()
     content["controller"]["limits"] = limits_by_end(controller.limits)
-    if twin:
-        lines.append(f"twin: {twin.microseconds:.0f} us of a tick")
     with watched(options, content) as page, Lines(options) as shown:
         confirm(setup, lines)
         done, folder, found = carry_out(

@@ -132,7 +132,7 @@ def said(done: Round) -> list[str]:
 def _write(folder: OutputFolder, own: OutputFolder, day: Day, done: Round) -> dict:
     """Files after a round: its model and gains, and the day so far; returns the content of day.json."""
     gains = ParameterSet(CONTROLLER, source={"made_by": "vpp twin", "round": done.number})
-    gains = gains.replaced({n: v for n, v in done.settings.items() if n in {p.name for p in CONTROLLER.parameters}})
+    gains = gains.replaced({n: v for n, v in done.law.settings.items() if n in {p.name for p in CONTROLLER.parameters}})
     source = {**done.parameters.source, "made_by": "vpp twin", "round": done.number}
     model = replace(done.parameters, source=source)
     for where in (own, folder):
@@ -157,5 +157,5 @@ def summary(done: Round) -> dict:
         "error": {"before": done.before, "after": done.after, "unit": "N"},
         "costs": {name: list(each) for name, each in done.costs.items()},
         "flies_next": done.winner,
-        "gains": {name: done.settings[name] for name in GAINS},
+        "gains": {name: done.law.settings[name] for name in GAINS},
     }

@@ -56,17 +56,16 @@ def twin(plant: Model, adapted: Sequence[str], sample_time: float = SAMPLE_TIME)
     commands = tuple(u for u in measured if u.name in (OMEGA_REF.name, BETA_REF.name))
     by_name = {y.name: y for y in plant.outputs}
     readings = by_name[THRUST.name], by_name[OMEGA.name]
+    listed = ", ".join(f"{k} {name}" for k, name in enumerate(("none", *adapted)))
     outputs = (
         _like(readings[0], "predicted_thrust", "thrust by the adapted model"),
         _like(readings[1], "predicted_speed", "rotor speed by the adapted model"),
         _like(readings[0], "residual", "measured thrust above the adapted model's"),
         Signal("band", "N", "half width of the band that holds 95 % of the residuals", 0.0, 1e6, readings[0].nominal),
         Signal("alarm", "1", "the rig is not what the model says", 0.0, 1.0, kind=BOOLEAN),
-        Signal("direction", "1", f"what the last alarm points to: {_listed(adapted)}", 0.0, float(len(adapted)), kind=INTEGER),
+        Signal("direction", "1", f"what the last alarm points to: {listed}", 0.0, float(len(adapted)), kind=INTEGER),
         Signal("changes", "1", "changes that were followed", 0.0, 1e9, kind=INTEGER),
-        Signal(
-            "learning", "1", "it adapts; not once no parameter explains an alarm, until acknowledge", 1.0, 1.0, kind=BOOLEAN
-        ),
+        Signal("learning", "1", "it adapts: unless no parameter explains an alarm, until acknowledge", 1.0, 1.0, kind=BOOLEAN),
         *(Signal(f"adapted.{p.name}", p.unit, f"adapted: {p.description}", p.minimum, p.maximum, p.nominal) for p in parts),
         *(
             Signal(f"std.{p.name}", p.unit, f"standard deviation: {p.description}", 0.0, p.maximum - p.minimum, p.nominal)
@@ -99,10 +98,6 @@ def _like(signal: Signal, name: str, description: str) -> Signal:
 def _measured(signal: Signal) -> Signal:
     said = f"measured {signal.description.removeprefix('measured ')}"
     return Signal(signal.name, signal.unit, said, signal.minimum, signal.maximum, signal.nominal)
-
-
-def _listed(names: Iterable[str]) -> str:
-    return ", ".join(["0 none", *(f"{k} {name}" for k, name in enumerate(names, 1))])
 
 
 def adaptation(plant: Model, parts: Sequence[Parameter], sample_time: Parameter) -> Effect:

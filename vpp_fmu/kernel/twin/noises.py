@@ -74,7 +74,6 @@ def weights(ops: Any, w: Any, b: Any) -> list:
 
 def _hats(ops: Any, at: Any, nodes: Sequence[float]) -> list:
     """Weights of linear interpolation between nodes."""
-    shares = [
-        ops.clip((at - low) * (1.0 / (high - low)), 0.0, 1.0) for low, high in pairwise(nodes)
-    ]  # of the way from node to node
+    # Shares of the way from node to node.
+    shares = [ops.clip((at - low) * (1.0 / (high - low)), 0.0, 1.0) for low, high in pairwise(nodes)]
     return [before - after for before, after in zip([1.0, *shares], [*shares, 0.0], strict=True)]

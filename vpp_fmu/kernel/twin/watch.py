@@ -37,20 +37,16 @@ every sample."""
 
 
 def threshold(false_alarms: float, count: int, sample_time: float) -> float:
-    """Threshold of `count` log-likelihood sums for at most `false_alarms` false alarms an hour: a sum takes at least
-    e^threshold samples on average (Lorden, Annals of Mathematical Statistics 42, 1971)."""
-    return log(count * 3600.0 / (false_alarms * sample_time))
+    """Threshold of the log-likelihood sums, two for each of `count` monitored parameters and two more, for at most
+    `false_alarms` false alarms an hour: a sum takes at least e^threshold samples on average (Lorden, Annals of Mathematical
+    Statistics 42, 1971)."""
+    return log((2 * count + 2) * 3600.0 / (false_alarms * sample_time))
 
 
 def watched(plant: Model, adapted: Sequence[str]) -> tuple[str, ...]:
     """Parameters that a twin monitors for changes: those with an effect on static outputs. A lag adapts without monitoring: if
     it is 1.5 times as slow, the error is 0.5 / e = 0.18 of a move, while a correct model already has 0.15."""
     return tuple(name for name, one in zip(adapted, settled_ones(plant, tuple(adapted)), strict=True) if one)
-
-
-def sums(count: int) -> int:
-    """Number of sums for changes of `count` parameters: two for each, one for the innovations, one for the slow noise."""
-    return 2 * count + 2
 
 
 def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) -> Effect:
@@ -74,7 +70,8 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
         enough = ops.maximum(p.threshold - log(LATELY / sample_time), SUSPECT)
         starts = ops.where(largest > p.threshold, watching, ops.where(departed > enough, watching, 0.0))
         calm = ops.where(largest < SUSPECT, watching, 0.0) > 0.5
-        known = {name: ops.where(calm, now, getattr(x, f"kept.{name}")) for name, now in zip(kept, _now(s), strict=True)}
+        present = zip(kept, (*s.theta, *s.noises[2:]), strict=True)
+        known = {name: ops.where(calm, now, getattr(x, f"kept.{name}")) for name, now in present}
         points, best = 0.0, 0.0
         for i, height in zip(places, found, strict=True):
             points, best = ops.where(height > best, float(i + 1), points), ops.maximum(height, best)
@@ -88,14 +85,10 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
         stopped = ops.where(x.mode > 1.5, 1.0, 0.0)
         goes_on = ops.where(s.acknowledge > 0.5, stopped, 0.0)
 
-        direction = ops.where(
-            starts > 0.5, points, ops.where(explained > 0.5, _moved_most(ops, s, x, known.values()), x.direction)
-        )
-        mode = ops.where(
-            starts > 0.5,
-            ADAPTING,
-            ops.where(stops > 0.5, STOPPED, ops.where(explained + goes_on > 0.5, WATCHING, x.mode)),
-        )
+        moved = _moved_most(ops, s, x, known.values())
+        direction = ops.where(starts > 0.5, points, ops.where(explained > 0.5, moved, x.direction))
+        mode = ops.where(stops > 0.5, STOPPED, ops.where(explained + goes_on > 0.5, WATCHING, x.mode))
+        mode = ops.where(starts > 0.5, ADAPTING, mode)
         changes = x.changes + explained
         ahead |= {
             "unlike": nothing_else,
@@ -140,7 +133,7 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
         for name in kept:
             yield State(f"kept.{name}", "1", f"{name} when no sum was suspicious, parameters in plausible changes", nothing)
 
-    usual = threshold(0.01, sums(len(names)), sample_time)
+    usual = threshold(0.01, len(names), sample_time)
     said = "log-likelihood ratio at which a change counts as one: ln(sums x samples between false alarms)"
     parameters = (Parameter("threshold", "1", usual, 1.0, 1000.0, said, 20.0),)
     return Effect(
@@ -188,10 +181,8 @@ def _departure(ops: Any, s: Any, before: Mapping, places: Sequence[int]) -> Any:
     With its mean v above that value and its variance C, given that the others have theirs, and its variance R at the start,
     the Savage-Dickey ratio is (v^2 / C + ln(C / R)) / 2.
     """
-    v, C = (
-        [s.theta[i] - before[i] for i in places],
-        {at: s.P[tuple(sorted(places[k] for k in at))] for at in pairs(len(places))},
-    )
+    v = [s.theta[i] - before[i] for i in places]
+    C = {at: s.P[tuple(sorted(places[k] for k in at))] for at in pairs(len(places))}
     for k in range(len(v) - 1):
         for i in range(k + 1, len(v)):
             share = C[k, i] / (C[k, k] + TINY)
@@ -200,11 +191,6 @@ def _departure(ops: Any, s: Any, before: Mapping, places: Sequence[int]) -> Any:
                 C[i, j] = C[i, j] - share * C[k, j]
     left = C[len(v) - 1, len(v) - 1] + TINY
     return 0.5 * (v[-1] * v[-1] / left + ops.log(left / (s.prior[places[-1]] + TINY)))
-
-
-def _now(s: Any) -> list:
-    """Parameters, and the model's error at the nodes of the map."""
-    return [*s.theta, *s.noises[2:]]
 
 
 def _ratio(s: Any, x: Any, i: int, sign: float, name: str) -> tuple[Any, Any, list]:

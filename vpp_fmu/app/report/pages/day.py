@@ -49,7 +49,7 @@ def day_page(day: Day) -> Page:
         for r in day.rounds
     ]
     page.table(("round", "hidden in the rig", "alarm", "diagnosis", "flies next"), rows, "What happened.")
-    gains = [(n, day.settings[n], *(r.settings[n] for r in day.rounds)) for n in GAINS]
+    gains = [(n, day.settings[n], *(r.law.settings[n] for r in day.rounds)) for n in GAINS]
     page.table(("gain", "as it began", *(f"after round {r.number}" for r in day.rounds)), gains, "Gains that fly.")
     page.section("What the twin made of its parameters")
     for r in day.rounds:
