@@ -287,7 +287,6 @@ class _Searched:
     groups: Sequence[Sequence[Fitted]]
     unseen: Unseen | None
     judge: Judge
-    distinguishability: Distinguishability
     stages: Sequence[Stage]
     base: Fit
     final: Fit
@@ -368,12 +367,9 @@ def _searched(task: _Task, gate: Passed) -> _Searched:
     searcher, base = fitted_base(groups, at, replace(noises[-1], speed=noises[0].speed), at.values, agreed=True)
     searcher.points = max(s.judge.searcher.points for s in stages)
     judge = Judge(searcher, base, task.smallest, runs)
-    task.effort.stage("distinguishable effects")
-    distinguishable = distinguishability(base, options, at.library, task.pool.map)
-    give_back()
     task.effort.stage("validate")
     identified = base.estimated(at.refinement, at.uncertainty)
-    found = _Searched(gate, at, groups, unseen, judge, distinguishable, stages, identified, identified, "").validated(stages)
+    found = _Searched(gate, at, groups, unseen, judge, stages, identified, identified, "").validated(stages)
     while found.refuted and task.effort.allows("other effects in place of the refuted"):
         if (other := _other(found)) is None:
             break
@@ -444,6 +440,9 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
     experiment, guess = discriminating_experiment(_timed(at, final), task.seed, fitted[0].record.period), None
     if word in UNEXPLAINED:
         guess = _guessed(task, found, open_stages, experiment)
+    task.effort.stage("distinguishable effects")
+    distinguishable = distinguishability(judge.base, [c for s in found.stages for c in s.options], at.library, task.pool.map)
+    give_back()
     shown = predict(final.problem.model, final.values, fitted[0].record)
     quality = at.identification.quality if at.identification else found.gate.findings
     narrowed = tuple(_narrowed_thresholds(selection.final, final, found.unseen))
@@ -462,7 +461,7 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
         verdict=word,
         before=before,
         after=after,
-        distinguishability=found.distinguishability,
+        distinguishability=distinguishable,
         location=locate([one.record for one in found.groups[0]], shown.thrust, shown.omega, shown.beta),
         experiment=experiment,
         final=final,
