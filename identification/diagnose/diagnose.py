@@ -37,6 +37,7 @@ from identification.diagnose.stages import Stage, joined, lack_of, searched, sel
 from identification.diagnose.validation import (
     CHANGED,
     NAMED,
+    NOTHING_LEFT,
     UNEXPLAINED,
     Replacement,
     at_supported_thresholds,
@@ -378,9 +379,13 @@ def _searched(task: _Task, gate: Passed) -> _Searched:
 
 
 def _other(found: _Searched) -> _Searched | None:
-    """The search with the best rival of an effect that held-out data refute, if they do not refute the rival, too; else without
-    the effect of least evidence; None if it has only one. The fitted data did not distinguish the rivals: further valid ones
-    form its family."""
+    """The search without an effect that is too small, where that refutes the set; else with the best rival of an effect that
+    held-out data refute, if they do not refute the rival, too; else without the effect of least evidence; None if it has only
+    one. The fitted data did not distinguish the rivals: further valid ones form its family."""
+    judged = {(k, n): j for k, s in enumerate(found.stages) for n, j in s.selection.judgements.items()}
+    for k, name in judged if len(judged) > 1 else ():
+        if found.refuted == NOTHING_LEFT.format(name):
+            return found.less(k, name, found.refuted)
     pairs = [
         (k, effect, name) for k, s in enumerate(found.stages) for effect, fits in s.selection.rivals.items() for name in fits
     ]
@@ -395,7 +400,6 @@ def _other(found: _Searched) -> _Searched | None:
         family = {n: tried.stages[k].selection.final for i, e, n, tried in rest if (i, e) == (k, effect)}
         best.stages[k].selection.rivals[name] = family
         return best
-    judged = {(k, n): j for k, s in enumerate(found.stages) for n, j in s.selection.judgements.items()}
     if len(judged) < 2:
         return None
     k, weakest = min(judged, key=lambda each: judged[each].evidence)
