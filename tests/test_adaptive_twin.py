@@ -15,7 +15,7 @@ from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.kernel.twin.model import DAILY, adapted_by_default, twin
 from vpp_fmu.kernel.twin.noises import BETWEEN, NODE, NODES, weights
 from vpp_fmu.kernel.twin.prediction import BROUGHT
-from vpp_fmu.kernel.twin.watch import threshold, watched
+from vpp_fmu.kernel.twin.watch import LATELY, threshold, watched
 from vpp_fmu.native import Simulator, stepper
 from vpp_fmu.native.stepper import Stepper
 
@@ -190,6 +190,29 @@ def test_a_change_of_a_parameter_is_detected_and_tracked(name, before, after):
     assert shown["changes"][-1] >= 1
     assert np.all(shown["learning"][1:] == 1.0)
     assert shown[f"adapted.{name}"][-1] == pytest.approx(after, abs=0.15 * abs(after - before))
+
+
+def test_a_departure_from_the_identified_value_is_an_alarm_at_its_bayes_factor():
+    """At rest, with the reading 0.4 N off from the start: the alarm comes a sample after the Savage-Dickey ratio of the offset
+    exceeds its level."""
+    model, rows = twin(PLANT, ["sensor_drift.offset"]), 1000
+    at = {"omega_ref": np.full(rows, 4500.0), "beta_ref": np.full(rows, 4.0)}
+    told = Simulation(PLANT).start({name: column[0] for name, column in at.items()})
+    inputs = at | {"thrust": np.full(rows, told["thrust"] + 0.4), "omega": np.full(rows, told["omega"])}
+    shown = ran(inputs, {"slow": 0.02, "steady": 0.03, "white": 0.5, "prior.sensor_drift.offset": 0.1}, model)
+    offset, std = (shown[f"{kind}.sensor_drift.offset"][1:] for kind in ("adapted", "std"))
+    factor = 0.5 * (offset**2 / std**2 + np.log(std**2 / 0.1**2))
+    level = threshold(0.01, 1, DT) - np.log(LATELY / DT)
+    assert np.flatnonzero(shown["alarm"])[0] == 2 + np.flatnonzero(factor > level)[0]
+    assert shown["direction"][-1] == 1.0
+
+
+def test_a_sudden_change_is_detected_while_the_commands_never_rest():
+    """Under steps of 0.4 s each move's error hides a change of a parameter; the slow noise takes it up at first."""
+    inputs = noisy(driven(17_000, hold=100))
+    inputs["thrust"] = inputs["thrust"] + 2.0 * (np.arange(17_000) >= 15_000)
+    alarms = np.flatnonzero(ran(inputs, {"steady": 0.05})["alarm"])
+    assert 15_000 < alarms[0] < 15_000 + 3.0 / DT
 
 
 def test_an_unexplained_change_stops_the_learning_and_restores_the_parameters():
