@@ -31,10 +31,11 @@ EXPLAINED = 0.9
 
 
 class Fitted(NamedTuple):
-    """A speed map, and its origin in words."""
+    """A speed map, its origin in words, and its fit to the log's steady points, as `fit_quality`."""
 
     map: SpeedMap
     origin: str
+    here: dict
 
 
 FILE = "speed_map.json"
@@ -59,17 +60,19 @@ def taken_over(
     signal: np.ndarray,
     speed: np.ndarray | None,
     voltage: np.ndarray | None,
+    usable: np.ndarray | bool = True,
 ) -> Fitted:
     """The map of another log for this one (n,), extended to the smallest signal at which the rotor turns here, and its fit here
-    in words. `time`: None if each row is a steady point; `speed`: None if not measured."""
+    in words. `time`: None if each row is a steady point; `speed`: None if not measured; `usable` (n,): rows whose speed belongs
+    to their signal."""
     text = f"taken over from {known.source} (there rms {known.rms:.3g} rpm)"
     if speed is None or not (turning := np.nan_to_num(speed) > 0.0).any():
-        return Fitted(known, text)
+        return Fitted(known, text, {"points": 0, "points_beyond": 0})
     volts = np.full(len(signal), known.nominal_voltage) if voltage is None else voltage
     if time is None:
         points = SteadyPoints(signal[turning], volts[turning], speed[turning], float(signal[turning].min()))
     else:
-        points = steady_points(time, signal, speed, volts, np.isfinite(speed), known.signal.low)
+        points = steady_points(time, signal, speed, volts, np.isfinite(speed) & usable, known.signal.low)
     found = known.reaching(points.turns_from)
     here = fit_quality(points, found)
     if here["points"]:
@@ -77,7 +80,9 @@ def taken_over(
         text += said_of_gross(here)
     if found is not known:
         text += f"; here the rotor turns from signal {found.turns_from:.6g} on, there from {known.turns_from:.6g}"
-    return Fitted(found, text)
+    if beyond := int(np.sum(signal > found.fitted_to)):
+        text += f"; {beyond} rows have a higher signal than it was fitted to"
+    return Fitted(found, text, here)
 
 
 def fitted_map(
@@ -87,24 +92,26 @@ def fitted_map(
     speed: np.ndarray,
     voltage: np.ndarray | None,
     span: SignalRange,
+    usable: np.ndarray | bool = True,
 ) -> Fitted:
-    """Fit the map to a log's steady parts; if there are too few, to all rows (n,) with one lag.
+    """Fit the map to a log's steady parts; if there are too few, to all `usable` rows (n,) with one lag.
 
     Without `voltage` the map depends on the signal only, at a nominal 1 V. BadInput if neither fit gives an increasing map.
     """
     volts = np.ones(len(time)) if voltage is None else voltage
     nominal = float(np.median(volts[_turning(source, speed)]))
     alone = "" if voltage is not None else "; without a voltage it is of the signal alone"
-    points = steady_points(time, signal, speed, volts, np.isfinite(speed), span.low)
+    points = steady_points(time, signal, speed, volts, np.isfinite(speed) & usable, span.low)
     if len(np.unique(points.signal)) >= FEWEST:
         found = fit_speed_map(points, span, nominal, Path(source).name)
         worst = fit_quality(points, found)
         quality = f"rms {found.rms:.3g} rpm, at most {worst['largest']:.3g} rpm at signal {worst['largest_at']:.6g}"
-        return Fitted(found, f"fitted to {found.points} steady parts, {quality}{said_of_gross(worst)}{alone}")
-    return _lagged(source, time, signal, speed, volts, span, nominal, alone)
+        return Fitted(found, f"fitted to {found.points} steady parts, {quality}{said_of_gross(worst)}{alone}", worst)
+    found, origin = _lagged(source, time, signal, np.where(usable, speed, np.nan), volts, span, nominal, alone)
+    return Fitted(found, origin, fit_quality(points, found))
 
 
-def _lagged(source, time, signal, speed, volts, span: SignalRange, nominal: float, alone: str) -> Fitted:
+def _lagged(source, time, signal, speed, volts, span: SignalRange, nominal: float, alone: str) -> tuple[SpeedMap, str]:
     """Fit omega = a first-order lag of a polynomial in x = throttle * voltage / nominal: linear least squares for each lag."""
     x = span.throttle(signal) * volts / nominal
     turns_from = turning_from(time, signal, speed, span.low)
@@ -145,7 +152,7 @@ def _lagged(source, time, signal, speed, volts, span: SignalRange, nominal: floa
         Path(source).name,
     )
     text = f"fitted to all rows with a lag of {lag:.2g} s (fewer than {FEWEST} signals are held for {PLATEAU:g} s), "
-    return Fitted(span_map, f"{text}which explains {share:.1%} of the variance of the speed{alone}")
+    return span_map, f"{text}which explains {share:.1%} of the variance of the speed{alone}"
 
 
 def averaged_map(source: str, signal: np.ndarray, speed: np.ndarray, voltage: np.ndarray | None, span: SignalRange) -> Fitted:
@@ -153,7 +160,9 @@ def averaged_map(source: str, signal: np.ndarray, speed: np.ndarray, voltage: np
     volts, turning = np.ones(len(signal)) if voltage is None else voltage, _turning(source, speed)
     points = SteadyPoints(signal[turning], volts[turning], speed[turning], float(signal[turning].min()))
     found = fit_speed_map(points, span, float(np.median(volts[turning])), Path(source).name)
-    return Fitted(found, f"fitted to {found.points} of {len(points)} points, rms {found.rms:.3g} rpm")
+    return Fitted(
+        found, f"fitted to {found.points} of {len(points)} points, rms {found.rms:.3g} rpm", fit_quality(points, found)
+    )
 
 
 def _turning(source: str, speed: np.ndarray) -> np.ndarray:

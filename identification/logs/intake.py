@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from identification.logs.clock import GAP, Clock, read_clock
 from identification.logs.commands import averaged_map, fitted_map, taken_over
 from identification.logs.mapping import ROWS, Column, Plan, clock_like, in_other_unit, moving_angle, text_instead
 from identification.logs.raw_table import RawTable
+from identification.logs.sampling import Stalls
 from identification.logs.speed_map import RANGES, SignalRange, SpeedMap
 from identification.logs.units import QUANTITIES, SIGNALS, factor_of, is_rate, scale_of, signal_unit
 from vpp_fmu.digits import number
@@ -46,7 +47,8 @@ FASTER = 1.0
 class Taken:
     """A log in a record's units: each quantity of the plan (n,), with `time` and `clock` if the log has a time.
 
-    `said`: corrections in words. `speed_map`: source of the speed command, None if the log has the command.
+    `said`: corrections in words. `speed_map`: source of the speed command, None if the log has the command; `here`: its fit to
+    this log. `stalls`: of a stand's logger.
     """
 
     columns: Mapping[str, np.ndarray]
@@ -54,6 +56,8 @@ class Taken:
     said: tuple[str, ...]
     source: str
     speed_map: SpeedMap | None = None
+    here: Mapping[str, float] = field(default_factory=dict)
+    stalls: Stalls | None = None
 
     @property
     def points(self) -> bool:
@@ -90,14 +94,15 @@ def take_in(
     propeller: Propeller | None = None,
     force: bool = False,
     run: int | None = None,
+    stand: bool = False,
 ) -> Taken:
     """Convert a table for a campaign's file of a `kind`. `speed_map`: from signal to speed; None: fitted to the log.
     `propeller`: of a table of coefficients; `force`: accept a speed that looks electrical; `run`: which, from 1, of a log whose
-    time starts again. BadInput."""
+    time starts again; `stand`: the log is of a thrust stand whose logger stalls. BadInput."""
     _check(table, plan, kind)
     clock, rows, said = None, np.arange(len(table)), []
     if "time" in plan.columns:
-        clock = _clock(table, plan, kind, run)
+        clock = clock_of(table, plan, kind, run)
         rows, said = clock.rows, [f"time 0 is {clock.start} of the log", *clock.said]
     columns = {"time": clock.time} if clock else {}
     for quantity, column in plan.columns.items():
@@ -128,11 +133,18 @@ def take_in(
     words = {name: f"{name}, column {column.name} in {column.unit}" for name, column in plan.columns.items()}
     columns, notes = within_ranges(columns, words, table.source)
     said += notes
-    columns, notes = _held(columns)
+    columns, clock, notes = _held(columns, clock)
     said += notes
-    columns, notes, speed_map = _commanded(table, plan, columns, clock, kind, speed_map)
+    stalls = None
+    if stand:
+        stalls = Stalls.of(columns["time"], columns["thrust"])
+        if "voltage" in columns:  # an effect's input, without gaps
+            columns["voltage"] = _last_value(columns["voltage"], first=True)
+    usable = True if stalls is None else ~stalls.stalled
+    columns, notes, found = _commanded(table, plan, columns, clock, kind, speed_map, usable)
     columns, _ = within_ranges(columns, words, table.source)
-    return Taken(columns, clock, (*said, *notes), table.source, speed_map)
+    speed_map, here = (found.map, found.here) if found else (speed_map, {})
+    return Taken(columns, clock, (*said, *notes), table.source, speed_map, here, stalls)
 
 
 def thrust_of(columns: Mapping[str, np.ndarray], propeller: Propeller, source: str) -> tuple[dict[str, np.ndarray], list[str]]:
@@ -243,9 +255,10 @@ def _other_command(
     return None
 
 
-def _last_value(column: np.ndarray) -> np.ndarray:
-    """The column (n,) with each empty cell filled by the last value before it; NaN before the first."""
-    last = np.maximum.accumulate(np.where(np.isfinite(column), np.arange(len(column)), 0))
+def _last_value(column: np.ndarray, first: bool = False) -> np.ndarray:
+    """The column (n,) with each empty cell filled by the last value before it; before the first NaN, or the `first`."""
+    filled = np.isfinite(column)
+    last = np.maximum.accumulate(np.where(filled, np.arange(len(column)), np.argmax(filled) if first else 0))
     return column[last]
 
 
@@ -314,7 +327,7 @@ def _names(table: RawTable) -> str:
     return text if len(text) < 200 else f"{text[:197]}..."
 
 
-def _clock(table: RawTable, plan: Plan, kind: str, run: int | None) -> Clock:
+def clock_of(table: RawTable, plan: Plan, kind: str, run: int | None) -> Clock:
     column = plan.columns["time"]
     if column.name == ROWS and ROWS not in table.columns:
         step = factor_of(QUANTITIES["time"], column.unit)
@@ -326,7 +339,7 @@ def _clock(table: RawTable, plan: Plan, kind: str, run: int | None) -> Clock:
     return read_clock(table, column.name, column.unit, kind == "steps", run)
 
 
-def _held(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], list[str]]:
+def _held(columns: dict[str, np.ndarray], clock: Clock | None) -> tuple[dict[str, np.ndarray], Clock | None, list[str]]:
     """Fill empty cells of commands with the last value; rows before the first command are left out."""
     there = [name for name in COMMANDS if name in columns]
     said, begun = [], np.ones(len(next(iter(columns.values()))), bool)
@@ -335,6 +348,7 @@ def _held(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], list[s
     if not begun.all():
         said.append(f"{int((~begun).sum())} rows before the first command, left out")
         columns = {name: column[begun] for name, column in columns.items()}
+        clock = clock and replace(clock, rows=clock.rows[begun], time=clock.time[begun])
     if "time" in columns:
         columns["time"] = columns["time"] - columns["time"][0]
     for name in there:
@@ -342,12 +356,13 @@ def _held(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], list[s
         if empty.any():
             columns[name] = _last_value(columns[name])
             said.append(f"{name}: {int(empty.sum())} empty cells hold the value before")
-    return columns, said
+    return columns, clock, said
 
 
-def _commanded(table: RawTable, plan: Plan, columns: dict, clock: Clock | None, kind: str, speed_map: SpeedMap | None):
-    """(columns with both commands, messages, the speed map)."""
-    rows, said = len(columns["thrust"]), []
+def _commanded(table: RawTable, plan: Plan, columns: dict, clock: Clock | None, kind: str, speed_map: SpeedMap | None, usable):
+    """(columns with both commands, messages, the speed map of a signal). `usable` (n,): rows whose speed belongs to their
+    signal."""
+    rows, said, found = len(columns["thrust"]), [], None
     if "signal" in columns and "omega_ref" not in columns:
         span = signal_range(plan)
         signal = columns.pop("signal")
@@ -356,17 +371,16 @@ def _commanded(table: RawTable, plan: Plan, columns: dict, clock: Clock | None, 
         points = clock is None or clock.step > FASTER
         if speed_map is not None:
             time = None if points else columns["time"]
-            found = taken_over(speed_map, time, signal, columns.get("omega"), volts)
+            found = taken_over(speed_map, time, signal, columns.get("omega"), volts, usable)
         elif "omega" not in columns:
             allowed = "a measured speed, to which the signal's map is fitted"
-            hint = "--map omega=COLUMN:rpm, or --speed-map M.json of another log of the stand"
+            hint = "--speed-map M.json of another log of the stand, or --map omega=COLUMN:rpm"
             raise BadInput(table.source, "omega_ref", "a signal and no measured speed", allowed, hint)
         else:
             args = (signal, columns["omega"], volts, span)
-            found = averaged_map(table.source, *args) if points else fitted_map(table.source, columns["time"], *args)
-        speed_map = found.map
+            found = averaged_map(table.source, *args) if points else fitted_map(table.source, columns["time"], *args, usable)
         said.append(f"speed map: {found.origin}")
-        columns["omega_ref"] = speed_map.omega_ref(signal)
+        columns["omega_ref"] = found.map.omega_ref(signal)
     elif "signal" in columns:
         del columns["signal"]
     for name, value in plan.fixed.items():
@@ -391,7 +405,7 @@ def _commanded(table: RawTable, plan: Plan, columns: dict, clock: Clock | None, 
             f"beta_ref: not in the log, taken as a fixed pitch of {number(value)} deg (another: --fixed beta_ref=8:deg)"
         )
     first = [name for name in ("time", "run", "omega_ref", "beta_ref", "omega") if name in columns]
-    return {name: columns[name] for name in (*first, *(n for n in columns if n not in first))}, said, speed_map
+    return {name: columns[name] for name in (*first, *(n for n in columns if n not in first))}, said, found
 
 
 def _filled(column: np.ndarray) -> np.ndarray:

@@ -1,5 +1,7 @@
 """Checks of a log's rows as samples at import: gaps, averages, early commands, slow sampling; one line for each."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -44,8 +46,46 @@ LONGEST = 3.0
 FEWEST_REPEATS = 100
 """Minimum number of new readings to detect repeats: a coarse sensor without noise changes with the command only."""
 
+REMEMBERED = 7
+"""Rows after a stall in which speed and thrust still settle: 0.3, 0.12, 0.06, 0.03, 0.015, 0.007 of a step remains."""
+
+SAMPLED = 0.04
+"""Longest median interval [s] of a stand's samples, which it takes every 8 to 12 ms; rows 125 ms apart are averages."""
+
 CHANCE = 5.0
 """Standard errors that noise alone exceeds in one of three million logs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stalls:
+    """Cells of a stand's log that are no measurements, masks (n,): `late` rows, right after a stall of the logger; `stalled`
+    rows, whose readings it affects; `repeated` cells of thrust, of the `filled` ones. `said`: a message on repeats, if any."""
+
+    late: np.ndarray
+    stalled: np.ndarray
+    filled: np.ndarray
+    repeated: np.ndarray
+    said: tuple[str, ...]
+
+    @classmethod
+    def of(cls, time: np.ndarray, thrust: np.ndarray) -> "Stalls":
+        """Those of a log, each (n,)."""
+        late = np.zeros(len(time), bool)
+        late[gaps(time) + 1] = np.median(np.diff(time)) < SAMPLED
+        stalled = np.convolve(late, np.ones(REMEMBERED, bool))[: len(time)] > 0
+        once, said = read_once(Record({"time": time, "thrust": thrust}, ""))
+        filled = np.isfinite(thrust)
+        return cls(late, stalled, filled, filled & ~np.isfinite(once["thrust"]), tuple(said))
+
+    def emptied(self, columns: Mapping[str, np.ndarray], keep: bool = False) -> dict[str, np.ndarray]:
+        """Columns (n,) without these cells; `keep`: only without repeats. A late voltage is that of the row before."""
+        late, stalled = (np.zeros_like(rows) if keep else rows for rows in (self.late, self.stalled))
+        empty = {"thrust": stalled | self.repeated, "omega": stalled, "torque": stalled, "current": late, "power": late}
+        kept = {name: np.where(empty[name], np.nan, c) if name in empty else c for name, c in columns.items()}
+        if "voltage" in kept:
+            before = np.maximum.accumulate(np.where(late, 0, np.arange(len(late))))
+            kept["voltage"] = kept["voltage"][before]
+        return kept
 
 
 def read_once(record: Record) -> tuple[Record, list[str]]:
