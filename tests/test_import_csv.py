@@ -12,7 +12,7 @@ from planted_faults import SIZES
 from identification.logs.clock import guessed_unit, mended
 from identification.logs.commands import fitted_map
 from identification.logs.mapping import read_sections
-from identification.logs.sampling import between, said_of_gaps, said_of_rows
+from identification.logs.sampling import between, said_of_rows
 from identification.logs.speed_choice import likelihood_gain
 from identification.logs.speed_map import RANGES
 from vpp_fmu.app.cli import main
@@ -261,16 +261,7 @@ def test_rows_that_are_averages_are_detected_from_the_commands():
     assert any(line.startswith("averages: in ") for line in said_of_rows(record))
     record = recorded({n: c[::12] for n, c in fine.items()})
     assert between(record)[0] == 0
-    said = said_of_rows(record)
-    assert [line.split(":")[0] for line in said] == ["slow sampling"]
-    assert "120 ms" in said[0]
-
-
-def test_a_gap_is_reported_and_fast_sampling_is_not():
-    record = recorded(stand())
-    assert said_of_rows(record) == said_of_gaps(record) == []
-    gapped = record.part(np.r_[0:3000, 3025:6000])
-    assert said_of_gaps(gapped) == ["gaps: 1 steps of more than 4 rows of 10 ms, the longest of 0.26 s at 29.99 s"]
+    assert said_of_rows(record) == said_of_rows(recorded(stand())) == []
 
 
 def test_frozen_and_clipped_channels_are_reported_at_import(tmp_path, printed):
@@ -318,17 +309,3 @@ def test_a_log_of_fixed_pitch_is_imported_and_diagnosed(tmp_path, printed):
     fitted = json.loads((tmp_path / "out" / "parameters_base.json").read_text())["parameters"]
     assert fitted["tau_omega_1"]["value"] + fitted["tau_omega_2"]["value"] == pytest.approx(0.12, rel=0.05)
     assert "<figure>" in (tmp_path / "out" / "report.html").read_text()
-
-
-@pytest.mark.parametrize("late", [False, True])
-def test_a_command_logged_one_row_late_is_reported(late):
-    """Behind one lag of 0.2 s the speed goes 1 - exp(-0.04 / 0.2) = 18 % of a move in a row of 40 ms."""
-    rng, rows = np.random.default_rng(2), 1500
-    command = np.repeat(np.round(rng.uniform(2000.0, 6000.0, rows // 10)), 10)
-    speed = lagged(command, 0.04, 0.2)
-    told = np.append(command[0], command[:-1]) if late else command
-    columns = {"time": 0.04 * np.arange(rows), "omega_ref": told, "beta_ref": np.zeros(rows)}
-    columns |= {"omega": speed + rng.normal(0.0, 5.0, rows), "thrust": 10.0 * (speed / 6000.0) ** 2}
-    said = [line for line in said_of_rows(Record(columns, "log")) if line.startswith("clock")]
-    assert bool(said) == late
-    assert all("gone 18 ± " in line for line in said)

@@ -42,7 +42,6 @@ from identification.logs.mapping import (
 )
 from identification.logs.raw_table import RawTable
 from identification.logs.rotors import chosen
-from identification.logs.sampling import said_of_gaps
 from identification.logs.speed_map import SpeedMap, read_speed_map
 from identification.logs.units import QUANTITIES
 from vpp_fmu.app.cli.answer import Answer
@@ -246,6 +245,4 @@ def _placed(options, plan: Plan, taken: Taken) -> tuple[OutputFolder, Taken, lis
     folder.write(FILE, to_toml({**sections, options.kind: plan.section(Path(options.log).name)}))
     if taken.speed_map is not None and not (place / SPEED_MAP).exists():
         folder.write(SPEED_MAP, taken.speed_map.to_json())
-    if taken.clock is not None and "run" not in taken.columns:
-        said = said_of_gaps(taken.record()) + said
     return folder, put, said
