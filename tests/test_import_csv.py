@@ -10,14 +10,11 @@ from import_zoo import PLAIN, text, truth
 from planted_faults import SIZES
 
 from identification.logs.clock import guessed_unit, mended
-from identification.logs.commands import fitted_map
 from identification.logs.mapping import read_sections
 from identification.logs.sampling import between, said_of_rows
 from identification.logs.speed_choice import likelihood_gain
-from identification.logs.speed_map import RANGES
 from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import read_campaign, read_static, read_steps
-from vpp_fmu.errors import BadInput
 from vpp_fmu.record import Record, read_record
 
 FIRST_WORDS = ("import", "csv")
@@ -145,14 +142,12 @@ def test_the_likelihood_gain_of_a_speed_signal_is_the_closed_form():
     assert likelihood_gain(off, omega, beta, 0.0 * clean) == 0.0  # a load cell that is not connected
 
 
-def test_a_signal_without_steady_holds_is_mapped_through_a_lag():
-    log = stand(hold=0.3)
-    found = fitted_map("log.csv", log["Time (s)"], log["ESC (us)"], log["RPM"], None, RANGES["PWM"])
-    assert "with a lag of 0.12 s" in found.origin
-    x = np.linspace(150.0, 900.0, 50)
-    np.testing.assert_allclose(found.map.omega_ref(1000.0 + x), 200.0 + 9.5 * x - 0.0025 * x**2, atol=10.0)
-    with pytest.raises(BadInput, match="of the speed"):
-        fitted_map("log.csv", log["Time (s)"], log["ESC (us)"], log["RPM"][::-1], None, RANGES["PWM"])
+def test_a_signal_without_steady_holds_needs_a_map_or_the_measured_speed(tmp_path, refused, printed):
+    path = table(tmp_path / "log.csv", stand(hold=0.3))
+    said = refused(path, "-o", tmp_path / "out")
+    assert "found 0 different ESC signals held for 1 s" in said
+    assert "Try: --speed-map M.json of another log, or --speed-from measured" in said
+    printed(path, "--speed-from", "measured", "-o", tmp_path / "out")
 
 
 def test_steps_are_cut_at_moves_without_sharing_a_row(tmp_path, printed):

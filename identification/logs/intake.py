@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from identification.gate.files import speed_ratio, speed_unit
-from identification.logs.clock import GAP, Clock, read_clock
+from identification.logs.clock import Clock, read_clock
 from identification.logs.commands import averaged_map, fitted_map, taken_over
 from identification.logs.mapping import ROWS, Column, Plan, clock_like, in_other_unit, moving_angle, text_instead
 from identification.logs.raw_table import RawTable
@@ -69,18 +69,6 @@ class Taken:
         return Record({n: c for n, c in self.columns.items() if n in ("time", *RANGE)}, self.source)
 
 
-DENSITY = 1.225
-"""kg/m^3: air at sea level, 15 degC."""
-
-
-@dataclass(frozen=True)
-class Propeller:
-    """`diameter` [m], None if unknown, and air `density` [kg/m^3]."""
-
-    diameter: float | None = None
-    density: float = DENSITY
-
-
 def signal_range(plan: Plan) -> SignalRange | None:
     """Range of the plan's signal, from its unit; None without a signal."""
     return RANGES[SIGNALS[signal_unit(plan.columns["signal"].unit)]] if "signal" in plan.columns else None
@@ -91,13 +79,12 @@ def take_in(
     plan: Plan,
     kind: str,
     speed_map: SpeedMap | None = None,
-    propeller: Propeller | None = None,
     force: bool = False,
     run: int | None = None,
     stand: bool = False,
 ) -> Taken:
     """Convert a table for a campaign's file of a `kind`. `speed_map`: from signal to speed; None: fitted to the log.
-    `propeller`: of a table of coefficients; `force`: accept a speed that looks electrical; `run`: which, from 1, of a log whose
+    `force`: accept a speed that looks electrical; `run`: which, from 1, of a log whose
     time starts again; `stand`: the log is of a thrust stand whose logger stalls. BadInput."""
     _check(table, plan, kind)
     clock, rows, said = None, np.arange(len(table)), []
@@ -108,12 +95,8 @@ def take_in(
     for quantity, column in plan.columns.items():
         if quantity != "time":
             columns[quantity] = values_of(table, quantity, column)[rows]
-    if "ct" in columns:
-        columns, notes = thrust_of(columns | _fixed_speed(plan, columns), propeller or Propeller(), table.source)
-        said += notes
     if clock and len(clock.restarts) <= 1:
-        columns, clock, notes = _joined(columns, clock)
-        rows, said = clock.rows, said + notes
+        _check_rows(columns, table.source)
     if not force and (contradiction := electrical(plan.columns, columns)):
         raise BadInput(table.source, f"omega, column {plan.columns['omega'].name}", *contradiction)
     if clock and len(clock.restarts) > 1 and "run" not in columns:
@@ -145,30 +128,6 @@ def take_in(
     columns, _ = within_ranges(columns, words, table.source)
     speed_map, here = (found.map, found.here) if found else (speed_map, {})
     return Taken(columns, clock, (*said, *notes), table.source, speed_map, here, stalls)
-
-
-def thrust_of(columns: Mapping[str, np.ndarray], propeller: Propeller, source: str) -> tuple[dict[str, np.ndarray], list[str]]:
-    """(columns (n,) with `thrust` [N] for the thrust coefficients `ct`, without rows of advance ratio above 0; messages).
-    BadInput without a diameter or a static row.
-
-        T = CT rho n^2 D^4   (N; n in rev/s, D the diameter in m)
-
-    This is the propeller's definition, as wind tunnels publish it, not the helicopter's by tip speed and disc area.
-    """
-    if propeller.diameter is None:
-        allowed, hint = "the rotor's diameter: T = CT rho n^2 D^4", "--diameter D in m"
-        raise BadInput(source, "ct", "thrust coefficients and no diameter", allowed, hint)
-    advance = columns.get("advance_ratio", np.zeros(len(columns["ct"])))
-    static = ~(advance > 0.0)
-    if not static.any():
-        raise BadInput(source, "advance_ratio", f"above 0 in all {len(advance)} rows", "rows at no airspeed: static points")
-    kept = {name: column[static] for name, column in columns.items() if name != "advance_ratio"}
-    turns = kept.get("omega", kept.get("omega_ref")) / 60.0
-    kept["thrust"] = kept.pop("ct") * propeller.density * turns**2 * propeller.diameter**4
-    notes = [f"thrust: CT rho n^2 D^4 with D = {propeller.diameter:g} m and rho = {propeller.density:g} kg/m^3"]
-    if not static.all():
-        notes.append(f"advance ratio: {int((~static).sum())} rows above 0 are not static, left out")
-    return kept, notes
 
 
 def values_of(table: RawTable, quantity: str, column: Column) -> np.ndarray:
@@ -262,25 +221,14 @@ def _last_value(column: np.ndarray, first: bool = False) -> np.ndarray:
     return column[last]
 
 
-def _joined(columns: dict[str, np.ndarray], clock: Clock) -> tuple[dict[str, np.ndarray], Clock, list[str]]:
-    """(columns, clock, messages) at the rows with thrust, if other quantities are messages in rows of their own.
-
-    A command is the last one sent; a reading is interpolated over time.
-    """
-    there = np.isfinite(columns.get("thrust", np.zeros(0)))
+def _check_rows(columns: Mapping[str, np.ndarray], source: str) -> None:
+    """BadInput if other quantities are messages in rows of their own."""
+    thrust = np.isfinite(columns["thrust"])
     others = {n: np.isfinite(c) for n, c in columns.items() if n not in ("time", "thrust") and np.isfinite(c).sum() > 1}
-    if there.sum() < 2 or all(np.mean(there[seen]) >= APART for seen in others.values()):
-        return columns, clock, []
-    joined = {"time": clock.time[there], "thrust": columns["thrust"][there]}
-    for name, seen in others.items():
-        joined[name] = _last_value(columns[name])[there]
-        if name not in COMMANDS:
-            own, step = clock.time[seen], np.diff(clock.time[seen])
-            between = np.clip(np.searchsorted(own, joined["time"]) - 1, 0, len(step) - 1)
-            reading = np.interp(joined["time"], own, columns[name][seen], np.nan, np.nan)
-            joined[name] = np.where(step[between] > GAP * np.median(step), np.nan, reading)
-    note = f"rows: messages in rows of their own are joined at the {int(there.sum())} of {len(there)} rows with thrust"
-    return {n: joined[n] for n in columns if n in joined}, replace(clock, rows=clock.rows[there], time=joined["time"]), [note]
+    if apart := [n for n, seen in others.items() if thrust.sum() > 1 and np.mean(thrust[seen]) < APART]:
+        found, allowed = f"{', '.join(apart)} in other rows than thrust", "one row for all quantities of an instant"
+        without = "" if {*apart} & {*COMMANDS} else f", or --map {' '.join(f'{name}=-' for name in apart)}"
+        raise BadInput(source, "rows", found, allowed, f"a table joined at the rows of thrust{without}")
 
 
 def contradictions(table: RawTable, plan: Plan) -> list[str]:
@@ -290,17 +238,8 @@ def contradictions(table: RawTable, plan: Plan) -> list[str]:
     return [f"{name}: found {each[0]}, expected {each[1]}. Try: {each[2]}" for name, each in found.items() if each]
 
 
-def _fixed_speed(plan: Plan, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The fixed speed as a column, if the table has no speed."""
-    speed = plan.fixed.get("omega_ref")
-    return {} if speed is None or "omega" in columns else {"omega": np.full(len(columns["ct"]), speed)}
-
-
 def _check(table: RawTable, plan: Plan, kind: str) -> None:
-    if "ct" in plan.columns and kind != "static":
-        field, found = f"ct, column {plan.columns['ct'].name}", "thrust coefficients, which are steady points"
-        raise BadInput(table.source, field, found, f"a record in time for {kind}.csv", "--as static")
-    if not {"thrust", "ct"} & {*plan.columns}:
+    if "thrust" not in plan.columns:
         if other := in_other_unit(table, "thrust", {c.name for c in plan.columns.values()}):
             name, unit, low, high = other
             found = f"{name}, thrust by its name, from {low:g} to {high:g} {unit}".rstrip()

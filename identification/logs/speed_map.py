@@ -202,7 +202,7 @@ def fit_speed_map(points: SteadyPoints, span: SignalRange, nominal_voltage: floa
     if different < FEWEST:
         allowed = f"{FEWEST} or more with the motor turning"
         found = f"{different} different ESC signals held for {PLATEAU:g} s"
-        raise BadInput(source, "steady parts", found, allowed, "--speed-map M.json of another log")
+        raise BadInput(source, "steady parts", found, allowed, "--speed-map M.json of another log, or --speed-from measured")
     x = span.throttle(points.signal) * points.voltage / nominal_voltage
     columns = np.vander(x, 4, increasing=True)
     kept = _kept(columns, points.speed)

@@ -8,11 +8,7 @@ motor's controller can replace omega_ref, if omega is measured: a map between th
 of the folder. Other quantities are taken as the log's header says, unless NAME=- omits them; --propose prints them.
 The mapping is saved in import.toml beside the record, and --map import.toml uses it again.
 
-A table of coefficients (rpm, CT, perhaps J and pitch) becomes static.csv with --as static --diameter D: T = CT rho n^2 D^4, n
-in rev/s; rows with J above 0 are left out.
-
-Names: time omega_ref beta_ref omega thrust beta voltage current torque power signal run thrust_std samples ct
-advance_ratio."""
+Names: time omega_ref beta_ref omega thrust beta voltage current torque power signal run thrust_std samples."""
 
 import codecs
 from collections.abc import Mapping
@@ -21,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
-from identification.logs.clock import with_whole_stamps
+from identification.logs.clock import check_stamps
 from identification.logs.commands import FILE as SPEED_MAP
 from identification.logs.commands import map_beside
 from identification.logs.containers import read_container
 from identification.logs.delimited import DELIMITERS, read_delimited
-from identification.logs.intake import DENSITY, Propeller, Taken, contradictions, signal_range, take_in
+from identification.logs.intake import Taken, contradictions, signal_range, take_in
 from identification.logs.mapping import (
     FILE,
     FORMAT,
@@ -46,7 +42,7 @@ from identification.logs.speed_map import SpeedMap, read_speed_map
 from identification.logs.units import QUANTITIES
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.import_place import add_kind, add_speed_from, headline, placed
-from vpp_fmu.app.cli.options import Number, add_output, whole
+from vpp_fmu.app.cli.options import add_output, whole
 from vpp_fmu.app.cli.output import written
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
@@ -60,11 +56,6 @@ EXAMPLE = (
 
 def configure(parser):
     add_reading(parser)
-    parser.add_argument(
-        "--diameter", type=Number(0.0, 30.0, "m", above=True), metavar="D", help="m, of the rotor: makes coefficients thrust"
-    )
-    text = "kg/m^3, of the air, for coefficients (default: %(default)s)"
-    parser.add_argument("--density", type=Number(0.0, 2000.0, "kg/m^3", above=True), default=DENSITY, metavar="RHO", help=text)
     add_kind(parser, "open_loop", "which file of the campaign (default: %(default)s)")
     text = "print what the header proposes, and stop; with FILE save that as TOML for --map"
     parser.add_argument("--propose", nargs="?", const="", metavar="FILE", help=text)
@@ -106,13 +97,8 @@ def run(options):
     plan = planned(options, section, table, lines)
     if options.speed_from == "measured":
         plan = _of_measured_speed(plan)
-    if options.diameter and "ct" not in plan.columns:
-        raise BadInput(
-            options.log, "ct", "--diameter and no column of thrust coefficients", "a column of them", "--map ct=COLUMN"
-        )
-    propeller = Propeller(options.diameter, options.density)
     known = known_map(options, plan)
-    taken = take_in(table, plan, options.kind, known, propeller, options.force, options.run_number)
+    taken = take_in(table, plan, options.kind, known, options.force, options.run_number)
     folder, put, said = _placed(options, plan, taken)
     lines += [*said_of_columns(table, plan, taken), *taken.said, *said]
     content = {"format": FORMAT, options.kind: plan.section(Path(options.log).name)}
@@ -160,7 +146,7 @@ def read_table(options, read: dict) -> RawTable:
     own = {"encoding": options.encoding, "delimiter": options.delimiter, "decimal": decimal}
     given = {**{name: text for name, text in read.items() if name in own}, **{n: t for n, t in own.items() if t is not None}}
     table = read_container(options.log)
-    return with_whole_stamps(read_delimited(options.log, given) if table is None else table)
+    return read_delimited(options.log, given) if table is None else table
 
 
 def planned(options, section: dict, table: RawTable, lines: list[str]) -> Plan:
@@ -175,6 +161,8 @@ def planned(options, section: dict, table: RawTable, lines: list[str]) -> Plan:
     else:
         others, said = chosen(table, options.rotor, [part for c in own.values() if c for part in table.parts(c.name)])
         lines += said
+        if "time" not in own:
+            check_stamps(table)
         columns, said = completed(table, own, fixed, others, options.yes)
     lines += said
     columns = {q: columns[q] for q in QUANTITIES if columns.get(q) and q not in fixed}
