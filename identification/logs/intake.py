@@ -8,7 +8,7 @@ import numpy as np
 
 from identification.gate.files import speed_ratio, speed_unit
 from identification.logs.clock import Clock, read_clock
-from identification.logs.commands import averaged_map, fitted_map, taken_over
+from identification.logs.commands import map_of_signal
 from identification.logs.mapping import ROWS, Column, Plan, clock_like, in_other_unit, moving_angle, text_instead
 from identification.logs.raw_table import RawTable
 from identification.logs.sampling import Stalls
@@ -307,17 +307,8 @@ def _commanded(table: RawTable, plan: Plan, columns: dict, clock: Clock | None, 
         signal = columns.pop("signal")
         _check_signal(table, plan, signal, span)
         volts = _filled(columns["voltage"]) if "voltage" in columns else None
-        points = clock is None or clock.step > FASTER
-        if speed_map is not None:
-            time = None if points else columns["time"]
-            found = taken_over(speed_map, time, signal, columns.get("omega"), volts, usable)
-        elif "omega" not in columns:
-            allowed = "a measured speed, to which the signal's map is fitted"
-            hint = "--speed-map M.json of another log of the stand, or --map omega=COLUMN:rpm"
-            raise BadInput(table.source, "omega_ref", "a signal and no measured speed", allowed, hint)
-        else:
-            args = (signal, columns["omega"], volts, span)
-            found = averaged_map(table.source, *args) if points else fitted_map(table.source, columns["time"], *args, usable)
+        time = None if clock is None or clock.step > FASTER else columns["time"]
+        found = map_of_signal(table.source, speed_map, span, time, signal, columns.get("omega"), volts, usable)
         said.append(f"speed map: {found.origin}")
         columns["omega_ref"] = found.map.omega_ref(signal)
     elif "signal" in columns:
