@@ -43,6 +43,8 @@ HEADERS = {
     "current": "Current (A)",
     "electrical": "Motor Electrical Speed (rad/s)",
     "optical": "Motor Optical Speed (rad/s)",
+    "torque": "Torque (N·m)",
+    "power": "Electrical Power (W)",
 }
 
 
@@ -241,6 +243,16 @@ def test_rows_after_a_stall_of_the_logger_are_emptied(log):
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(record["current"])), rows)
     np.testing.assert_allclose(record["voltage"][list(rows)], t["voltage"][np.array(rows) - 1], rtol=1e-8)
     assert np.isfinite(record["voltage"]).all()
+
+
+def test_torque_and_power_are_kept_without_the_rows_after_a_stall(log):
+    t = truth()
+    torque, power = 1e-9 * t["optical"] ** 2, t["voltage"] * t["current"]
+    record = log(time=gapped(t, (400,)), torque=torque, power=power).record
+    empty = {name: np.flatnonzero(np.isnan(record[name])).tolist() for name in ("torque", "power")}
+    assert empty == {"torque": list(range(400, 400 + REMEMBERED)), "power": [400]}
+    np.testing.assert_allclose(record["torque"][:400], torque[:400], rtol=1e-8)
+    np.testing.assert_allclose(record["power"][401:], power[401:], rtol=1e-8)
 
 
 def test_rows_after_a_stall_of_the_logger_can_be_kept(log):

@@ -28,7 +28,7 @@ from identification.logs.raw_table import RawTable, split_unit
 from identification.logs.sampling import SAMPLED
 from vpp_fmu.errors import BadInput
 
-SHOWN = ("time", "signal", "thrust", "voltage", "current", "omega")
+SHOWN = ("time", "signal", "thrust", "voltage", "current", "omega", "torque", "power")
 """Quantities of import.json, in its order."""
 
 NEEDED = {"time": "Time", "signal": "ESC signal", "thrust": "Thrust", "voltage": "Voltage"}

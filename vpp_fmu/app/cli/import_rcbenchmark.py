@@ -53,8 +53,8 @@ def run(options):
     lines += [*said_of_columns(table, plan, taken), *taken.said, *taken.stalls.said]
     taken, zero = tared(replace(taken, columns=taken.stalls.emptied(taken.columns, options.keep_stalls)))
     found = figures(table, plan, taken, zero, options.keep_stalls)
-    unused = {"torque", "power", *(["omega"] if measured else [])}
-    taken = replace(taken, columns={n: c for n, c in taken.columns.items() if n not in unused})
+    if measured:
+        taken = replace(taken, columns={n: c for n, c in taken.columns.items() if n != "omega"})
     folder, put, said = placed(Path(options.output), kind, taken, options.replace, options.mend)
     if known := known or taken.speed_map:
         folder.write(SPEED_MAP, known.to_json())
