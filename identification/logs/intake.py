@@ -84,8 +84,8 @@ def take_in(
     stand: bool = False,
 ) -> Taken:
     """Convert a table for a campaign's file of a `kind`. `speed_map`: from signal to speed; None: fitted to the log.
-    `force`: accept a speed that looks electrical; `run`: which, from 1, of a log whose
-    time starts again; `stand`: the log is of a thrust stand whose logger stalls. BadInput."""
+    `force`: accept a speed that looks electrical; `run`: which, from 1, of a log whose time starts again; `stand`: the log is of
+    a thrust stand whose logger stalls. BadInput."""
     _check(table, plan, kind)
     clock, rows, said = None, np.arange(len(table)), []
     if "time" in plan.columns:
@@ -118,11 +118,9 @@ def take_in(
     said += notes
     columns, clock, notes = _held(columns, clock)
     said += notes
-    stalls = None
-    if stand:
-        stalls = Stalls.of(columns["time"], columns["thrust"])
-        if "voltage" in columns:  # an effect's input, without gaps
-            columns["voltage"] = _last_value(columns["voltage"], first=True)
+    stalls = Stalls.of(columns["time"], columns["thrust"]) if stand else None
+    if stand and "voltage" in columns:  # an effect's input, without gaps
+        columns["voltage"] = _last_value(columns["voltage"], first=True)
     usable = True if stalls is None else ~stalls.stalled
     columns, notes, found = _commanded(table, plan, columns, clock, kind, speed_map, usable)
     columns, _ = within_ranges(columns, words, table.source)
@@ -174,9 +172,13 @@ def _no_angle(table: RawTable, plan: Plan) -> tuple[str, str, str] | None:
         return None
     name, unit, low, high = other
     found = f"{name}, pitch by its name, from {low:g} to {high:g} {unit}".rstrip()
-    points = f"'beta_ref={name}:{unit}@{low:g}=A,{high if high > low else low + 1.0:g}=B'"
-    hint = f"--map {points}, A and B the pitch there in deg, or --fixed beta_ref=8:deg if the pitch is fixed"
-    return found, "a pitch in deg", hint
+    return found, "a pitch in deg", _calibrated(name, unit, low, high if high > low else low + 1.0)
+
+
+def _calibrated(name: str, unit: str, low: float, high: float) -> str:
+    """How to state the pitch of a column by two points, or a fixed one."""
+    points = f"'beta_ref={name}:{unit}@{low:g}=A,{high:g}=B'"
+    return f"--map {points}, A and B the pitch there in deg, or --fixed beta_ref=8:deg if the pitch is fixed"
 
 
 def _other_command(
@@ -208,9 +210,7 @@ def _other_command(
         u = (x - x.min()) / np.ptp(x)
         if residual(u, u * w**2, (u * w) ** 2) ** 2 < (1.0 - EXPLAINED) * alone**2:
             found = f"{name}, an unused command from {x.min():g} to {x.max():g} that thrust follows, and no pitch"
-            points = f"'beta_ref={name}:{table.unit(name) or ''}@{x.min():g}=A,{x.max():g}=B'"
-            hint = f"--map {points}, A and B the pitch there in deg, or --fixed beta_ref=8:deg if the pitch is fixed"
-            return found, "a command of pitch", hint
+            return found, "a command of pitch", _calibrated(name, table.unit(name) or "", x.min(), x.max())
     return None
 
 
@@ -267,6 +267,7 @@ def _names(table: RawTable) -> str:
 
 
 def clock_of(table: RawTable, plan: Plan, kind: str, run: int | None) -> Clock:
+    """The clock of a plan's time, for a campaign's file of a `kind`; `run`: which, from 1, if time starts again. BadInput."""
     column = plan.columns["time"]
     if column.name == ROWS and ROWS not in table.columns:
         step = factor_of(QUANTITIES["time"], column.unit)
