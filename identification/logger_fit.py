@@ -21,6 +21,7 @@ from identification.fit.experiment import Experiment
 from identification.fit.least_squares import solve
 from identification.fit.noise import independent
 from identification.fit.problem import Problem
+from identification.fit.uncertainty import uncertainty
 from identification.gate.gate import Passed, passed
 from identification.logger import FINEST, SIGNIFICANT, Logger
 from identification.renewals import renewal_score, renewals, unexplained
@@ -176,14 +177,55 @@ class _Estimate:
         start = _SensorFit(self, None, (), tied=True).solved(FULL)
         if not self._measured:
             return self._logger_of(start)
-        fits = list(each(lambda one: _SensorFit(self, *one, start, tied=True).solved(ROUGH), self._hypotheses()))
+        best = self._likeliest(each, start)
+        if (latest := self._latest(best)) is None:
+            return self._logger_of(best)
+        best = self._likeliest(each, start, latest.value / self._period)
+        uncertain = {name: best.estimate(name)[1] for name in best.free}
+        return Logger(latest.value / self._period, latest.std / self._period, best.sensor, uncertain, self._period)
+
+    def _likeliest(self, each: Callable, start: "_SensorFit", held: float | None = None) -> "_SensorFit":
+        """The fit of the most likely sensor, with one offset, or with one `held` in rows."""
+
+        def rough(hypothesis) -> _SensorFit:
+            return _SensorFit(self, *hypothesis, start, tied=held is None, held=held).solved(ROUGH)
+
+        fits = list(each(rough, self._hypotheses()))
         scores = _scores(fits)
         near = [fit for fit, score in zip(fits, scores, strict=True) if score > max(scores) - NEAR]
         near = list(each(lambda fit: fit.solved(FULL), near))
         near = [fit for fit in near if not any(other.fits_thrust_better_than(fit) for other in near)]
         scores = _scores(near)
         likely = [(s, fit) for s, fit in zip(scores, near, strict=True) if s >= max(scores) - NOT_DISTINGUISHED]
-        return self._logger_of(min(likely, key=lambda pair: (pair[1].sensor.averaged, -pair[0]))[1])
+        return min(likely, key=lambda pair: (pair[1].sensor.averaged, -pair[0]))[1]
+
+    def _latest(self, fit: "_SensorFit") -> "_Delay | None":
+        """The offset that the speed readings alone show, if that of a fit of all readings is later: the rest is a delay of the
+        thrust. None if it is not later."""
+        if SPEED_DELAY not in self._delays or fit.offset.agrees_with(NONE):
+            return None
+        experiments = [Experiment(g, independent(1.0), channels=("omega",)).measured_by(fit.sensor) for g in self._groups]
+        turning = {e.name for e in self._model.effects if e.in_speed}
+        names = [n for n in self._names if n.startswith("tau_omega") or n.split(".")[0] in turning]
+        shown = []
+        for rows in (0.0, fit.offset.value / self._period):
+            start = {**fit.values, SPEED_DELAY: (EARLIEST + rows) * self._period}
+            problem = Problem(self._model, experiments, start, names, slow_first=self.slow_first)
+            found = problem.fit(start)
+            problem.weigh(found.residual)
+            found = problem.refit(found.value)
+            shown.append((problem.score_of(found.residual).deviance, problem, found))
+        _, problem, found = min(shown, key=lambda each: each[0])
+        spread = uncertainty(problem, found)
+        at = spread.names.index(SPEED_DELAY)
+        # The delay of telemetry is unknown, too: its readings may be as new as their rows.
+        newer = fit.sensor.delay - fit.earliest if "delay" in fit.free else 0.0
+        value = float(spread.values[at]) - EARLIEST * self._period + newer
+        own = _Delay(value, float(spread.std[at]), fit.unknown_instant)
+        if not own.value < fit.offset.value or own.agrees_with(fit.offset):
+            return None
+        near = [v for v in (0.0, round(value / self._period) * self._period) if not own.differs_from(v)]
+        return replace(own, value=max(near[0] if near else value, 0.0))
 
     def _logger_of(self, fit: "_SensorFit") -> Logger:
         """The logger of a fit with one offset, unless further parameters have very strong evidence. An offset of zero or of
@@ -295,8 +337,8 @@ class _SensorFit:
         self._kept = [k for k, n in enumerate(c.names) if not (self.tied and n == of._delays[1])]
         self._tied = (c.names.index(of._delays[1]), self._kept.index(c.names.index(of._delays[0]))) if self.tied else None
         # Telemetry is assumed half an interval old on average; it cannot be newer than its row.
-        earliest = -0.5 * min(of._period, self.sensor.refresh) if self.sensor.kind == TELEMETRY else -LATEST
-        limits = {"delay": (earliest, LATEST), "filter": (0.1 * of._period, LATEST)}
+        self.earliest = -0.5 * min(of._period, self.sensor.refresh) if self.sensor.kind == TELEMETRY else -LATEST
+        limits = {"delay": (self.earliest, LATEST), "filter": (0.1 * of._period, LATEST)}
         self._lower, self._upper = (
             np.append(x[self._kept], [limits[n][k] for n in free]) for k, x in enumerate((c.lower, c.upper))
         )

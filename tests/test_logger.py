@@ -218,6 +218,18 @@ def test_a_delay_of_both_commands_is_the_loggers():
     assert as_logged(passed(campaign(logged(41, 5.0)))).logger.rows == pytest.approx(5.0, abs=0.05)
 
 
+@pytest.mark.parametrize("rows", [0.0, 1.0])
+def test_an_offset_later_than_the_speed_alone_shows_is_a_delay_of_the_thrust(rows):
+    record = logged(43, rows)
+    found = campaign(record.with_columns(omega=record["omega"] + np.random.default_rng(44).normal(0.0, 30.0, len(record))))
+    groups, _ = roles(found, {})
+    of = _Estimate(groups, found.rig.scales, {}, (), LIBRARY, AVERAGED)
+    fit = _SensorFit(of, SpeedSensor("encoder"), (), tied=True).solved((6, 6))
+    assert of._latest(fit) is None
+    own = {n: getattr(fit, n) for n in ("values", "sensor", "free", "earliest", "unknown_instant")}
+    assert of._latest(SimpleNamespace(offset=_Delay(8.0 / RATE, 0.1 / RATE), **own)).value == pytest.approx(rows / RATE)
+
+
 @pytest.mark.parametrize(("lost", "better"), [(0.0, True), (2.0 * EVIDENCE, False)])
 def test_a_better_fit_of_the_speed_does_not_justify_a_worse_fit_of_the_thrust(lost, better):
     """`lost`: decrease of the thrust's log-likelihood. Half the error of 2000 speed readings is a gain of 2000 ln 2."""

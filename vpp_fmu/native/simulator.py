@@ -5,7 +5,6 @@ import hashlib
 import json
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
 from functools import cache, lru_cache, partial
 from importlib.resources import files
 
@@ -96,13 +95,9 @@ class Simulator:
     def _run_pieces(self, parameters, inputs, steps, late, outputs, tangents) -> Iterator[slice]:
         """Fill `outputs` (size, outputs) and `tangents`, by output (size, wrt), repeatedly; yields the rows in them."""
         values, columns, steps = self._prepared(parameters, inputs, steps)
-        with closing(self._run(values, columns, steps, late, not tangents)) as run:
-            next(run)
-            for first in range(0, len(columns), len(outputs)):
-                at = slice(first, min(first + len(outputs), len(columns)))
-                count = at.stop - first
-                run.send((at, outputs[:count], {i: part[:count] for i, part in tangents.items()}))
-                yield at
+        rows, size = len(columns), len(outputs)
+        pieces = [slice(first, min(first + size, rows)) for first in range(0, rows, size)]
+        return self._run(values, columns, steps, late, pieces, outputs, tangents)
 
     def _prepared(self, parameters, inputs, steps):
         """Parameters, inputs (rows, inputs) and steps, contiguous, in the model's order."""
@@ -173,10 +168,10 @@ def rows_source(model: Model) -> str:
 
 @lru_cache(maxsize=1024)
 def _runner(chain: _Chain, wrt: tuple[str, ...]):
-    """(run, side_by_side). `run(parameters, inputs, steps, late, plain)`: a generator that fills each (rows, outputs, tangents)
-    sent to it; tangents: arrays (rows, wrt) by output, {} in a plain run. `side_by_side(parameters (runs, n), inputs, steps,
-    late, outputs (outputs, rows, runs), done (runs / LANES,))`: fills the outputs of LANES runs each if they take the same
-    steps, and sets `done`; None if no runs do."""
+    """(run, side_by_side). `run(parameters, inputs, steps, late, pieces, outputs (size, outputs), tangents {output: (size,
+    wrt)})`: fills both with one piece (a slice of at most `size` rows) after the other, and yields it. `side_by_side(parameters
+    (runs, n), inputs, steps, late, outputs (outputs, rows, runs), done (runs / LANES,))`: fills the outputs of LANES runs each
+    if they take the same steps, and sets `done`; None if no runs do."""
     try:
         return _compiled(chain, wrt)
     except CompilerMissing as missing:
@@ -200,20 +195,18 @@ def _compiled(chain: _Chain, wrt: tuple[str, ...]):
     library.end.argtypes, library.end.restype = [ctypes.c_void_p], None
     name = chain.model.name
 
-    def run(values, inputs, steps, late, plain):
-        begun = library.begin(values, inputs[0], plain)
+    def run(values, inputs, steps, late, pieces, outputs, tangents):
+        begun = library.begin(values, inputs[0], not tangents)
         if not begun:
             raise MemoryError
         places = (ctypes.c_void_p * len(chain.model.outputs))()
+        for i, part in tangents.items():
+            places[i] = part.ctypes.data
         try:
-            asked = yield
-            while True:
-                at, outputs, tangents = asked
-                for i, part in tangents.items():
-                    places[i] = part.ctypes.data
+            for at in pieces:
                 if library.proceed(begun, inputs, steps, late, at.start, at.stop, len(inputs), outputs, places):
                     raise SimulationFailed(f"{name}: {FULL}")
-                asked = yield
+                yield at
         finally:
             library.end(begun)
 
@@ -237,7 +230,7 @@ def _interpreted(program: Program):
     still, delay_at = (0.0,) * len(columns), {name: layout.index["parameter", p] for name, p in model.delays}
     samples = [(layout.index["state", x], layout.index["parameter", p]) for x, p in model.sampled]
 
-    def run(values, inputs, steps, late, plain):
+    def run(values, inputs, steps, late, pieces, outputs, tangents):
         v = [*inputs[0].tolist(), *[0.0] * n_out, *values.tolist(), *[0.0] * len(layout.states)]
         d = [0.0] * (width * len(layout.moving))
         delays = [v[delay_at[name]] if name in delay_at else None for name in layout.inputs]
@@ -277,21 +270,18 @@ def _interpreted(program: Program):
 
         code["start"](v, d)
         wait, last = 0.0, inputs[0].tolist()
-        at, outputs, tangents = yield
-        for row, held in enumerate(inputs.tolist()):
-            if row == at.stop:
-                at, outputs, tangents = yield
-            outputs[row - at.start] = v[n_in : n_in + n_out]
-            for i, part in tangents.items():
-                part[row - at.start] = d[i * width : (i + 1) * width]
-            if row == len(steps):
-                break
-            span, before = float(steps[row]), [b if u else now for b, now, u in zip(last, held, commanded, strict=True)]
-            if late and before != held:
-                wait, span = advance(wait, before, late * span), (1.0 - late) * span
-            wait, last = advance(wait, held, span), held
-
-        yield
+        for at in pieces:
+            for row, held in enumerate(inputs[at].tolist(), at.start):
+                outputs[row - at.start] = v[n_in : n_in + n_out]
+                for i, part in tangents.items():
+                    part[row - at.start] = d[i * width : (i + 1) * width]
+                if row == len(steps):
+                    break
+                span, before = float(steps[row]), [b if u else now for b, now, u in zip(last, held, commanded, strict=True)]
+                if late and before != held:
+                    wait, span = advance(wait, before, late * span), (1.0 - late) * span
+                wait, last = advance(wait, held, span), held
+            yield at
 
     return run
 
