@@ -84,8 +84,8 @@ def take_in(
     stand: bool = False,
 ) -> Taken:
     """Convert a table for a campaign's file of a `kind`. `speed_map`: from signal to speed; None: fitted to the log.
-    `force`: accept a speed that looks electrical; `run`: which, from 1, of a log whose time starts again; `stand`: the log is of
-    a thrust stand whose logger stalls. BadInput."""
+    `force`: accept a speed that looks electrical; `run`: which, from 1, of a log whose time starts again; `stand`: of a thrust
+    stand whose logger stalls. BadInput."""
     _check(table, plan, kind)
     clock, rows, said = None, np.arange(len(table)), []
     if "time" in plan.columns:
