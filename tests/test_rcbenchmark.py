@@ -489,6 +489,9 @@ def test_points_beyond_the_range_of_a_map_do_not_affect_its_quality():
     assert figures["largest"] == pytest.approx(4.0)
 
 
+SPAN = {"kind": "PWM", "minimum": 5, "maximum": 6, "turns_from": 1, "fitted_to": 2}
+
+
 @pytest.mark.parametrize(
     ("change", "told"),
     [
@@ -496,9 +499,10 @@ def test_points_beyond_the_range_of_a_map_do_not_affect_its_quality():
         ({"coefficients": [1.0, 2.0]}, "coefficients: found [1.0, 2.0], expected a list of 4"),
         ({"coefficients": [1.0, 2.0, "x", 3.0]}, 'coefficients, 3: found "x", expected a number'),
         ({"nominal_voltage": 0}, "nominal_voltage: found 0, expected a number above 0"),
-        ({"signal": {"kind": "OneShot"}}, "signal: found"),
-        ({"signal": {"kind": {}}}, "signal: found"),
-        ({"signal": {"kind": "PWM", "minimum": 5, "maximum": 5, "turns_from": 1, "fitted_to": 2}}, "signal, maximum: found 5"),
+        ({"signal": SPAN | {"kind": "OneShot"}}, 'signal, kind: found "OneShot", expected one of DShot'),
+        ({"signal": SPAN | {"kind": {}}}, "signal, kind: found {}"),
+        ({"signal": SPAN | {"maximum": 5}}, "signal, maximum: found 5"),
+        ({"signal": {"kind": "PWM"}}, "signal, minimum: found nothing"),
         ({"rms": None}, "rms: found null"),
         ({"points": 8.5}, "points: found 8.5, expected a whole number"),
     ],

@@ -14,7 +14,7 @@ from identification.logs.raw_table import RawTable, plain, split_unit
 from identification.logs.units import QUANTITIES, contradicts, factor_of, is_rate, scale_of
 from vpp_fmu.errors import BadInput, near
 from vpp_fmu.files import shown
-from vpp_fmu.structured import read_toml
+from vpp_fmu.structured import check_kinds, read_toml
 
 FORMAT = "vpp-mapping/1"
 FILE = "import.toml"
@@ -509,13 +509,8 @@ def read_sections(path: str | os.PathLike) -> dict[str, dict]:
     if content.get("format") != FORMAT:
         raise BadInput(path, "format", shown(str(content.get("format", ""))), FORMAT)
     sections = {kind: section for kind, section in content.items() if kind != "format"}
-    for kind, section in sections.items():
-        if not isinstance(section, dict) or not isinstance(section.get("columns"), dict):
-            raise BadInput(path, kind, "no table columns", f'[{kind}.columns] with NAME = "COLUMN:UNIT"')
-        for part in ("columns", "fixed", "read"):
-            entries = section.get(part, {})
-            if not isinstance(entries, dict) or not all(isinstance(value, str) for value in entries.values()):
-                raise BadInput(path, f"{kind}.{part}", "an entry that is no text", 'NAME = "TEXT"')
+    texts = {"*": str}
+    check_kinds(path, sections, {"*": {"columns": texts, "fixed?": texts, "read?": texts}})
     if not sections:
         raise BadInput(path, "file", "no section", "a section per file of the campaign, such as [open_loop]")
     return sections

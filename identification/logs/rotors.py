@@ -46,8 +46,8 @@ def chosen(table: RawTable, wanted: str | None, mapped: Iterable[str]) -> tuple[
         hint = f"--map 'thrust={'+'.join(cells)}' for the cells of one rotor, or --rotor {there[0]}"
         raise BadInput(table.source, "thrust", found, "one thrust", hint)
     if wanted is None and not own:
-        driven = next(name for name in rotor_of if proposed(table, name)[0] in TELL)
-        hint = f"--rotor {there[0]}, or a column of one rotor, --map {proposed(table, driven)[0]}={driven}:UNIT"
+        quantity, _, column = next(found for name in rotor_of if (found := proposed(table, name))[0] in TELL)
+        hint = f"--rotor {there[0]}, or a column of one rotor, --map '{quantity}={column}'"
         raise BadInput(table.source, "rotors", f"{len(there)} ({', '.join(there)})", "one rotor", hint)
     rotor = wanted.casefold() if wanted is not None else own[0]
     taken = ", ".join(name for name, label in rotor_of.items() if label == rotor)
