@@ -6,6 +6,7 @@ A container may hold anything. The log is its largest set of vectors of equal le
 import importlib
 import io
 import os
+import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -51,7 +52,7 @@ def read_container(path: str | os.PathLike) -> RawTable | None:
         return None
     try:
         vectors, units = read(path, data)
-    except (OSError, RuntimeError, LookupError, TypeError, ValueError, OverflowError, MemoryError) as error:
+    except (OSError, RuntimeError, LookupError, TypeError, ValueError, OverflowError, MemoryError, zlib.error) as error:
         allowed = f"a whole {(name := kind.partition(' ')[0])} file"
         found = f"{name} that its library does not read ({str(error).splitlines()[0][:120]})"
         raise BadInput(path, "file", found, allowed) from error
@@ -64,7 +65,10 @@ Vectors = tuple[dict[str, np.ndarray], dict[str, str]]
 
 def _parquet(path: str | os.PathLike, data: bytes) -> Vectors:
     pa, parquet = _library(path, "pyarrow"), _library(path, "pyarrow.parquet")
-    table = parquet.read_table(pa.BufferReader(data)).flatten()
+    try:
+        table = parquet.read_table(pa.BufferReader(data)).flatten()
+    except pa.ArrowException as error:
+        raise ValueError(str(error)) from error
     told = {field.name: field.metadata or {} for field in table.schema}
     units = {n: unit.decode("utf-8", "replace") for n, m in told.items() if (unit := m.get(b"units", m.get(b"unit")))}
     return {name: _array(table[name].to_numpy()) for name in table.column_names}, units
@@ -72,8 +76,12 @@ def _parquet(path: str | os.PathLike, data: bytes) -> Vectors:
 
 def _mat(path: str | os.PathLike, data: bytes) -> Vectors:
     from scipy.io import loadmat  # noqa: PLC0415 - slow to import, and few logs are MAT files
+    from scipy.io.matlab import MatReadError  # noqa: PLC0415
 
-    content = loadmat(io.BytesIO(data), squeeze_me=True, struct_as_record=True, chars_as_strings=True)
+    try:
+        content = loadmat(io.BytesIO(data), squeeze_me=True, struct_as_record=True, chars_as_strings=True)
+    except MatReadError as error:
+        raise ValueError(str(error)) from error
     vectors = dict(_vectors({name: value for name, value in content.items() if not name.startswith("__")}))
     if not vectors and any(type(value).__name__ == "MatlabOpaque" or name == "None" for name, value in content.items()):
         found, allowed = "a table or timetable, which only MATLAB reads", "vectors, or a struct of them"

@@ -99,9 +99,14 @@ def run(options):
         plan = _of_measured_speed(plan)
     known = known_map(options, plan)
     taken = take_in(table, plan, options.kind, known, options.force, options.run_number)
-    folder, put, said = _placed(options, plan, taken)
+    place, section = Path(options.output), plan.section(Path(options.log).name)
+    sections = read_sections(place / FILE) if (place / FILE).exists() else {}
+    folder, put, said = placed(place, options.kind, taken, options.replace, options.mend)
+    folder.write(FILE, to_toml({**sections, options.kind: section}))
+    if taken.speed_map is not None and not (place / SPEED_MAP).exists():
+        folder.write(SPEED_MAP, taken.speed_map.to_json())
     lines += [*said_of_columns(table, plan, taken), *taken.said, *said]
-    content = {"format": FORMAT, options.kind: plan.section(Path(options.log).name)}
+    content = {"format": FORMAT, options.kind: section}
     return Answer(headline(folder, options.kind, put.columns, options.log), content, lines, written=written(options, folder))
 
 
@@ -223,14 +228,3 @@ def said_of_columns(table: RawTable, plan: Plan, taken: Taken) -> list[str]:
         lines.append(f"{quantity} <- {column.name}{f' in {column.unit}' if column.unit else ''}{how}{span}")
     lines += [f"{name} = {number(value)} {QUANTITIES[name].unit}, fixed" for name, value in plan.fixed.items()]
     return lines + _unused(table, plan.columns)
-
-
-def _placed(options, plan: Plan, taken: Taken) -> tuple[OutputFolder, Taken, list[str]]:
-    """Write the campaign's file, the mapping and the speed map, all or none; returns folder, corrected log, remarks."""
-    place = Path(options.output)
-    sections = read_sections(place / FILE) if (place / FILE).exists() else {}
-    folder, put, said = placed(place, options.kind, taken, options.replace, options.mend)
-    folder.write(FILE, to_toml({**sections, options.kind: plan.section(Path(options.log).name)}))
-    if taken.speed_map is not None and not (place / SPEED_MAP).exists():
-        folder.write(SPEED_MAP, taken.speed_map.to_json())
-    return folder, put, said
