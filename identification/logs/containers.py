@@ -67,11 +67,11 @@ def _parquet(path: str | os.PathLike, data: bytes) -> Vectors:
     pa, parquet = _library(path, "pyarrow"), _library(path, "pyarrow.parquet")
     try:
         table = parquet.read_table(pa.BufferReader(data)).flatten()
+        vectors = {name: _array(table[name].to_numpy()) for name in table.column_names}
     except pa.ArrowException as error:
         raise ValueError(str(error)) from error
     told = {field.name: field.metadata or {} for field in table.schema}
-    units = {n: unit.decode("utf-8", "replace") for n, m in told.items() if (unit := m.get(b"units", m.get(b"unit")))}
-    return {name: _array(table[name].to_numpy()) for name in table.column_names}, units
+    return vectors, {n: unit.decode("utf-8", "replace") for n, m in told.items() if (unit := m.get(b"units", m.get(b"unit")))}
 
 
 def _mat(path: str | os.PathLike, data: bytes) -> Vectors:
