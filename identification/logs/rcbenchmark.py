@@ -49,8 +49,8 @@ def preset(table: RawTable, words: Iterable[str], backwards: bool) -> list[str]:
     signal, thrust = columns["signal"], columns["thrust"]
     if not table.unit(signal) and np.nanmin(table.numbers(signal), initial=np.inf) >= PWM_FROM:
         columns["signal"] = f"{signal}:us"
-    if backwards:
-        columns["thrust"] = f"{thrust}:-1 {table.unit(thrust)}"
+    if backwards and (unit := table.unit(thrust)):
+        columns["thrust"] = f"{thrust}:-1 {unit}"
     own = {word.partition("=")[0] for word in words}
     return [*words, *(f"{quantity}={column}" for quantity, column in columns.items() if quantity not in own)]
 
