@@ -5,7 +5,8 @@ loop, or log a command one row late. The offset, in rows, is the delay of a comm
 together with the base model and a speed sensor, by maximum likelihood over the kinds of sensor.
 
 Effects of a rig delay its response. There are three delays: from each command to the thrust, and from the speed command to the
-measured speed. The smallest is the logger's; the excess of the others belongs to the sensor or the rig.
+measured speed. The smallest is the logger's; the excess of the others belongs to the sensor or the rig. A missing effect of the
+thrust delays it from both commands: so the speed readings alone limit the offset.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -95,12 +96,11 @@ def as_logged(
     library: Iterable[Effect] = LIBRARY,
     values=None,
     each: Callable = map,
-    rows: float | None = None,
 ) -> Passed:
     """The records that passed the gate, corrected for their logger and without run-ins.
 
     The logger is estimated from the fitted records, beside `effects` of a `library` at `values`. Without records it has no
-    offset, and run-ins are not searched. `each`: as `map`, for fits that may run in parallel. `rows`: the offset, if known."""
+    offset, and run-ins are not searched. `each`: as `map`, for fits that may run in parallel."""
     campaign, declared = gate.campaign, gate.campaign.rig.sensor
     if not any((campaign.open_loop, campaign.repeat, campaign.validation, *gate.further.values())):
         found = Logger(sensor=SpeedSensor(**declared) if "kind" in declared else SpeedSensor())
@@ -116,7 +116,6 @@ def as_logged(
         if {(f.code, f.where) for f in settled.findings} == {(f.code, f.where) for f in before.findings}:
             break
     found = of.logger(each)
-    found = found if rows is None else replace(found, rows=rows, std=0.0)
     return replace(settled.changed(found.applied), logger=found)
 
 

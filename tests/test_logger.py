@@ -375,32 +375,6 @@ def test_the_logger_is_estimated_again_beside_the_effects_found(monkeypatch, off
     assert beside == [("inflow_lag",), ("inflow_lag", "sensor_lag")][: 1 if again else 2]
 
 
-@pytest.mark.parametrize(("offset", "error", "chosen"), [(7.0, 1.9, 0.0), (7.0, 2.1, 7.0), (1.9, 1.9, 1.9)])
-def test_a_long_offset_is_compared_with_none_where_an_effect_is_found(monkeypatch, offset, error, chosen):
-    """Held-out errors of 2 N with the estimated offset [rows], and `error` N without one. A logger's is at most two rows."""
-
-    def searched(task, gate):
-        final, rmse = SimpleNamespace(effects=("reading_delay",), values={}), 2.0 if gate.logger.rows else error
-        held_out = SimpleNamespace(rmse_thrust=rmse)
-        return SimpleNamespace(
-            logger=gate.logger,
-            final=final,
-            word="attributed",
-            held_out_after=held_out,
-            selection=lambda: SimpleNamespace(final=final),
-        )
-
-    monkeypatch.setattr(diagnosing, "passed", lambda *_: None)
-    monkeypatch.setattr(
-        diagnosing, "as_logged", lambda *_, each, rows=offset: SimpleNamespace(logger=Logger(rows, 0.1, period=0.01))
-    )
-    monkeypatch.setattr(diagnosing, "_searched", searched)
-    monkeypatch.setattr(diagnosing, "_concluded", lambda task, found: found)
-    monkeypatch.setattr(diagnosing, "replace", lambda found, **_: found)
-    monkeypatch.setattr(diagnosing, "_power", lambda found: None)
-    assert diagnosing.diagnose(None, [SimpleNamespace(name="reading_delay")]).logger.rows == chosen
-
-
 @pytest.mark.parametrize(("speed", "pitch", "offset"), [(1.9, 2.9, 1.9), (4.0, 6.0, 0.0), (1.9, 0.0, 0.0), (1.9, 1.9, 1.9)])
 def test_the_smallest_delay_is_the_loggers_up_to_two_rows(speed, pitch, offset):
     """Delays [rows]: of the speed command, in thrust and speed reading, and of the pitch command."""

@@ -50,7 +50,7 @@ from identification.gate.finding import Finding
 from identification.gate.gate import Passed, passed
 from identification.identify import Identification, off_bounds
 from identification.logger import SIGNIFICANT, Logger
-from identification.logger_fit import LATEST_ROW, as_logged
+from identification.logger_fit import as_logged
 from identification.logs.commands import FILE as SPEED_MAP
 from identification.logs.speed_map import read_speed_map
 from identification.roles import Fitted, Unseen, roles
@@ -219,7 +219,7 @@ def diagnose(
     on the machine's speed. BadInput if the campaign has no record to fit.
 
     The logger is estimated first, beside the base model, which a missing effect may bias; then again beside the effects that
-    are found. If it differs significantly, the campaign is searched once more; and once more without an offset, if it is long.
+    are found. If it differs significantly, the campaign is searched once more.
     """
     effort = Effort(budget, thorough, stage, progress)
     # The fits run in parallel, each with one thread of linear algebra.
@@ -231,16 +231,16 @@ def diagnose(
         task = _Task(campaign, library, pool, seed, effort, given, Smallest(smallest, smallest_speed))
         stage("logger")
         found = _searched(task, as_logged(gate, *present, each=pool.map))
-        found = _with_logger_beside(task, gate, present, found)
+        found = _with_logger_beside(task, gate, present[0] if present else (), found)
         done = _concluded(task, found)
         return replace(done, not_tried=tuple(effort.not_tried), power=_power(done))
 
 
-def _with_logger_beside(task: "_Task", gate: Passed, present: tuple, found: "_Searched") -> "_Searched":
+def _with_logger_beside(task: "_Task", gate: Passed, kept: Iterable[str], found: "_Searched") -> "_Searched":
     """The search, or a simpler one with the logger that is estimated beside the effects found. `gate`: the records before any
-    correction; `present`: the given model's effects, library and values, empty without a given model."""
+    correction; `kept`: effects of a given model."""
     final, effort, library = found.selection().final, task.effort, {e.name for e in task.library}
-    named, kept = [n for n in final.effects if n in library and n not in DELAYS], present[0] if present else ()
+    named = [n for n in final.effects if n in library and n not in DELAYS]
     # A lag of the thrust may come from a logger that was estimated without the other effects, or the other way round.
     for beside in dict.fromkeys((tuple(n for n in named if n not in LATE), tuple(named))):
         if not beside or not effort.allows(f"another logger beside {' + '.join(beside)}"):
@@ -249,11 +249,7 @@ def _with_logger_beside(task: "_Task", gate: Passed, present: tuple, found: "_Se
         again = as_logged(gate, [*kept, *beside], task.library, final.values, task.pool.map)
         errors = SIGNIFICANT if len(beside) == len(final.effects) else NORMAL_95
         if not again.logger.agrees_with(found.logger, errors):
-            found = _simpler(found, _searched(task, again))
-            break
-    if found.logger.rows > LATEST_ROW and final.effects and effort.allows("no offset of the logger"):
-        # A late thrust and shorter lags look like an offset of all readings; a logger's is rarely so long.
-        found = _simpler(found, _searched(task, as_logged(gate, *present, each=task.pool.map, rows=0.0)))
+            return _simpler(found, _searched(task, again))
     return found
 
 
@@ -291,7 +287,6 @@ class _Searched:
     groups: Sequence[Sequence[Fitted]]
     unseen: Unseen | None
     judge: Judge
-    distinguishability: Distinguishability
     stages: Sequence[Stage]
     base: Fit
     final: Fit
@@ -372,12 +367,9 @@ def _searched(task: _Task, gate: Passed) -> _Searched:
     searcher, base = fitted_base(groups, at, replace(noises[-1], speed=noises[0].speed), at.values, agreed=True)
     searcher.points = max(s.judge.searcher.points for s in stages)
     judge = Judge(searcher, base, task.smallest, runs)
-    task.effort.stage("distinguishable effects")
-    distinguishable = distinguishability(base, options, at.library, task.pool.map)
-    give_back()
     task.effort.stage("validate")
     identified = base.estimated(at.refinement, at.uncertainty)
-    found = _Searched(gate, at, groups, unseen, judge, distinguishable, stages, identified, identified, "").validated(stages)
+    found = _Searched(gate, at, groups, unseen, judge, stages, identified, identified, "").validated(stages)
     while found.refuted and task.effort.allows("other effects in place of the refuted"):
         if (other := _other(found)) is None:
             break
@@ -448,6 +440,9 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
     experiment, guess = discriminating_experiment(_timed(at, final), task.seed, fitted[0].record.period), None
     if word in UNEXPLAINED:
         guess = _guessed(task, found, open_stages, experiment)
+    task.effort.stage("distinguishable effects")
+    distinguishable = distinguishability(judge.base, [c for s in found.stages for c in s.options], at.library, task.pool.map)
+    give_back()
     shown = predict(final.problem.model, final.values, fitted[0].record)
     quality = at.identification.quality if at.identification else found.gate.findings
     narrowed = tuple(_narrowed_thresholds(selection.final, final, found.unseen))
@@ -466,7 +461,7 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
         verdict=word,
         before=before,
         after=after,
-        distinguishability=found.distinguishability,
+        distinguishability=distinguishable,
         location=locate([one.record for one in found.groups[0]], shown.thrust, shown.omega, shown.beta),
         experiment=experiment,
         final=final,
