@@ -70,9 +70,8 @@ def add_reading(parser) -> None:
     parser.add_argument("--yes", action="store_true", help=text)
     text = "take a unit that contradicts the header, or a speed that looks electrical"
     parser.add_argument("--force", action="store_true", help=text)
-    parser.add_argument(
-        "--rotor", metavar="R", help="of several rotors in one file, such as rpm_1 and rpm_2 (default: the first)"
-    )
+    text = "of several rotors in one file, such as rpm_1 and rpm_2 (default: that of a column in --map)"
+    parser.add_argument("--rotor", metavar="R", help=text)
     text = "of a log whose time starts again: the N-th run alone, from 1"
     parser.add_argument("--run", dest="run_number", type=whole(1, 100000), metavar="N", help=text)
     add_speed_from(parser)
