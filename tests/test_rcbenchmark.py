@@ -360,6 +360,17 @@ def test_the_map_is_that_of_the_steady_parts(tmp_path, log):
     assert omega_ref[signal == 1000.0][0] == pytest.approx(expected, rel=1e-3)
 
 
+def test_speeds_behind_a_stall_do_not_enter_the_map(tmp_path, log):
+    t = truth()
+    row = int(np.argmax(t["time"] > 7.3))  # in the second half of a hold
+    late, maps = t["optical"].copy(), []
+    late[row : row + REMEMBERED] *= 0.97
+    for speed in (t["optical"], late):
+        log(time=gapped(t, (row,)), optical=speed)
+        maps.append(read_speed_map(tmp_path / "imported" / "speed_map.json"))
+    assert maps[0] == maps[1]
+
+
 def test_the_map_is_0_below_the_signal_that_turns_the_motor_whatever_the_cubic_says():
     found = SpeedMap((500.0, 10000.0, 0.0, 0.0), NOMINAL, RANGES["PWM"], 1200.0, 1900.0, 0.0, 6, "log.csv")
     np.testing.assert_allclose(found.omega_ref(np.array([1000.0, 1199.9, 1200.0, 1500.0])), [0.0, 0.0, 2500.0, 5500.0])
