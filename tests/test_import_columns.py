@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from import_logs import HEADERS, T, named, stand, table
 
+from identification.logs.delimited import named_values
 from identification.logs.mapping import propose, read_sections
-from identification.logs.pairs import named_values
 from identification.logs.raw_table import RawTable, plain, split_unit
 from identification.logs.units import QUANTITIES, factor_of
-from vpp_fmu.campaign import read_static
 from vpp_fmu.record import read_record
 
 FIRST_WORDS = ("import", "csv")
@@ -52,9 +51,8 @@ UNITS = {
     "signal": {"us": 1.0, "ms": 1e3, "%": 0.01, "1": 1.0, "": 1.0},
     "samples": {"1": 1.0},
     "run": {" - ": 1.0},
-    "ct": {"": 1.0},
 }
-OTHERS = {"omega": ("1", "N", "erpm", "erpm/0"), "thrust": ("", ")("), "beta": ("",), "samples": ("rpm",), "ct": ("%",)}
+OTHERS = {"omega": ("1", "N", "erpm", "erpm/0"), "thrust": ("", ")("), "beta": ("",), "samples": ("rpm",)}
 
 
 @pytest.mark.parametrize("quantity", UNITS)
@@ -244,12 +242,12 @@ def test_two_load_cells_of_one_rotor_are_added_or_stop_the_import(tmp_path, log,
 @pytest.mark.parametrize(
     ("names", "scale"), [(("stamp.sec", "stamp.nanosec"), 1e-9), (("tv_sec", "tv_usec"), 1e-6), (("secs", "nsecs"), 1e-9)]
 )
-def test_seconds_and_their_fraction_in_two_columns_are_one_time(tmp_path, log, printed, names, scale):
+def test_seconds_without_their_fraction_in_another_column_are_no_time(tmp_path, log, refused, names, scale):
     whole = np.floor(T["time"])
     parts = dict(zip(names, (1.7e9 + whole, np.round((T["time"] - whole) / scale)), strict=True))
-    out = printed(log(parts | named("omega_ref", "beta_ref", "thrust")), "-o", tmp_path / "out")
-    assert f"time is {names[0]} + {names[1]}" in out
-    check(read_record(tmp_path / "out" / "open_loop.csv"), "time", atol=1e-6)
+    said = refused(log(parts | named("omega_ref", "beta_ref", "thrust")), "-o", tmp_path / "out")
+    assert f"time: found whole seconds in {names[0]}, beside {names[1]}" in said
+    assert "--map time=COLUMN:s" in said
 
 
 def test_minutes_and_seconds_are_unwrapped_after_an_hour(tmp_path, log, printed):
@@ -339,7 +337,7 @@ def test_timestamps_of_the_arduino_serial_monitor_are_the_time(tmp_path, printed
 
 def test_a_long_name_without_a_value_is_tried_once():
     """Each of its 60 parts could be split in two ways, so that a search over all splits would not end."""
-    assert named_values([(1, "_".join(60 * "a") + " b"), (2, "1 2")], 400) is None
+    assert named_values([(1, "_".join(60 * "a") + " b"), (2, "1 2")]) == ([], [])
 
 
 def test_one_run_is_taken_of_a_log_whose_time_starts_again(tmp_path, log, printed, refused):
@@ -455,40 +453,29 @@ def test_a_calibration_that_is_no_line_is_refused(tmp_path, log, refused, unit):
     assert "two points of a calibration" in err
 
 
-@pytest.mark.parametrize(("labels", "second"), [(("1", "2"), "2"), (("left", "right"), "right")])
-def test_a_second_rotor_is_reported_and_imported_on_request(tmp_path, log, imported, printed, refused, labels, second):
+@pytest.mark.parametrize("labels", [("1", "2"), ("left", "right")])
+def test_one_of_several_rotors_is_imported_by_its_label_or_by_one_of_its_columns(tmp_path, log, imported, refused, labels):
     names = {"omega_ref": "rpm_cmd", "beta_ref": "pitch_cmd", "thrust": "thrust", "omega": "rpm"}
     columns = {"time (s)": T["time"]}
     for label, gain in zip(labels, (1.0, 0.9), strict=True):
         columns |= {f"{header}_{label}": gain * T[n] for n, header in names.items()}
-    path = log(columns)
-    out = printed(path, "--yes", "-o", tmp_path / "a")
-    assert f"rotor {labels[0]} is taken, with rpm_cmd_{labels[0]}," in out
-    assert f"--rotor {second} takes the other" in out
-    check(read_record(tmp_path / "a" / "open_loop.csv"), *names)
+    path, (first, second) = log(columns), labels
+    said = refused(path, "--yes", "-o", tmp_path / "out")
+    assert f"rotors: found 2 ({first}, {second}), expected one rotor. Try: --rotor {first}, or" in said
     # With one column of a rotor, all others are of the same one.
-    for folder, words in (("b", ("--rotor", second)), ("c", ("--map", f"thrust=thrust_{second}:N"))):
+    for folder, words in (("a", ("--rotor", second)), ("b", ("--map", f"thrust=thrust_{second}:N"))):
         record = imported(path, "--yes", *words, to=folder)
         for name in names:
             np.testing.assert_allclose(record[name], 0.9 * T[name], rtol=1e-8)
+    check(imported(path, "--yes", "--rotor", first, to="c"), *names)
     assert f"--rotor: found 7, expected one of {', '.join(labels)}" in refused(path, "--rotor", "7")
 
 
-def test_coefficients_become_the_thrust_of_a_propeller(tmp_path, printed, refused):
-    """T = CT rho n^2 D^4: 0.1 * 1.225 * 100^2 * 0.25^4 = 4.785 N at 6000 rpm."""
+def test_coefficients_are_no_thrust(tmp_path, refused):
     table(tmp_path / "ct.txt", {"RPM": [6000, 3000, 6000], "CT": [0.1, 0.08, 0.05], "CP": [0.05] * 3, "J": [0.0, 0.0, 0.4]})
-    words = (tmp_path / "ct.txt", "--as", "static")
-    assert "--diameter D" in refused(*words, "-o", tmp_path / "out")
-    assert "--as static" in refused(tmp_path / "ct.txt", "--diameter", "0.25", "-o", tmp_path / "out")
-    out = printed(*words, "--diameter", "0.25", "-o", tmp_path / "out")
-    assert "rho = 1.225 kg/m^3" in out
-    assert "advance ratio: 1 rows above 0 are not static, left out" in out
-    static = read_static(tmp_path / "out" / "static.csv")
-    np.testing.assert_allclose(static.thrust, [4.78515625, 0.8 * 4.78515625 / 4.0], rtol=1e-8)
-    np.testing.assert_allclose(static.omega, [6000.0, 3000.0])
-    printed(*words, "--diameter", "0.25", "--density", "1.1", "-o", tmp_path / "thin")
-    thin = read_static(tmp_path / "thin" / "static.csv").thrust
-    np.testing.assert_allclose(thin, static.thrust * 1.1 / 1.225, rtol=1e-8)
+    said = refused(tmp_path / "ct.txt", "--as", "static", "-o", tmp_path / "out")
+    assert "thrust: found no column of it among RPM, CT, CP, J" in said
+    assert "Try: --map thrust=COLUMN:UNIT" in said
 
 
 def test_a_mapping_on_the_command_line_completes_the_proposal(tmp_path, log, imported, printed):
@@ -560,18 +547,15 @@ def test_a_bad_mapping_file_is_refused_in_one_line(tmp_path, log, refused, conte
 WITHOUT_PITCH = ("time", "omega_ref", "omega", "thrust")
 
 
-def test_columns_of_two_sides_are_never_mixed_and_the_side_that_turns_is_taken(tmp_path, log, printed):
+def test_columns_of_two_sides_are_never_mixed(tmp_path, log, imported):
     """Side A is not connected: its cell has noise alone, its command is constant."""
     given, noise = stand(), np.random.default_rng(1).normal(0.0, 0.02, 6000)
     columns = {"Time (s)": given["Time (s)"], "ESC A (us)": np.full(6000, 1000.0), "ESC B (us)": given["ESC (us)"]}
     columns |= {"Thrust A (gf)": noise, "Thrust B (gf)": given["Thrust (gf)"]}
     columns |= {"Motor Optical Speed A (RPM)": np.zeros(6000), "Motor Optical Speed B (RPM)": given["RPM"]}
-    path = log(columns)
-    for words in ((), ("--rotor", "B")):
-        assert "rotor b is taken" in printed(path, *words, "-o", tmp_path / "out", "--replace")
-        record = read_record(tmp_path / "out" / "open_loop.csv")
-        np.testing.assert_allclose(record["thrust"], 9.80665e-3 * given["Thrust (gf)"], rtol=1e-8)
-        np.testing.assert_array_equal(record["omega"], given["RPM"])
+    record = imported(log(columns), "--rotor", "B")
+    np.testing.assert_allclose(record["thrust"], 9.80665e-3 * given["Thrust (gf)"], rtol=1e-8)
+    np.testing.assert_array_equal(record["omega"], given["RPM"])
 
 
 @pytest.mark.parametrize("axis", ["x", "z"])
@@ -615,23 +599,18 @@ def test_a_command_that_thrust_follows_is_the_pitch_or_must_be_mapped(tmp_path, 
     printed(path, "-o", tmp_path / "steady")  # the pitch is fixed, and the servo turns something else
 
 
-def test_messages_in_rows_of_their_own_are_joined_at_the_rows_with_thrust(tmp_path, log, printed):
-    """Commands 4 ms before, speed 2 ms before and after each reading of thrust, on a ramp. A second without it is empty."""
-    t, rows = T, []
-    speed = 3000.0 + 100.0 * t["time"]
-    for k, now in enumerate(t["time"]):
-        rows.append((now, t["omega_ref"][k], t["beta_ref"][k], np.nan, np.nan))
-        if not 200 <= k < 300:
-            rows.append((now + 0.002, np.nan, np.nan, speed[k] + 0.2, np.nan))
-        rows.append((now + 0.004, np.nan, np.nan, np.nan, t["thrust"][k]))
-    names = ("__time [s]", "/cmd/speed [rpm]", "/cmd/pitch [deg]", "/esc/speed [rpm]", "/load_cell/force [N]")
-    out = printed(log(dict(zip(names, np.array(rows).T, strict=True))), "-o", tmp_path / "out")
-    assert "joined at the 400 of 1100 rows with thrust" in out
-    record = read_record(tmp_path / "out" / "open_loop.csv", holes=("omega",))
-    check(record, "time", "omega_ref", "beta_ref", "thrust", atol=1e-6)
-    known = np.isfinite(record["omega"])
-    np.testing.assert_allclose(record["omega"][known], speed[known] + 0.4, atol=1e-6)
-    assert np.flatnonzero(~known).tolist() == [*range(199, 300), 399]
+def test_messages_in_rows_of_their_own_are_refused(tmp_path, log, imported, refused):
+    """Speed 5 ms after each reading of thrust; then the commands, too."""
+    rows = {name: np.repeat(T[name], 2) for name in ("time", "omega_ref", "beta_ref", "omega", "thrust")}
+    rows["time"][1::2] += 0.005
+    rows["thrust"][1::2] = rows["omega"][::2] = np.nan
+    path = log({HEADERS[name]: column for name, column in rows.items()})
+    assert "rows: found omega in other rows than thrust" in (said := refused(path, "-o", tmp_path / "out"))
+    assert "Try: a table joined at the rows of thrust, or --map omega=-" in said
+    assert "omega" not in imported(path, "--map", "omega=-", holes=("thrust",))
+    rows["omega_ref"][::2] = np.nan
+    path = log({HEADERS[name]: column for name, column in rows.items()})
+    assert "found omega_ref, omega in other rows" in refused(path, "-o", tmp_path / "out")
 
 
 @pytest.mark.parametrize("rate", [1, 2])

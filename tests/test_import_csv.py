@@ -10,14 +10,11 @@ from import_zoo import PLAIN, text, truth
 from planted_faults import SIZES
 
 from identification.logs.clock import guessed_unit, mended
-from identification.logs.commands import fitted_map
 from identification.logs.mapping import read_sections
-from identification.logs.sampling import between, said_of_gaps, said_of_rows
+from identification.logs.sampling import between, said_of_rows
 from identification.logs.speed_choice import likelihood_gain
-from identification.logs.speed_map import RANGES
 from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import read_campaign, read_static, read_steps
-from vpp_fmu.errors import BadInput
 from vpp_fmu.record import Record, read_record
 
 FIRST_WORDS = ("import", "csv")
@@ -145,14 +142,12 @@ def test_the_likelihood_gain_of_a_speed_signal_is_the_closed_form():
     assert likelihood_gain(off, omega, beta, 0.0 * clean) == 0.0  # a load cell that is not connected
 
 
-def test_a_signal_without_steady_holds_is_mapped_through_a_lag():
-    log = stand(hold=0.3)
-    found = fitted_map("log.csv", log["Time (s)"], log["ESC (us)"], log["RPM"], None, RANGES["PWM"])
-    assert "with a lag of 0.12 s" in found.origin
-    x = np.linspace(150.0, 900.0, 50)
-    np.testing.assert_allclose(found.map.omega_ref(1000.0 + x), 200.0 + 9.5 * x - 0.0025 * x**2, atol=10.0)
-    with pytest.raises(BadInput, match="of the speed"):
-        fitted_map("log.csv", log["Time (s)"], log["ESC (us)"], log["RPM"][::-1], None, RANGES["PWM"])
+def test_a_signal_without_steady_holds_needs_a_map_or_the_measured_speed(tmp_path, refused, printed):
+    path = table(tmp_path / "log.csv", stand(hold=0.3))
+    said = refused(path, "-o", tmp_path / "out")
+    assert "found 0 different ESC signals held for 1 s" in said
+    assert "Try: --speed-map M.json of another log, or --speed-from measured" in said
+    printed(path, "--speed-from", "measured", "-o", tmp_path / "out")
 
 
 def test_steps_are_cut_at_moves_without_sharing_a_row(tmp_path, printed):
@@ -261,16 +256,7 @@ def test_rows_that_are_averages_are_detected_from_the_commands():
     assert any(line.startswith("averages: in ") for line in said_of_rows(record))
     record = recorded({n: c[::12] for n, c in fine.items()})
     assert between(record)[0] == 0
-    said = said_of_rows(record)
-    assert [line.split(":")[0] for line in said] == ["slow sampling"]
-    assert "120 ms" in said[0]
-
-
-def test_a_gap_is_reported_and_fast_sampling_is_not():
-    record = recorded(stand())
-    assert said_of_rows(record) == said_of_gaps(record) == []
-    gapped = record.part(np.r_[0:3000, 3025:6000])
-    assert said_of_gaps(gapped) == ["gaps: 1 steps of more than 4 rows of 10 ms, the longest of 0.26 s at 29.99 s"]
+    assert said_of_rows(record) == said_of_rows(recorded(stand())) == []
 
 
 def test_frozen_and_clipped_channels_are_reported_at_import(tmp_path, printed):
@@ -318,17 +304,3 @@ def test_a_log_of_fixed_pitch_is_imported_and_diagnosed(tmp_path, printed):
     fitted = json.loads((tmp_path / "out" / "parameters_base.json").read_text())["parameters"]
     assert fitted["tau_omega_1"]["value"] + fitted["tau_omega_2"]["value"] == pytest.approx(0.12, rel=0.05)
     assert "<figure>" in (tmp_path / "out" / "report.html").read_text()
-
-
-@pytest.mark.parametrize("late", [False, True])
-def test_a_command_logged_one_row_late_is_reported(late):
-    """Behind one lag of 0.2 s the speed goes 1 - exp(-0.04 / 0.2) = 18 % of a move in a row of 40 ms."""
-    rng, rows = np.random.default_rng(2), 1500
-    command = np.repeat(np.round(rng.uniform(2000.0, 6000.0, rows // 10)), 10)
-    speed = lagged(command, 0.04, 0.2)
-    told = np.append(command[0], command[:-1]) if late else command
-    columns = {"time": 0.04 * np.arange(rows), "omega_ref": told, "beta_ref": np.zeros(rows)}
-    columns |= {"omega": speed + rng.normal(0.0, 5.0, rows), "thrust": 10.0 * (speed / 6000.0) ** 2}
-    said = [line for line in said_of_rows(Record(columns, "log")) if line.startswith("clock")]
-    assert bool(said) == late
-    assert all("gone 18 ± " in line for line in said)

@@ -1,7 +1,9 @@
 """Every format of the zoo: the imported record equals the log, or one line gives the reason of its refusal."""
 
+import numpy as np
 import pytest
 from import_zoo import Format, came_out, containers, formats, text
+from scipy.io import savemat
 
 from vpp_fmu.app.cli import main
 
@@ -38,3 +40,12 @@ def test_a_container_without_its_library_is_refused_with_the_extra_to_install(tm
     error = refused("import", "csv", path, "-o", tmp_path / "out")
     assert "only pyarrow reads, which is not installed" in error
     assert "vpp-fmu[import]" in error
+
+
+def test_a_damaged_compressed_mat_file_is_refused(tmp_path, refused):
+    path = tmp_path / "log.mat"
+    savemat(path, {"time": np.arange(500.0)}, do_compression=True)
+    content = bytearray(path.read_bytes())
+    content[200] ^= 0xFF
+    path.write_bytes(content)
+    assert "MAT that its library does not read" in refused("import", "csv", path, "-o", tmp_path / "out")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import bilinear, lfilter
 from scipy.stats import chi2, kstest
+from scipy.stats import f as f_distribution
 
 from identification.assessment.reading_noise import last_thirds
 from identification.diagnose import command_shapes, lack_of_fit
@@ -156,6 +157,20 @@ def test_a_model_that_claims_to_explain_all_must_pass_a_stricter_test(monkeypatc
     assert found.p == pytest.approx(p)
     assert (found.certain, found.significant) == (certain, certain)
     assert not lack_of_fit.lack_of_fit(SimpleNamespace(effects=effects), least=0.3).significant  # it is 0.22 N
+
+
+def test_what_the_forms_of_effects_leave_is_no_lack_of_fit(monkeypatch):
+    """A right form may be 5 % off in amplitude, so 1/400 of the power, and of the nats, that it explains remains."""
+    key, without, beside = (0.0, 1.0, 2), np.array([500.0, 20.0, 500.0, 20.0, 20.0]), np.array([21.2, 20.0, 21.2, 20.0, 20.0])
+    monkeypatch.setattr(lack_of_fit, "_powers", lambda fit: {key: (beside if fit.effects else without).copy()})
+    base, fit = SimpleNamespace(effects=(), score=None), SimpleNamespace(effects=("one",))
+    (band,) = lack_of_fit.pure_error(fit, base)
+    assert band.power == pytest.approx((21.2 - (500.0 - 21.2) / 400.0 - 20.0) / 2.0)
+    assert band.p == pytest.approx(f_distribution.sf((21.2 - (500.0 - 21.2) / 400.0) / 20.0, 20.0, 20.0))
+    set_checks(monkeypatch, score_test=ScoreTest(18.0, 45, ()))
+    monkeypatch.setattr(ScoreTest, "p", 0.5)
+    fit.score = SimpleNamespace(gain_over=lambda other: {"thrust": 4000.0})
+    assert lack_of_fit.lack_of_fit(fit, 0.1, 0.0, base).score.gain == pytest.approx(18.0 - 10.0)
 
 
 @pytest.mark.parametrize(("share", "size", "lacks"), [(0.4, 0.3, False), (0.6, 0.3, True), (0.6, 0.05, False)])

@@ -87,7 +87,7 @@ class Judge:
 
     def lack(self, fit: Fit) -> LackOfFit:
         """Run the checks of lack of fit."""
-        return lack_of_fit(fit, self.least(), self.least_speed())
+        return lack_of_fit(fit, self.least(), self.least_speed(), self.base)
 
     def least(self) -> float:
         """Minimum size of interest of the thrust below 10 Hz, N."""

@@ -19,7 +19,7 @@ from scipy.stats import norm
 
 from identification.assessment.reading_noise import SETTLED, last_thirds
 from identification.diagnose.command_shapes import map_slopes
-from identification.diagnose.judgement import ALPHA, ALPHA_BASE, MAJORITY, SLOW
+from identification.diagnose.judgement import ALPHA, ALPHA_BASE, FORM, MAJORITY, SLOW
 from identification.diagnose.score_test import (
     ScoreTest,
     channel_rows,
@@ -162,9 +162,13 @@ class LackOfFit:
         }
 
 
-def lack_of_fit(fit: Fit, least: float, least_speed: float = 0.0) -> LackOfFit:
-    """Run the checks on a fit. The smallest p-value counts, corrected for the number of tests (Sidak, 1967)."""
-    bands, score = pure_error(fit), score_test(fit)
+def lack_of_fit(fit: Fit, least: float, least_speed: float = 0.0, base: Fit | None = None) -> LackOfFit:
+    """Run the checks on a fit. The smallest p-value counts, corrected for the number of tests (Sidak, 1967). Of what effects
+    explain beside a `base`, their forms leave the share FORM: it is no lack of fit."""
+    bands, score = pure_error(fit, base), score_test(fit)
+    if base is not None and fit.effects and score.count:
+        explained = fit.score.gain_over(base.score)["thrust"]
+        score = replace(score, gain=score.gain - FORM * max(explained, 0.0))
     tests = [b.p for b in bands] + ([score.p] if score.count else [])
     smallest = min(tests, default=1.0)
     p = -float(np.expm1(len(tests) * np.log1p(-smallest))) if smallest < 1.0 else 1.0
@@ -190,8 +194,23 @@ def _score_size(fit: Fit, score: ScoreTest) -> float:
     return float(np.sqrt(max(2.0 * score.gain, 0.0) / (2.0 * SLOW * seconds) * slow))
 
 
-def pure_error(fit: Fit) -> tuple[Band, ...]:
-    """Pure error of the thrust by band, over all experiments with a repeat."""
+def pure_error(fit: Fit, base: Fit | None = None) -> tuple[Band, ...]:
+    """Pure error of the thrust by band, over all experiments with a repeat, without the share FORM of what the fit explains
+    beside a `base`."""
+    found = _powers(fit)
+    if base is not None and fit.effects:
+        for key, before in _powers(base).items():
+            found[key][[BETWEEN, FLAT]] -= FORM * np.maximum(before - found[key], 0.0)[[BETWEEN, FLAT]]
+    return tuple(_band(low, high, count, *total) for (low, high, count), total in found.items())
+
+
+BETWEEN, FLAT = 0, 2
+"""Places of the power of the mean of records, and of the same with slow noise flattened, among the sums of a band."""
+
+
+def _powers(fit: Fit) -> dict[tuple[float, float, int], np.ndarray]:
+    """By (low, high, records) the sums of a band: power of the mean of records and about it, as measured, then both with slow
+    noise flattened, and degrees of freedom of one record."""
     simulator, found = fit.problem.simulator, {}
     for e in fit.problem.experiments:
         if len(e.records) < 2 or "thrust" not in e.channels:
@@ -207,7 +226,7 @@ def pure_error(fit: Fit) -> tuple[Band, ...]:
             count = len(errors)
             total = found.setdefault((low, high, count), np.zeros(5))
             total += *(power[inside].sum() for power in (between, within, flat, level)), 2.0 * inside.sum()
-    return tuple(_band(low, high, count, *total) for (low, high, count), total in found.items())
+    return found
 
 
 def _band(

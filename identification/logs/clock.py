@@ -6,7 +6,7 @@ Of rows at equal time the last is kept. If a stamp covers several rows, they are
 """
 
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import date
 
 import numpy as np
@@ -24,9 +24,8 @@ TURNS = {"32-bit us": 2.0**32 * 1e-6, "32-bit ms": 2.0**32 * 1e-3, "16-bit ms": 
 TURNS |= {"an hour": 3600.0, "midnight": 86400.0, "32-bit ns": 2.0**32 * 1e-9, "24-bit us": 2.0**24 * 1e-6}
 """s after which a counter restarts."""
 
-_FRACTIONS = {"nanosec": 1e-9, "nsec": 1e-9, "nanoseconds": 1e-9, "nsecs": 1e-9, "nanosecs": 1e-9, "ns": 1e-9}
-_FRACTIONS |= {"usec": 1e-6, "microsec": 1e-6, "microseconds": 1e-6, "usecs": 1e-6, "us": 1e-6}
-"""s of a column that holds the fraction of a stamp's seconds, by the end of its name."""
+_FRACTION = re.compile(r"(?i)(nano|micro|n|u)_?sec(ond)?s?")
+"""End of the name of a column that holds the fraction of a stamp's seconds, such as nanosec of ROS and tv_usec of C."""
 
 COARSE = 0.3
 """Share of rows at the time of the row before, above which stamps are coarse. A stamp per two rows gives a half; duplicate rows
@@ -105,21 +104,14 @@ def read_clock(table: RawTable, name: str, unit: str, runs: bool = False, run: i
     return Clock(np.concatenate(kept), np.concatenate(parts), start, tuple(notes), np.array(restarts))
 
 
-def with_whole_stamps(table: RawTable) -> RawTable:
-    """The table with a column `time` in s, first, if two columns are the seconds of a stamp and their fraction: sec and nanosec
-    of ROS, tv_sec and tv_usec of C."""
+def check_stamps(table: RawTable) -> None:
+    """BadInput if a column has whole seconds and another their fraction, as sec and nanosec of ROS, tv_sec and tv_usec of C."""
     for name, cells in table.columns.items():
-        found = re.fullmatch(r"(?i)(.*?)(secs?|seconds?|s)", name)
-        wanted = {f"{found[1]}{part}".casefold(): scale for part, scale in _FRACTIONS.items()} if found else {}
-        other = next((n for n in table.columns if n.casefold() in wanted), None)
-        if other is None or "time" in table.columns or {cells.dtype.kind, table.columns[other].dtype.kind} != {"f"}:
-            continue
-        scale, part = wanted[other.casefold()], table.columns[other]
-        if np.all(cells == np.round(cells)) and np.all((part >= 0.0) & (part * scale < 1.0)):
-            how = f"{table.how_read}; time is {name} + {other}"
-            columns, units = {"time": cells + scale * part, **table.columns}, {"time": "s", **table.units}
-            return replace(table, columns=columns, units=units, how_read=how)
-    return table
+        stem = re.sub(r"(?i)(sec(ond)?s?|s)$", "", name)
+        parts = [n for n in table.columns if stem != name and n.startswith(stem) and _FRACTION.fullmatch(n[len(stem) :])]
+        if parts and cells.dtype.kind == "f" and np.all(cells % 1.0 == 0.0):
+            found, allowed = f"whole seconds in {name}, beside {parts[0]}", "one column with both"
+            raise BadInput(table.source, "time", found, allowed, "their sum in the table, and --map time=COLUMN:s")
 
 
 def straightened(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[str]]:

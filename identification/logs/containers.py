@@ -6,8 +6,9 @@ A container may hold anything. The log is its largest set of vectors of equal le
 import importlib
 import io
 import os
+import zlib
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -42,92 +43,87 @@ def read_container(path: str | os.PathLike) -> RawTable | None:
         if data.startswith(mark):
             raise BadInput(path, "file", found, allowed)
     if data.startswith(PARQUET):
-        return _parquet(path, data)
-    if HDF5 in (data[:8], data[512:520]):  # a MAT file of 7.3 has 512 bytes of MATLAB's before
-        return _hdf5(path, data)
-    if data.startswith(MAT):
-        return _mat(path, data)
-    return None
+        kind, read = "Parquet", _parquet
+    elif HDF5 in (data[:8], data[512:520]):  # a MAT file of 7.3 has 512 bytes of MATLAB's before
+        kind, read = "MAT (v7.3)" if data.startswith(b"MATLAB 7.3") else "HDF5", _hdf5
+    elif data.startswith(MAT):
+        kind, read = "MAT (v5 to v7.2)", _mat
+    else:
+        return None
+    try:
+        vectors, units = read(path, data)
+    except (OSError, RuntimeError, LookupError, TypeError, ValueError, OverflowError, MemoryError, zlib.error) as error:
+        allowed = f"a whole {(name := kind.partition(' ')[0])} file"
+        found = f"{name} that its library does not read ({str(error).splitlines()[0][:120]})"
+        raise BadInput(path, "file", found, allowed) from error
+    return _raw_table(path, vectors, units, kind)
 
 
-def _parquet(path: str | os.PathLike, data: bytes) -> RawTable:
+Vectors = tuple[dict[str, np.ndarray], dict[str, str]]
+"""Vectors and units by name."""
+
+
+def _parquet(path: str | os.PathLike, data: bytes) -> Vectors:
     pa, parquet = _library(path, "pyarrow"), _library(path, "pyarrow.parquet")
     try:
         table = parquet.read_table(pa.BufferReader(data)).flatten()
-    except (pa.ArrowException, OSError) as error:
-        raise _broken(path, "Parquet", error) from error
-    columns, units = {}, {}
-    for name, field in zip(table.column_names, table.schema, strict=True):
-        columns[name] = _array(table[name].to_numpy())
-        for key in (b"unit", b"units"):
-            if field.metadata and key in field.metadata:
-                units[name] = field.metadata[key].decode("utf-8", "replace")
-    return _raw_table(path, columns, units, "Parquet")
+        vectors = {name: _array(table[name].to_numpy()) for name in table.column_names}
+    except pa.ArrowException as error:
+        raise ValueError(str(error)) from error
+    told = {field.name: field.metadata or {} for field in table.schema}
+    return vectors, {n: unit.decode("utf-8", "replace") for n, m in told.items() if (unit := m.get(b"units", m.get(b"unit")))}
 
 
-def _mat(path: str | os.PathLike, data: bytes) -> RawTable:
+def _mat(path: str | os.PathLike, data: bytes) -> Vectors:
     from scipy.io import loadmat  # noqa: PLC0415 - slow to import, and few logs are MAT files
     from scipy.io.matlab import MatReadError  # noqa: PLC0415
 
     try:
         content = loadmat(io.BytesIO(data), squeeze_me=True, struct_as_record=True, chars_as_strings=True)
-    except (MatReadError, NotImplementedError, ValueError, TypeError, OSError, IndexError, MemoryError) as error:
-        raise _broken(path, "MAT", error) from error
-    opaque = [name for name, value in content.items() if type(value).__name__ == "MatlabOpaque" or name == "None"]
+    except MatReadError as error:
+        raise ValueError(str(error)) from error
     vectors = dict(_vectors({name: value for name, value in content.items() if not name.startswith("__")}))
-    if not vectors and opaque:
-        allowed = "vectors, or a struct of them"
-        raise BadInput(
-            path, "file", "a table or timetable, which only MATLAB reads", allowed, "writetable in MATLAB, for a CSV"
-        )
-    return _raw_table(path, vectors, {}, "MAT (v5 to v7.2)")
+    if not vectors and any(type(value).__name__ == "MatlabOpaque" or name == "None" for name, value in content.items()):
+        found, allowed = "a table or timetable, which only MATLAB reads", "vectors, or a struct of them"
+        raise BadInput(path, "file", found, allowed, "writetable in MATLAB, for a CSV")
+    return vectors, {}
 
 
-def _hdf5(path: str | os.PathLike, data: bytes) -> RawTable:
+def _hdf5(path: str | os.PathLike, data: bytes) -> Vectors:
     h5py = _library(path, "h5py")
     matlab = data.startswith(b"MATLAB 7.3")
     found, units = {}, {}
-    try:
-        # HDF5 opens the file itself if it can: it then refuses a broken file, and reading through Python may crash.
-        with h5py.File(io.BytesIO(data) if str(path).lower().endswith(".gz") else path, "r") as file:
 
-            def visit(name, item):
-                if not isinstance(item, h5py.Dataset) or name.startswith(("#refs#", "#subsystem#")):
-                    return
-                label = name.replace("/", ".")
-                unit = item.attrs.get("units", item.attrs.get("unit", ""))
-                unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else str(unit)
-                if item.attrs.get("MATLAB_class", b"") in (b"char", b"cell", b"struct", b"table", b"function_handle"):
-                    return
-                value = item[()]
-                value = value.T if matlab and isinstance(value, np.ndarray) else value  # MATLAB's columns are HDF5's rows
-                names = item.attrs.get("columns", item.attrs.get("names"))
-                for own, vector in _vectors({label: value}, _texts(names)):
-                    found[own] = vector
-                    if unit:
-                        units[own] = unit
+    def visit(name, item):
+        if not isinstance(item, h5py.Dataset) or name.startswith(("#refs#", "#subsystem#")):
+            return
+        if item.attrs.get("MATLAB_class", b"") in (b"char", b"cell", b"struct", b"table", b"function_handle"):
+            return
+        value = item[()]
+        value = value.T if matlab and isinstance(value, np.ndarray) else value  # MATLAB's columns are HDF5's rows
+        names = np.atleast_1d(item.attrs.get("columns", item.attrs.get("names", []))).tolist()
+        unit = _text(item.attrs.get("units", item.attrs.get("unit", "")))
+        for own, vector in _vectors({name.replace("/", "."): value}, [*map(_text, names)]):
+            found[own] = vector
+            if unit:
+                units[own] = unit
 
-            file.visititems(visit)
-    except (OSError, RuntimeError, LookupError, TypeError, ValueError, OverflowError, MemoryError) as error:
-        raise _broken(path, "HDF5", error) from error
-    return _raw_table(path, found, units, "MAT (v7.3)" if matlab else "HDF5")
+    # HDF5 opens the file itself if it can: it then refuses a broken file, and reading through Python may crash.
+    with h5py.File(io.BytesIO(data) if str(path).lower().endswith(".gz") else path, "r") as file:
+        file.visititems(visit)
+    return found, units
 
 
-def _texts(names: object) -> list[str]:
-    """Column names from an attribute of a matrix."""
-    if names is None:
-        return []
-    return [n.decode("utf-8", "replace") if isinstance(n, bytes) else str(n) for n in np.atleast_1d(names).tolist()]
+def _text(value: object) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else "" if value is None else str(value)
 
 
-def _vectors(content: Mapping[str, object], names: list[str] | None = None) -> Iterator[tuple[str, np.ndarray]]:
+def _vectors(content: Mapping[str, object], names: Sequence[str] = ()) -> Iterator[tuple[str, np.ndarray]]:
     """(name, vector) of each vector, field of a struct, and column of a matrix; `names`: of the columns, if known."""
     for name, value in content.items():
         array = np.asarray(value)
-        if array.dtype.names and array.ndim == 0:
+        if array.dtype.names and array.ndim < 2:
             yield from ((f"{name}.{own}", v) for own, v in _vectors({f: array[f][()] for f in array.dtype.names}))
-        elif array.dtype.names and array.ndim == 1:
-            yield from ((f"{name}.{own}", v) for own, v in _vectors({f: array[f] for f in array.dtype.names}))
         elif array.dtype.kind not in "fiubUSOM":
             continue
         elif (flat := array.squeeze()).ndim == 1 and len(flat) > 1:
@@ -135,7 +131,7 @@ def _vectors(content: Mapping[str, object], names: list[str] | None = None) -> I
         elif flat.ndim == 2 and flat.dtype.kind in "fiu":
             table = flat if flat.shape[0] > flat.shape[1] else flat.T
             if table.shape[1] <= _MOST_COLUMNS:
-                own = names if names and len(names) == table.shape[1] else [str(k) for k in range(1, table.shape[1] + 1)]
+                own = names if len(names) == table.shape[1] else [str(k) for k in range(1, table.shape[1] + 1)]
                 yield from ((f"{name}.{column}", _array(table[:, k])) for k, column in enumerate(own))
 
 
@@ -147,7 +143,7 @@ def _array(values: np.ndarray) -> np.ndarray:
         return values.astype("timedelta64[ns]").astype(np.int64) / 1e9
     if values.dtype.kind == "M":
         return values.astype("datetime64[ns]")
-    texts = [v.decode("utf-8", "replace") if isinstance(v, bytes) else "" if v is None else str(v) for v in values.tolist()]
+    texts = [*map(_text, values.tolist())]
     try:
         return np.array([float(text) if text else np.nan for text in texts])
     except ValueError:
@@ -157,21 +153,18 @@ def _array(values: np.ndarray) -> np.ndarray:
 def _raw_table(path: str | os.PathLike, vectors: Mapping[str, np.ndarray], units: Mapping[str, str], kind: str) -> RawTable:
     """The vectors of the commonest length; of two such lengths, the longer."""
     lengths = Counter(len(vector) for vector in vectors.values())
-    if not lengths:
-        raise BadInput(path, "file", f"{kind} without a vector of two values or more", "vectors of one length, one a channel")
-    rows = max(lengths, key=lambda n: (lengths[n], n))
-    columns = {name: vector for name, vector in vectors.items() if len(vector) == rows}
+    rows = max(lengths, key=lambda n: (lengths[n], n), default=0)
     if rows < 2:
-        raise BadInput(path, "file", f"{rows} row", "two or more")
-    heads = {name.split(".")[0] for name in columns}
-    if len(heads) == 1 and all("." in name for name in columns):  # one struct or group: its name is redundant
-        columns = {name.split(".", 1)[1]: vector for name, vector in columns.items()}
-        units = {name.split(".", 1)[1]: unit for name, unit in units.items() if "." in name}
+        found = f"{kind} without a vector of two values or more"
+        raise BadInput(path, "file", found, "vectors of one length, one a channel")
+    columns = {name: vector for name, vector in vectors.items() if len(vector) == rows}
     dropped = {"vectors of another length": len(vectors) - len(columns)} if len(vectors) > len(columns) else {}
-    text = f"{kind}, {len(columns)} vectors of {rows}"
-    lines = np.arange(1, rows + 1)
+    if len({name.split(".")[0] for name in columns}) == 1 and all("." in name for name in columns):
+        # one struct or group: its name is redundant
+        columns, units = ({name.partition(".")[2]: x for name, x in of.items()} for of in (columns, units))
     known = {n: u for n, u in units.items() if n in columns}
-    return RawTable(str(path), columns, lines, known, text, {}, dropped, rows_are="row")
+    text = f"{kind}, {len(columns)} vectors of {rows}"
+    return RawTable(str(path), columns, np.arange(1, rows + 1), known, text, {}, dropped, rows_are="row")
 
 
 def _library(path: str | os.PathLike, name: str):
@@ -183,9 +176,3 @@ def _library(path: str | os.PathLike, name: str):
         raise BadInput(
             path, "file", found, "an installed library that reads it", "pip install 'vpp-fmu[import]', or the same table as CSV"
         ) from error
-
-
-def _broken(path: str | os.PathLike, kind: str, error: Exception) -> BadInput:
-    return BadInput(
-        path, "file", f"{kind} that its library does not read ({str(error).splitlines()[0][:120]})", f"a whole {kind} file"
-    )

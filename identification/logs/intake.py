@@ -2,15 +2,16 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from identification.gate.files import speed_ratio, speed_unit
-from identification.logs.clock import GAP, Clock, read_clock
-from identification.logs.commands import averaged_map, fitted_map, taken_over
+from identification.logs.clock import Clock, read_clock
+from identification.logs.commands import map_of_signal
 from identification.logs.mapping import ROWS, Column, Plan, clock_like, in_other_unit, moving_angle, text_instead
 from identification.logs.raw_table import RawTable
+from identification.logs.sampling import Stalls
 from identification.logs.speed_map import RANGES, SignalRange, SpeedMap
 from identification.logs.units import QUANTITIES, SIGNALS, factor_of, is_rate, scale_of, signal_unit
 from vpp_fmu.digits import number
@@ -46,7 +47,8 @@ FASTER = 1.0
 class Taken:
     """A log in a record's units: each quantity of the plan (n,), with `time` and `clock` if the log has a time.
 
-    `said`: corrections in words. `speed_map`: source of the speed command, None if the log has the command.
+    `said`: corrections in words. `speed_map`: source of the speed command, None if the log has the command; `here`: its fit to
+    this log. `stalls`: of a stand's logger.
     """
 
     columns: Mapping[str, np.ndarray]
@@ -54,6 +56,8 @@ class Taken:
     said: tuple[str, ...]
     source: str
     speed_map: SpeedMap | None = None
+    here: Mapping[str, float] = field(default_factory=dict)
+    stalls: Stalls | None = None
 
     @property
     def points(self) -> bool:
@@ -63,18 +67,6 @@ class Taken:
     def record(self) -> Record:
         """The columns that a record has."""
         return Record({n: c for n, c in self.columns.items() if n in ("time", *RANGE)}, self.source)
-
-
-DENSITY = 1.225
-"""kg/m^3: air at sea level, 15 degC."""
-
-
-@dataclass(frozen=True)
-class Propeller:
-    """`diameter` [m], None if unknown, and air `density` [kg/m^3]."""
-
-    diameter: float | None = None
-    density: float = DENSITY
 
 
 def signal_range(plan: Plan) -> SignalRange | None:
@@ -87,28 +79,24 @@ def take_in(
     plan: Plan,
     kind: str,
     speed_map: SpeedMap | None = None,
-    propeller: Propeller | None = None,
     force: bool = False,
     run: int | None = None,
+    stand: bool = False,
 ) -> Taken:
     """Convert a table for a campaign's file of a `kind`. `speed_map`: from signal to speed; None: fitted to the log.
-    `propeller`: of a table of coefficients; `force`: accept a speed that looks electrical; `run`: which, from 1, of a log whose
-    time starts again. BadInput."""
+    `force`: accept a speed that looks electrical; `run`: which, from 1, of a log whose time starts again; `stand`: of a thrust
+    stand whose logger stalls. BadInput."""
     _check(table, plan, kind)
     clock, rows, said = None, np.arange(len(table)), []
     if "time" in plan.columns:
-        clock = _clock(table, plan, kind, run)
+        clock = clock_of(table, plan, kind, run)
         rows, said = clock.rows, [f"time 0 is {clock.start} of the log", *clock.said]
     columns = {"time": clock.time} if clock else {}
     for quantity, column in plan.columns.items():
         if quantity != "time":
             columns[quantity] = values_of(table, quantity, column)[rows]
-    if "ct" in columns:
-        columns, notes = thrust_of(columns | _fixed_speed(plan, columns), propeller or Propeller(), table.source)
-        said += notes
     if clock and len(clock.restarts) <= 1:
-        columns, clock, notes = _joined(columns, clock)
-        rows, said = clock.rows, said + notes
+        _check_rows(columns, table.source)
     if not force and (contradiction := electrical(plan.columns, columns)):
         raise BadInput(table.source, f"omega, column {plan.columns['omega'].name}", *contradiction)
     if clock and len(clock.restarts) > 1 and "run" not in columns:
@@ -128,35 +116,16 @@ def take_in(
     words = {name: f"{name}, column {column.name} in {column.unit}" for name, column in plan.columns.items()}
     columns, notes = within_ranges(columns, words, table.source)
     said += notes
-    columns, notes = _held(columns)
+    columns, clock, notes = _held(columns, clock)
     said += notes
-    columns, notes, speed_map = _commanded(table, plan, columns, clock, kind, speed_map)
+    stalls = Stalls.of(columns["time"], columns["thrust"]) if stand else None
+    if stand and "voltage" in columns:  # an effect's input, without gaps
+        columns["voltage"] = _last_value(columns["voltage"], first=True)
+    usable = True if stalls is None else ~stalls.stalled
+    columns, notes, found = _commanded(table, plan, columns, clock, kind, speed_map, usable)
     columns, _ = within_ranges(columns, words, table.source)
-    return Taken(columns, clock, (*said, *notes), table.source, speed_map)
-
-
-def thrust_of(columns: Mapping[str, np.ndarray], propeller: Propeller, source: str) -> tuple[dict[str, np.ndarray], list[str]]:
-    """(columns (n,) with `thrust` [N] for the thrust coefficients `ct`, without rows of advance ratio above 0; messages).
-    BadInput without a diameter or a static row.
-
-        T = CT rho n^2 D^4   (N; n in rev/s, D the diameter in m)
-
-    This is the propeller's definition, as wind tunnels publish it, not the helicopter's by tip speed and disc area.
-    """
-    if propeller.diameter is None:
-        allowed, hint = "the rotor's diameter: T = CT rho n^2 D^4", "--diameter D in m"
-        raise BadInput(source, "ct", "thrust coefficients and no diameter", allowed, hint)
-    advance = columns.get("advance_ratio", np.zeros(len(columns["ct"])))
-    static = ~(advance > 0.0)
-    if not static.any():
-        raise BadInput(source, "advance_ratio", f"above 0 in all {len(advance)} rows", "rows at no airspeed: static points")
-    kept = {name: column[static] for name, column in columns.items() if name != "advance_ratio"}
-    turns = kept.get("omega", kept.get("omega_ref")) / 60.0
-    kept["thrust"] = kept.pop("ct") * propeller.density * turns**2 * propeller.diameter**4
-    notes = [f"thrust: CT rho n^2 D^4 with D = {propeller.diameter:g} m and rho = {propeller.density:g} kg/m^3"]
-    if not static.all():
-        notes.append(f"advance ratio: {int((~static).sum())} rows above 0 are not static, left out")
-    return kept, notes
+    speed_map, here = (found.map, found.here) if found else (speed_map, {})
+    return Taken(columns, clock, (*said, *notes), table.source, speed_map, here, stalls)
 
 
 def values_of(table: RawTable, quantity: str, column: Column) -> np.ndarray:
@@ -203,9 +172,13 @@ def _no_angle(table: RawTable, plan: Plan) -> tuple[str, str, str] | None:
         return None
     name, unit, low, high = other
     found = f"{name}, pitch by its name, from {low:g} to {high:g} {unit}".rstrip()
-    points = f"'beta_ref={name}:{unit}@{low:g}=A,{high if high > low else low + 1.0:g}=B'"
-    hint = f"--map {points}, A and B the pitch there in deg, or --fixed beta_ref=8:deg if the pitch is fixed"
-    return found, "a pitch in deg", hint
+    return found, "a pitch in deg", _calibrated(name, unit, low, high if high > low else low + 1.0)
+
+
+def _calibrated(name: str, unit: str, low: float, high: float) -> str:
+    """How to state the pitch of a column by two points, or a fixed one."""
+    points = f"'beta_ref={name}:{unit}@{low:g}=A,{high:g}=B'"
+    return f"--map {points}, A and B the pitch there in deg, or --fixed beta_ref=8:deg if the pitch is fixed"
 
 
 def _other_command(
@@ -237,37 +210,25 @@ def _other_command(
         u = (x - x.min()) / np.ptp(x)
         if residual(u, u * w**2, (u * w) ** 2) ** 2 < (1.0 - EXPLAINED) * alone**2:
             found = f"{name}, an unused command from {x.min():g} to {x.max():g} that thrust follows, and no pitch"
-            points = f"'beta_ref={name}:{table.unit(name) or ''}@{x.min():g}=A,{x.max():g}=B'"
-            hint = f"--map {points}, A and B the pitch there in deg, or --fixed beta_ref=8:deg if the pitch is fixed"
-            return found, "a command of pitch", hint
+            return found, "a command of pitch", _calibrated(name, table.unit(name) or "", x.min(), x.max())
     return None
 
 
-def _last_value(column: np.ndarray) -> np.ndarray:
-    """The column (n,) with each empty cell filled by the last value before it; NaN before the first."""
-    last = np.maximum.accumulate(np.where(np.isfinite(column), np.arange(len(column)), 0))
+def _last_value(column: np.ndarray, first: bool = False) -> np.ndarray:
+    """The column (n,) with each empty cell filled by the last value before it; before the first NaN, or the `first`."""
+    filled = np.isfinite(column)
+    last = np.maximum.accumulate(np.where(filled, np.arange(len(column)), np.argmax(filled) if first else 0))
     return column[last]
 
 
-def _joined(columns: dict[str, np.ndarray], clock: Clock) -> tuple[dict[str, np.ndarray], Clock, list[str]]:
-    """(columns, clock, messages) at the rows with thrust, if other quantities are messages in rows of their own.
-
-    A command is the last one sent; a reading is interpolated over time.
-    """
-    there = np.isfinite(columns.get("thrust", np.zeros(0)))
+def _check_rows(columns: Mapping[str, np.ndarray], source: str) -> None:
+    """BadInput if other quantities are messages in rows of their own."""
+    thrust = np.isfinite(columns["thrust"])
     others = {n: np.isfinite(c) for n, c in columns.items() if n not in ("time", "thrust") and np.isfinite(c).sum() > 1}
-    if there.sum() < 2 or all(np.mean(there[seen]) >= APART for seen in others.values()):
-        return columns, clock, []
-    joined = {"time": clock.time[there], "thrust": columns["thrust"][there]}
-    for name, seen in others.items():
-        joined[name] = _last_value(columns[name])[there]
-        if name not in COMMANDS:
-            own, step = clock.time[seen], np.diff(clock.time[seen])
-            between = np.clip(np.searchsorted(own, joined["time"]) - 1, 0, len(step) - 1)
-            reading = np.interp(joined["time"], own, columns[name][seen], np.nan, np.nan)
-            joined[name] = np.where(step[between] > GAP * np.median(step), np.nan, reading)
-    note = f"rows: messages in rows of their own are joined at the {int(there.sum())} of {len(there)} rows with thrust"
-    return {n: joined[n] for n in columns if n in joined}, replace(clock, rows=clock.rows[there], time=joined["time"]), [note]
+    if apart := [n for n, seen in others.items() if thrust.sum() > 1 and np.mean(thrust[seen]) < APART]:
+        found, allowed = f"{', '.join(apart)} in other rows than thrust", "one row for all quantities of an instant"
+        without = "" if {*apart} & {*COMMANDS} else f", or --map {' '.join(f'{name}=-' for name in apart)}"
+        raise BadInput(source, "rows", found, allowed, f"a table joined at the rows of thrust{without}")
 
 
 def contradictions(table: RawTable, plan: Plan) -> list[str]:
@@ -277,17 +238,8 @@ def contradictions(table: RawTable, plan: Plan) -> list[str]:
     return [f"{name}: found {each[0]}, expected {each[1]}. Try: {each[2]}" for name, each in found.items() if each]
 
 
-def _fixed_speed(plan: Plan, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The fixed speed as a column, if the table has no speed."""
-    speed = plan.fixed.get("omega_ref")
-    return {} if speed is None or "omega" in columns else {"omega": np.full(len(columns["ct"]), speed)}
-
-
 def _check(table: RawTable, plan: Plan, kind: str) -> None:
-    if "ct" in plan.columns and kind != "static":
-        field, found = f"ct, column {plan.columns['ct'].name}", "thrust coefficients, which are steady points"
-        raise BadInput(table.source, field, found, f"a record in time for {kind}.csv", "--as static")
-    if not {"thrust", "ct"} & {*plan.columns}:
+    if "thrust" not in plan.columns:
         if other := in_other_unit(table, "thrust", {c.name for c in plan.columns.values()}):
             name, unit, low, high = other
             found = f"{name}, thrust by its name, from {low:g} to {high:g} {unit}".rstrip()
@@ -314,7 +266,8 @@ def _names(table: RawTable) -> str:
     return text if len(text) < 200 else f"{text[:197]}..."
 
 
-def _clock(table: RawTable, plan: Plan, kind: str, run: int | None) -> Clock:
+def clock_of(table: RawTable, plan: Plan, kind: str, run: int | None) -> Clock:
+    """The clock of a plan's time, for a campaign's file of a `kind`; `run`: which, from 1, if time starts again. BadInput."""
     column = plan.columns["time"]
     if column.name == ROWS and ROWS not in table.columns:
         step = factor_of(QUANTITIES["time"], column.unit)
@@ -326,7 +279,7 @@ def _clock(table: RawTable, plan: Plan, kind: str, run: int | None) -> Clock:
     return read_clock(table, column.name, column.unit, kind == "steps", run)
 
 
-def _held(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], list[str]]:
+def _held(columns: dict[str, np.ndarray], clock: Clock | None) -> tuple[dict[str, np.ndarray], Clock | None, list[str]]:
     """Fill empty cells of commands with the last value; rows before the first command are left out."""
     there = [name for name in COMMANDS if name in columns]
     said, begun = [], np.ones(len(next(iter(columns.values()))), bool)
@@ -335,6 +288,7 @@ def _held(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], list[s
     if not begun.all():
         said.append(f"{int((~begun).sum())} rows before the first command, left out")
         columns = {name: column[begun] for name, column in columns.items()}
+        clock = clock and replace(clock, rows=clock.rows[begun], time=clock.time[begun])
     if "time" in columns:
         columns["time"] = columns["time"] - columns["time"][0]
     for name in there:
@@ -342,31 +296,22 @@ def _held(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], list[s
         if empty.any():
             columns[name] = _last_value(columns[name])
             said.append(f"{name}: {int(empty.sum())} empty cells hold the value before")
-    return columns, said
+    return columns, clock, said
 
 
-def _commanded(table: RawTable, plan: Plan, columns: dict, clock: Clock | None, kind: str, speed_map: SpeedMap | None):
-    """(columns with both commands, messages, the speed map)."""
-    rows, said = len(columns["thrust"]), []
+def _commanded(table: RawTable, plan: Plan, columns: dict, clock: Clock | None, kind: str, speed_map: SpeedMap | None, usable):
+    """(columns with both commands, messages, the speed map of a signal). `usable` (n,): rows whose speed belongs to their
+    signal."""
+    rows, said, found = len(columns["thrust"]), [], None
     if "signal" in columns and "omega_ref" not in columns:
         span = signal_range(plan)
         signal = columns.pop("signal")
         _check_signal(table, plan, signal, span)
         volts = _filled(columns["voltage"]) if "voltage" in columns else None
-        points = clock is None or clock.step > FASTER
-        if speed_map is not None:
-            time = None if points else columns["time"]
-            found = taken_over(speed_map, time, signal, columns.get("omega"), volts)
-        elif "omega" not in columns:
-            allowed = "a measured speed, to which the signal's map is fitted"
-            hint = "--map omega=COLUMN:rpm, or --speed-map M.json of another log of the stand"
-            raise BadInput(table.source, "omega_ref", "a signal and no measured speed", allowed, hint)
-        else:
-            args = (signal, columns["omega"], volts, span)
-            found = averaged_map(table.source, *args) if points else fitted_map(table.source, columns["time"], *args)
-        speed_map = found.map
+        time = None if clock is None or clock.step > FASTER else columns["time"]
+        found = map_of_signal(table.source, speed_map, span, time, signal, columns.get("omega"), volts, usable)
         said.append(f"speed map: {found.origin}")
-        columns["omega_ref"] = speed_map.omega_ref(signal)
+        columns["omega_ref"] = found.map.omega_ref(signal)
     elif "signal" in columns:
         del columns["signal"]
     for name, value in plan.fixed.items():
@@ -391,7 +336,7 @@ def _commanded(table: RawTable, plan: Plan, columns: dict, clock: Clock | None, 
             f"beta_ref: not in the log, taken as a fixed pitch of {number(value)} deg (another: --fixed beta_ref=8:deg)"
         )
     first = [name for name in ("time", "run", "omega_ref", "beta_ref", "omega") if name in columns]
-    return {name: columns[name] for name in (*first, *(n for n in columns if n not in first))}, said, speed_map
+    return {name: columns[name] for name in (*first, *(n for n in columns if n not in first))}, said, found
 
 
 def _filled(column: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from identification.logs.raw_table import RawTable, plain, split_unit
 from identification.logs.units import QUANTITIES, contradicts, factor_of, is_rate, scale_of
 from vpp_fmu.errors import BadInput, near
 from vpp_fmu.files import shown
-from vpp_fmu.structured import read_toml
+from vpp_fmu.structured import check_kinds, read_toml
 
 FORMAT = "vpp-mapping/1"
 FILE = "import.toml"
@@ -78,8 +78,6 @@ _WORDS = {
     "run": "run step stepnumber lauf test",
     "thrust_std": "",
     "samples": "samples",
-    "ct": "ct",
-    "advance_ratio": "j advance",
 }
 """Words of a header by quantity, the most specific first. _ELECTRIC recognises power: a log may have that of the shaft, too."""
 
@@ -233,16 +231,13 @@ def propose(table: RawTable, without: Collection[str] = ()) -> dict[str, Column]
     found = {quantity: best[quantity][1] for quantity in QUANTITIES if quantity in best}
     if "thrust" in found:
         found["thrust"] = _of_largest_axis(table, found["thrust"], without)
-    return {q: c for q, c in found.items() if not any(other in found for other in _INSTEAD.get(q, ()))}
+    return {q: c for q, c in found.items() if q != "signal" or "omega_ref" not in found}
 
 
-_INSTEAD = {"signal": ("omega_ref",), "ct": ("thrust",), "advance_ratio": ("thrust",)}
-"""Quantities that make another one redundant in a proposal."""
+_INSTEAD = {"signal": "omega_ref", "omega_ref": "signal"}
+"""Quantities of which one is enough."""
 
-_REPLACED = _INSTEAD | {"omega_ref": ("signal",), "thrust": ("ct",)}
-"""The same for a proposal that completes a user's mapping."""
-
-_DECIDE = ("time", "omega_ref", "beta_ref", "thrust", "signal", "ct", "advance_ratio")
+_DECIDE = ("time", "omega_ref", "beta_ref", "thrust", "signal")
 """Quantities whose unit must be certain; others are left out if their unit is a guess."""
 
 
@@ -254,7 +249,7 @@ def completed(
     taken = {column.name for column in own.values() if column}
     given = {*own, *fixed}
     columns = {q: c for q, c in propose(table, {*without, *taken}).items() if q not in given}
-    columns = {q: c for q, c in columns.items() if not any(other in given for other in _REPLACED.get(q, ()))}
+    columns = {q: c for q, c in columns.items() if _INSTEAD.get(q) not in given}
     doubtful = {} if accept else {q: c for q, c in columns.items() if c.sure in (NAMED, GUESS)}
     deciding = [q for q in doubtful if not own or q in _DECIDE]
     mapped = {q: c for q, c in own.items() if c}
@@ -514,13 +509,8 @@ def read_sections(path: str | os.PathLike) -> dict[str, dict]:
     if content.get("format") != FORMAT:
         raise BadInput(path, "format", shown(str(content.get("format", ""))), FORMAT)
     sections = {kind: section for kind, section in content.items() if kind != "format"}
-    for kind, section in sections.items():
-        if not isinstance(section, dict) or not isinstance(section.get("columns"), dict):
-            raise BadInput(path, kind, "no table columns", f'[{kind}.columns] with NAME = "COLUMN:UNIT"')
-        for part in ("columns", "fixed", "read"):
-            entries = section.get(part, {})
-            if not isinstance(entries, dict) or not all(isinstance(value, str) for value in entries.values()):
-                raise BadInput(path, f"{kind}.{part}", "an entry that is no text", 'NAME = "TEXT"')
+    texts = {"*": str}
+    check_kinds(path, sections, {"*": {"columns": texts, "fixed?": texts, "read?": texts}})
     if not sections:
         raise BadInput(path, "file", "no section", "a section per file of the campaign, such as [open_loop]")
     return sections

@@ -57,12 +57,10 @@ class RawTable:
         names = list(self.columns)
         if wanted.strip().isdigit() and 1 <= int(wanted) <= len(names):
             return names[int(wanted) - 1]
-        near = difflib.get_close_matches(_folded(wanted), {_folded(name): name for name in names})
-        meant = [name for name in names if _folded(name) in near]
-        allowed = " or ".join(meant) if meant else f"one of {', '.join(names)}"
-        raise BadInput(
-            self.source, f"column {wanted}", "no such column", allowed if len(allowed) < 400 else f"{allowed[:397]}..."
-        )
+        near = difflib.get_close_matches(_folded(wanted), map(_folded, names))
+        allowed = " or ".join(name for name in names if _folded(name) in near) or f"one of {', '.join(names)}"
+        allowed = allowed if len(allowed) < 400 else f"{allowed[:397]}..."
+        raise BadInput(self.source, f"column {wanted}", "no such column", allowed)
 
     def parts(self, name: str) -> list[str]:
         """The columns of a name that `find` returned: several for a sum."""
@@ -84,21 +82,13 @@ class RawTable:
             return np.where(np.isfinite(cells), cells, np.nan)
         if cells.dtype.kind == "M":
             raise self.wrong(name, 0, f"a date, {cells[0]}", "a number")
-        texts = [plain(cell, self.decimal) for cell in cells.tolist()]
+        texts = [plain(cell, self.decimal) or "nan" for cell in cells.tolist()]
         try:
-            return np.array([text or "nan" for text in texts]).astype(float)
+            return np.array(texts).astype(float)
         except ValueError:
-            values = np.array([_number(text) for text in texts])
-        bad = [row for row in np.flatnonzero(np.isnan(values)) if texts[row] and texts[row].lower() not in EMPTY]
-        if bad:
-            raise self.wrong(
-                name,
-                bad[0],
-                shown(str(cells[bad[0]])),
-                "a number or an empty cell",
-                "an empty cell there if the reading is missing",
-            )
-        return values
+            bad = next(row for row, text in enumerate(texts) if not _is_number(text))
+        hint = "an empty cell there if the reading is missing"
+        raise self.wrong(name, bad, shown(str(cells[bad])), "a number or an empty cell", hint)
 
 
 def split_unit(name: str) -> tuple[str, str]:
@@ -123,13 +113,11 @@ def plain(cell: str, decimal: str) -> str:
     return text.replace(",", "") if re.fullmatch(r"[+-]?\d{1,3}(,\d{3})+(\.\d*)?", text) else text
 
 
-def _number(text: str) -> float:
-    """NaN for text that is not a number; 1_000 is a number for Python only."""
+def _is_number(text: str) -> bool:
     try:
-        value = float(text) if "_" not in text else np.nan
+        return bool(np.array([text]).astype(float).size)
     except ValueError:
-        return np.nan
-    return value if np.isfinite(value) else np.nan
+        return False
 
 
 def _folded(name: str) -> str:

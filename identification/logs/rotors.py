@@ -1,9 +1,9 @@
 """Find several rotors in one log: columns whose names differ only by a number, a side, or A and B, such as rpm_1 and rpm_2."""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 
-from identification.logs.mapping import SIDES, moves, proposed
+from identification.logs.mapping import SIDES, proposed
 from identification.logs.raw_table import RawTable, split_unit
 from vpp_fmu.errors import BadInput
 
@@ -29,7 +29,7 @@ def _rotors(table: RawTable) -> tuple[dict[str, str], tuple[str, ...]]:
 
 def chosen(table: RawTable, wanted: str | None, mapped: Iterable[str]) -> tuple[set[str], list[str]]:
     """(columns of the rotors that are not imported, messages). The rotor is the `wanted` one, else that of the columns that the
-    user has `mapped`, else the first that turns. BadInput for an unknown rotor, or if only the thrust has several columns."""
+    user has `mapped`. BadInput for an unknown rotor, for several and no choice, or if only the thrust has several columns."""
     rotor_of, there = _rotors(table)
     if not there:
         if wanted is not None:
@@ -45,16 +45,11 @@ def chosen(table: RawTable, wanted: str | None, mapped: Iterable[str]) -> tuple[
         found = f"{', '.join(cells)}, and one speed"
         hint = f"--map 'thrust={'+'.join(cells)}' for the cells of one rotor, or --rotor {there[0]}"
         raise BadInput(table.source, "thrust", found, "one thrust", hint)
-    rotor = wanted.casefold() if wanted is not None else own[0] if own else _turning(table, rotor_of, there)
+    if wanted is None and not own:
+        quantity, _, column = next(found for name in rotor_of if (found := proposed(table, name))[0] in TELL)
+        hint = f"--rotor {there[0]}, or a column of one rotor, --map '{quantity}={column}'"
+        raise BadInput(table.source, "rotors", f"{len(there)} ({', '.join(there)})", "one rotor", hint)
+    rotor = wanted.casefold() if wanted is not None else own[0]
     taken = ", ".join(name for name, label in rotor_of.items() if label == rotor)
-    other = next(label for label in there if label != rotor)
-    rest = f"{len(there)} in this log ({', '.join(there)})"
     others = {name for name, label in rotor_of.items() if label != rotor}
-    return others, [f"rotors: {rest}; rotor {rotor} is taken, with {taken}; --rotor {other} takes the other"]
-
-
-def _turning(table: RawTable, rotor_of: Mapping[str, str], there: Sequence[str]) -> str:
-    """The first rotor whose speed or signal moves; the first of all if none does."""
-    drive = [n for n in rotor_of if proposed(table, n)[0] in ("omega", "omega_ref", "signal")]
-    moving = {rotor_of[name] for name in drive if moves(table, name)}
-    return next((label for label in there if label in moving), there[0])
+    return others, [f"rotors: {len(there)} in this log ({', '.join(there)}); rotor {rotor} is taken, with {taken}"]

@@ -1,17 +1,16 @@
-"""Checks of a log's rows as samples at import: gaps, averages, early commands, slow sampling; one line for each."""
+"""Rows of a log that are no samples at import: averages, readings that repeat, rows behind stalls of the logger."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from identification.gate.files import FOLLOWS, GAIN_RANGE, files_of, said_of_size, speed_ratio
-from identification.gate.fitted import FIFTH
+from identification.gate.files import files_of, said_of_size
 from identification.gate.gate import look
-from identification.gate.response import Look
 from identification.gate.sensors import runs_of_equals
-from identification.logs.clock import GAP, gaps
+from identification.logs.clock import gaps
 from vpp_fmu.campaign import Campaign
-from vpp_fmu.digits import number
 from vpp_fmu.record import Record, digit_of
 from vpp_fmu.rig import infer_rig
 
@@ -28,9 +27,6 @@ one has rows in proportion to its size, and an averaged one nearly always has on
 FEWEST_MOVES = 4
 """Minimum number of moves for the share."""
 
-ROWS_BACK = 20
-"""Earlier rows whose changes of a command may still change the speed."""
-
 REPEATED, BY_CHANCE = 0.2, 4.0
 """Minimum share of readings that equal the one before, in half of a record's PARTS, for repeats; and its minimum ratio to the
 share by chance, 1 / (2 sqrt(pi) s) for noise with a standard deviation of s digits."""
@@ -44,8 +40,43 @@ LONGEST = 3.0
 FEWEST_REPEATS = 100
 """Minimum number of new readings to detect repeats: a coarse sensor without noise changes with the command only."""
 
-CHANCE = 5.0
-"""Standard errors that noise alone exceeds in one of three million logs."""
+REMEMBERED = 7
+"""Rows after a stall in which speed and thrust still settle: 0.3, 0.12, 0.06, 0.03, 0.015, 0.007 of a step remains."""
+
+SAMPLED = 0.04
+"""Longest median interval [s] of a stand's samples, which it takes every 8 to 12 ms; rows 125 ms apart are averages."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stalls:
+    """Cells of a stand's log that are no measurements, masks (n,): `late` rows, right after a stall of the logger; `stalled`
+    rows, whose readings it affects; `repeated` cells of thrust, of the `filled` ones. `said`: a message on repeats, if any."""
+
+    late: np.ndarray
+    stalled: np.ndarray
+    filled: np.ndarray
+    repeated: np.ndarray
+    said: tuple[str, ...]
+
+    @classmethod
+    def of(cls, time: np.ndarray, thrust: np.ndarray) -> "Stalls":
+        """Those of a log, each (n,)."""
+        late = np.zeros(len(time), bool)
+        late[gaps(time) + 1] = np.median(np.diff(time)) < SAMPLED
+        stalled = np.convolve(late, np.ones(REMEMBERED, bool))[: len(time)] > 0
+        once, said = read_once(Record({"time": time, "thrust": thrust}, ""))
+        filled = np.isfinite(thrust)
+        return cls(late, stalled, filled, filled & ~np.isfinite(once["thrust"]), tuple(said))
+
+    def emptied(self, columns: Mapping[str, np.ndarray], keep: bool = False) -> dict[str, np.ndarray]:
+        """Columns (n,) without these cells; `keep`: only without repeats. A late voltage is that of the row before."""
+        late, stalled = (np.zeros_like(rows) if keep else rows for rows in (self.late, self.stalled))
+        empty = {"thrust": stalled | self.repeated, "omega": stalled, "torque": stalled, "current": late, "power": late}
+        kept = {name: np.where(empty[name], np.nan, c) if name in empty else c for name, c in columns.items()}
+        if "voltage" in kept:
+            before = np.maximum.accumulate(np.where(late, 0, np.arange(len(late))))
+            kept["voltage"] = kept["voltage"][before]
+        return kept
 
 
 def read_once(record: Record) -> tuple[Record, list[str]]:
@@ -77,25 +108,14 @@ def read_once(record: Record) -> tuple[Record, list[str]]:
     return record.with_columns(thrust=emptied), [f"thrust: {count}: repeats are emptied"]
 
 
-def said_of_gaps(record: Record) -> list[str]:
-    """Report gaps between rows."""
-    wide = gaps(record.time)
-    if not len(wide):
-        return []
-    longest = wide[np.argmax(record.steps[wide])]
-    count = f"{len(wide)} steps of more than {GAP:g} rows of {1e3 * record.period:.3g} ms"
-    return [f"gaps: {count}, the longest of {number(record.steps[longest])} s at {record.time[longest]:.2f} s"]
-
-
 def said_of_rows(record: Record) -> list[str]:
-    """Report rows that are averages, commands stamped late, and rows too slow for the lags."""
-    lines = []
+    """Report rows that are averages."""
     averaged, moves = between(record)
-    if moves >= FEWEST_MOVES and averaged > PASSES * moves:
-        count = f"in {averaged} of {moves} moves between held commands one row lies in between"
-        row = f"{1e3 * record.period:.3g} ms"
-        lines.append(f"averages: {count}: rows are means over {row}, not samples; estimated lags are wrong by as much")
-    return lines + _leads(record) + _slow(record)
+    if moves < FEWEST_MOVES or averaged <= PASSES * moves:
+        return []
+    count = f"in {averaged} of {moves} moves between held commands one row lies in between"
+    row = f"{1e3 * record.period:.3g} ms"
+    return [f"averages: {count}: rows are means over {row}, not samples; estimated lags are wrong by as much"]
 
 
 def between(record: Record) -> tuple[int, int]:
@@ -114,51 +134,6 @@ def between(record: Record) -> tuple[int, int]:
         inside = single & ((before - at) * (at - after) > 0.0)
         averaged, moves = averaged + int(inside.sum()), moves + int(inside.sum())
     return averaged, moves
-
-
-def _leads(record: Record) -> list[str]:
-    """Report whether the speed changes in the row of its command. A command acts from its row on, so it was sent earlier.
-
-    Least squares of the changes of speed on the changes of the command in the same row and ROWS_BACK rows before.
-    """
-    if "omega" not in record or len(record) < 5 * ROWS_BACK or not np.ptp(record["omega_ref"]):
-        return []
-    ratio = speed_ratio(record["omega"], record["omega_ref"])
-    if ratio is None or not GAIN_RANGE[0] < ratio < GAIN_RANGE[1]:  # a speed in another unit
-        return []
-    command, speed = np.diff(record["omega_ref"]), np.diff(record["omega"])
-    moves = np.lib.stride_tricks.sliding_window_view(command, ROWS_BACK + 1)[:, ::-1]
-    seen = np.isfinite(speed[ROWS_BACK:])
-    moves, speed = moves[seen], speed[ROWS_BACK:][seen]
-    information = moves.T @ moves
-    if np.linalg.matrix_rank(information) <= ROWS_BACK:
-        return []
-    inverse = np.linalg.inv(information)
-    share = inverse @ (moves.T @ speed)
-    residual = speed - moves @ share
-    std = np.sqrt(inverse[0, 0] * np.sum(residual**2) / (len(residual) - len(share)))
-    if share[0] < CHANCE * std:
-        return []
-    early = f"speed has gone {100.0 * share[0]:.2g} ± {100.0 * std:.1g} % of a move in the row that commands it"
-    return [f"clock: {early}, but a command acts from its row on: it was sent before; --mend shifts the commands by whole rows"]
-
-
-def _slow(record: Record) -> list[str]:
-    """Report whether rows are too few per lag to estimate the lag."""
-    if np.isfinite(record["thrust"]).sum() < 20 or not (np.ptp(record["omega_ref"]) or np.ptp(record["beta_ref"])):
-        return []
-    response = Look([record]).response()
-    moved = [lag for channel, lag in response.lags.items() if np.ptp(record[f"{channel}_ref"]) > 0.0]
-    if response.explained < FOLLOWS or not moved or max(moved) >= FIFTH:
-        return []
-    row = f"{1e3 * response.row:.3g} ms"
-    if max(moved) == 0.0:
-        return [
-            f"slow sampling: thrust follows its command within a row of {row}, and a lag needs {FIFTH:g} rows: log more often"
-        ]
-    enough = 1e3 * response.row * max(moved) / FIFTH
-    fast = f"thrust follows its command within {max(moved):.2g} rows of {row}"
-    return [f"slow sampling: {fast}, and a lag needs {FIFTH:g} rows: log every {enough:.2g} ms or more often"]
 
 
 def screened(record: Record) -> tuple[Record, list[str]]:

@@ -5,8 +5,8 @@ the motor and its errors.
 """
 
 import numpy as np
+from scipy.signal import lfilter
 
-from identification.logs.commands import LAGS, behind
 from identification.logs.kinds import typical_hold
 from identification.logs.speed_map import UNSTEADY
 from identification.static.static_map import design
@@ -14,6 +14,9 @@ from identification.static.steady import SETTLE, resting
 from vpp_fmu.digits import number
 from vpp_fmu.record import Record
 from vpp_fmu.rig import infer_rig
+
+LAGS = np.geomspace(0.01, 5.0, 40)
+"""s, motor time constants to try for a command, which the motor follows."""
 
 POOR = 3.0
 """Ratio of the rms speed error to the scatter within steady parts, from which the motor does not hold its command. Noise and
@@ -52,7 +55,7 @@ def said_of_speed(record: Record) -> list[str]:
 def _followed(record: Record) -> np.ndarray:
     """(n,) rpm: the command after the lag that fits the measured speed best: a motor that still accelerates is not off it."""
     command, seen = record["omega_ref"], np.isfinite(record["omega"])
-    tried = (command, *(behind(lag, record.period, command) for lag in LAGS))
+    tried = (command, *(_behind(lag, record.period, command) for lag in LAGS))
     return min(tried, key=lambda speed: float(np.mean((record["omega"] - speed)[seen] ** 2)))
 
 
@@ -74,3 +77,9 @@ def likelihood_gain(command: np.ndarray, omega: np.ndarray, beta: np.ndarray, th
             return 0.0
         sums.append(max(float(np.sum((thrust - a @ found) ** 2)), 1e-12 * float(thrust @ thrust)))
     return 0.5 * len(thrust) * float(np.log(sums[0] / sums[1]))
+
+
+def _behind(lag: float, step: float, values: np.ndarray) -> np.ndarray:
+    """A first-order lag [s] of values (n,) in rows `step` s apart, at rest in the first row."""
+    kept = float(np.exp(-step / lag))
+    return values[0] + lfilter([0.0, 1.0 - kept], [1.0, -kept], values - values[0], axis=0)

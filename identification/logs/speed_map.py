@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vpp_fmu.errors import BadInput
-from vpp_fmu.structured import read_object, shown
+from vpp_fmu.structured import check_kinds, read_object, shown
 
 FORMAT = "vpp-speed-map/1"
 
@@ -202,7 +202,7 @@ def fit_speed_map(points: SteadyPoints, span: SignalRange, nominal_voltage: floa
     if different < FEWEST:
         allowed = f"{FEWEST} or more with the motor turning"
         found = f"{different} different ESC signals held for {PLATEAU:g} s"
-        raise BadInput(source, "steady parts", found, allowed, "--speed-map M.json of another log")
+        raise BadInput(source, "steady parts", found, allowed, "--speed-map M.json of another log, or --speed-from measured")
     x = span.throttle(points.signal) * points.voltage / nominal_voltage
     columns = np.vander(x, 4, increasing=True)
     kept = _kept(columns, points.speed)
@@ -239,42 +239,34 @@ def _kept(columns: np.ndarray, speed: np.ndarray) -> np.ndarray:
     return ~gross
 
 
+_SIGNAL = {"kind": str, **dict.fromkeys(("minimum", "maximum", "turns_from", "fitted_to"), float)}
+_KINDS = {"coefficients": [float], "nominal_voltage": float, "signal": _SIGNAL, "rms": float, "points": int, "source?": str}
+
+
 def read_speed_map(path: str | os.PathLike) -> SpeedMap:
     """Read `speed_map.json`. BadInput names file and field."""
     content = read_object(path, FORMAT, "a speed map that vpp import wrote")
-    span = content.get("signal")
-    if not isinstance(span, dict) or span.get("kind") not in tuple(RANGES):
-        raise BadInput(path, "signal", shown(span), f"an object with kind, one of {', '.join(RANGES)}")
-    coefficients = content.get("coefficients")
-    if not isinstance(coefficients, list) or len(coefficients) != 4:
-        raise BadInput(path, "coefficients", shown(coefficients), "a list of 4 numbers in rpm")
-    numbers = [_number(path, f"coefficients, {k}", value) for k, value in enumerate(coefficients, 1)]
-    low, high = (_number(path, f"signal, {name}", span.get(name)) for name in ("minimum", "maximum"))
-    ends = [_number(path, f"signal, {name}", span.get(name)) for name in ("turns_from", "fitted_to")]
-    if not low < high:
-        raise BadInput(path, "signal, maximum", f"{high:g}", f"more than the minimum, {low:g}")
+    check_kinds(path, content, _KINDS)
+    span, coefficients, nominal = content["signal"], content["coefficients"], content["nominal_voltage"]
+    low, high = span["minimum"], span["maximum"]
+    for field, found, good, allowed in (
+        ("signal, kind", span["kind"], span["kind"] in RANGES, f"one of {', '.join(RANGES)}"),
+        ("signal, maximum", high, low < high, f"more than the minimum, {low:g}"),
+        ("coefficients", coefficients, len(coefficients) == 4, "a list of 4 numbers in rpm"),
+        ("nominal_voltage", nominal, nominal > 0.0, "a number above 0"),
+    ):
+        if not good:
+            raise BadInput(path, field, shown(found), allowed)
     return SpeedMap(
-        coefficients=tuple(numbers),
-        nominal_voltage=_number(path, "nominal_voltage", content.get("nominal_voltage"), above=0.0),
-        signal=SignalRange(span["kind"], low, high),
-        turns_from=ends[0],
-        fitted_to=ends[1],
-        rms=_number(path, "rms", content.get("rms")),
-        points=_whole(path, "points", content.get("points")),
-        source=str(content.get("source", "")),
+        coefficients=tuple(map(float, coefficients)),
+        nominal_voltage=float(nominal),
+        signal=SignalRange(span["kind"], float(low), float(high)),
+        turns_from=float(span["turns_from"]),
+        fitted_to=float(span["fitted_to"]),
+        rms=float(content["rms"]),
+        points=content["points"],
+        source=content.get("source") or "",
     )
-
-
-def _whole(path: str | os.PathLike, field: str, found: object) -> int:
-    if (number := _number(path, field, found)) != int(number):
-        raise BadInput(path, field, shown(found), "a whole number")
-    return int(number)
-
-
-def _number(path: str | os.PathLike, field: str, found: object, above: float = -1e300) -> float:
-    if isinstance(found, bool) or not isinstance(found, int | float) or not above < found < 1e300:
-        raise BadInput(path, field, shown(found), "a number" if above < 0.0 else f"a number above {above:g}")
-    return float(found)
 
 
 def said_of_gross(figures: dict) -> str:

@@ -49,8 +49,6 @@ QUANTITIES = {
         Quantity("run", "", "number of a step's run"),
         Quantity("thrust_std", "N", "spread of the readings of a mean", force=True),
         Quantity("samples", "", "readings in a mean"),
-        Quantity("ct", "", "thrust coefficient T / (rho n^2 D^4) of a steady point, n in rev/s"),
-        Quantity("advance_ratio", "", "advance ratio J of a steady point; 0 is static"),
     )
 }
 """All quantities of a mapping, by name."""

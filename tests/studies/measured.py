@@ -20,8 +20,10 @@ from identification.assessment.quality import rmse
 from identification.diagnose.diagnose import Diagnosis, diagnose
 from identification.fit.refine import refine
 from identification.identify import identify
-from identification.logs.mapping import FILE
-from identification.logs.rcbenchmark import read_log
+from identification.logs.delimited import read_delimited
+from identification.logs.intake import clock_of
+from identification.logs.mapping import FILE, Plan, parse_pairs
+from identification.logs.rcbenchmark import averaged, preset
 from vpp_fmu.app import cli
 from vpp_fmu.app.report.summary import artefact
 from vpp_fmu.campaign import NAMES, Campaign, read_campaign
@@ -101,7 +103,9 @@ def _no_record(path: Path) -> str:
     if ".csv" not in path.suffixes:
         return f"neither a log of RCbenchmark nor a table with an {FILE} beside it"
     try:
-        return "averages, so steady points and no record" if read_log(path).averaged else ""
+        table = read_delimited(path, {})
+        plan = Plan(parse_pairs(preset(table, (), False), table))
+        return "averages, so steady points and no record" if averaged(clock_of(table, plan, "record", None).step) else ""
     except BadInput as error:
         return str(error).removeprefix(f"{path}: ")
 

@@ -8,24 +8,21 @@ motor's controller can replace omega_ref, if omega is measured: a map between th
 of the folder. Other quantities are taken as the log's header says, unless NAME=- omits them; --propose prints them.
 The mapping is saved in import.toml beside the record, and --map import.toml uses it again.
 
-A table of coefficients (rpm, CT, perhaps J and pitch) becomes static.csv with --as static --diameter D: T = CT rho n^2 D^4, n
-in rev/s; rows with J above 0 are left out.
-
-Names: time omega_ref beta_ref omega thrust beta voltage current torque power signal run thrust_std samples ct
-advance_ratio."""
+Names: time omega_ref beta_ref omega thrust beta voltage current torque power signal run thrust_std samples."""
 
 import codecs
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from identification.logs.clock import with_whole_stamps
+from identification.logs.clock import check_stamps
 from identification.logs.commands import FILE as SPEED_MAP
 from identification.logs.commands import map_beside
 from identification.logs.containers import read_container
 from identification.logs.delimited import DELIMITERS, read_delimited
-from identification.logs.intake import DENSITY, Propeller, Taken, contradictions, signal_range, take_in
+from identification.logs.intake import Taken, contradictions, signal_range, take_in
 from identification.logs.mapping import (
     FILE,
     FORMAT,
@@ -41,12 +38,11 @@ from identification.logs.mapping import (
 )
 from identification.logs.raw_table import RawTable
 from identification.logs.rotors import chosen
-from identification.logs.sampling import said_of_gaps
-from identification.logs.speed_map import read_speed_map
+from identification.logs.speed_map import SpeedMap, read_speed_map
 from identification.logs.units import QUANTITIES
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.import_place import add_kind, add_speed_from, headline, placed
-from vpp_fmu.app.cli.options import Number, add_output, whole
+from vpp_fmu.app.cli.options import add_output, whole
 from vpp_fmu.app.cli.output import written
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
@@ -59,6 +55,14 @@ EXAMPLE = (
 
 
 def configure(parser):
+    add_reading(parser)
+    add_kind(parser, "open_loop", "which file of the campaign (default: %(default)s)")
+    text = "print what the header proposes, and stop; with FILE save that as TOML for --map"
+    parser.add_argument("--propose", nargs="?", const="", metavar="FILE", help=text)
+
+
+def add_reading(parser) -> None:
+    """The options of a table and its columns."""
     parser.add_argument("log", metavar="LOG", help="the table; .gz is unpacked")
     text = "NAME=COLUMN:UNIT, one or more, or an import.toml; for all other names as --propose says, where it is sure"
     parser.add_argument("--map", action="extend", nargs="+", default=[], metavar="M", help=text)
@@ -66,22 +70,13 @@ def configure(parser):
     parser.add_argument("--yes", action="store_true", help=text)
     text = "take a unit that contradicts the header, or a speed that looks electrical"
     parser.add_argument("--force", action="store_true", help=text)
-    parser.add_argument(
-        "--rotor", metavar="R", help="of several rotors in one file, such as rpm_1 and rpm_2 (default: the first)"
-    )
+    text = "of several rotors in one file, such as rpm_1 and rpm_2 (default: that of a column in --map)"
+    parser.add_argument("--rotor", metavar="R", help=text)
     text = "of a log whose time starts again: the N-th run alone, from 1"
     parser.add_argument("--run", dest="run_number", type=whole(1, 100000), metavar="N", help=text)
     add_speed_from(parser)
-    parser.add_argument(
-        "--diameter", type=Number(0.0, 30.0, "m", above=True), metavar="D", help="m, of the rotor: makes coefficients thrust"
-    )
-    text = "kg/m^3, of the air, for coefficients (default: %(default)s)"
-    parser.add_argument("--density", type=Number(0.0, 2000.0, "kg/m^3", above=True), default=DENSITY, metavar="RHO", help=text)
     text = "a command or voltage that the log does not have: beta_ref=8:deg; may be repeated"
     parser.add_argument("--fixed", action="append", default=[], metavar="NAME=VALUE:UNIT", help=text)
-    add_kind(parser, "open_loop", "which file of the campaign (default: %(default)s)")
-    text = "print what the header proposes, and stop; with FILE save that as TOML for --map"
-    parser.add_argument("--propose", nargs="?", const="", metavar="FILE", help=text)
     parser.add_argument(
         "--speed-map", metavar="M", help="speed_map.json of another log, for a signal (default: the folder's own)"
     )
@@ -93,34 +88,48 @@ def configure(parser):
 
 
 def run(options):
-    section = _section(options)
-    table = _table(options, section.get("read", {}))
+    section = saved_section(options)
+    table = read_table(options, section.get("read", {}))
+    lines = said_of_table(table)
+    if options.propose is not None:
+        return _propose(table, options, lines)
+    plan = planned(options, section, table, lines)
+    if options.speed_from == "measured":
+        plan = _of_measured_speed(plan)
+    known = known_map(options, plan)
+    taken = take_in(table, plan, options.kind, known, options.force, options.run_number)
+    place, section = Path(options.output), plan.section(Path(options.log).name)
+    sections = read_sections(place / FILE) if (place / FILE).exists() else {}
+    folder, put, said = placed(place, options.kind, taken, options.replace, options.mend)
+    folder.write(FILE, to_toml({**sections, options.kind: section}))
+    if taken.speed_map is not None and not (place / SPEED_MAP).exists():
+        folder.write(SPEED_MAP, taken.speed_map.to_json())
+    lines += [*said_of_columns(table, plan, taken), *taken.said, *said]
+    content = {"format": FORMAT, options.kind: section}
+    return Answer(headline(folder, options.kind, put.columns, options.log), content, lines, written=written(options, folder))
+
+
+def said_of_table(table: RawTable) -> list[str]:
+    """How the table was read, and what was left out, in words."""
     lines = [f"{Path(table.source).name}: {table.how_read}; {len(table)} rows, {len(table.columns)} columns"]
     if table.left_out:
         lines.append(f"left out: {', '.join(f'{reason} {count}' for reason, count in table.left_out.items())}")
-    if options.propose is not None:
-        return _propose(table, options, lines)
-    plan = _plan(options, section, table, lines)
-    if options.diameter and "ct" not in plan.columns:
-        raise BadInput(
-            options.log, "ct", "--diameter and no column of thrust coefficients", "a column of them", "--map ct=COLUMN"
-        )
+    return lines
+
+
+def known_map(options, plan: Plan) -> SpeedMap | None:
+    """The given speed map for the plan's signal, else the folder's; None without a signal or a map. BadInput for a map of
+    another kind of signal."""
     span = signal_range(plan)
     given = read_speed_map(options.speed_map) if options.speed_map else None
     if given and span and given.signal != span:
         raise BadInput(
             options.speed_map, "signal, kind", given.signal.kind, f"a map for {span.kind}, which is in {options.log}"
         )
-    beside = map_beside(options.output, span, options.log) if span and given is None else None
-    propeller = Propeller(options.diameter, options.density)
-    taken = take_in(table, plan, options.kind, given or beside, propeller, options.force, options.run_number)
-    folder, put, said = _placed(options, plan, taken)
-    lines += [*_columns(plan, taken), *_unused(table, plan.columns), *taken.said, *said]
-    content = {"format": FORMAT, options.kind: plan.section(Path(options.log).name)}
-    return Answer(headline(folder, options.kind, put.columns, options.log), content, lines, written=written(options, folder))
+    return given or (map_beside(options.output, span, options.log) if span else None)
 
 
-def _section(options) -> dict:
+def saved_section(options) -> dict:
     """Content of the import.toml among --map, empty without one. BadInput."""
     files = [word for word in options.map if "=" not in word]
     if len(files) > 1 or (files and not files[0].endswith(".toml")):
@@ -128,7 +137,8 @@ def _section(options) -> dict:
     return section_of(files[0], options.kind) if files else {}
 
 
-def _table(options, read: dict) -> RawTable:
+def read_table(options, read: dict) -> RawTable:
+    """The log; `read`: options that read it, of an import.toml. BadInput."""
     if options.encoding is not None:
         try:
             codecs.lookup(options.encoding)
@@ -140,10 +150,10 @@ def _table(options, read: dict) -> RawTable:
     own = {"encoding": options.encoding, "delimiter": options.delimiter, "decimal": decimal}
     given = {**{name: text for name, text in read.items() if name in own}, **{n: t for n, t in own.items() if t is not None}}
     table = read_container(options.log)
-    return with_whole_stamps(read_delimited(options.log, given) if table is None else table)
+    return read_delimited(options.log, given) if table is None else table
 
 
-def _plan(options, section: dict, table: RawTable, lines: list[str]) -> Plan:
+def planned(options, section: dict, table: RawTable, lines: list[str]) -> Plan:
     """The plan of columns: pairs of the command line override those of a TOML, or else a proposal completes them. BadInput."""
     own = parse_pairs([word for word in options.map if "=" in word], table, options.force)
     saved = [f"{q}={text}" for q, text in section.get("columns", {}).items() if q not in own]
@@ -155,16 +165,22 @@ def _plan(options, section: dict, table: RawTable, lines: list[str]) -> Plan:
     else:
         others, said = chosen(table, options.rotor, [part for c in own.values() if c for part in table.parts(c.name)])
         lines += said
+        if "time" not in own:
+            check_stamps(table)
         columns, said = completed(table, own, fixed, others, options.yes)
     lines += said
     columns = {q: columns[q] for q in QUANTITIES if columns.get(q) and q not in fixed}
-    if options.speed_from == "measured":
-        if "omega" not in columns:
-            hint = "--map omega=COLUMN:rpm, or --speed-from command"
-            raise BadInput(table.source, "omega", "no column of measured speed", "one for --speed-from measured", hint)
-        columns = {"omega_ref": columns.pop("omega"), **{q: c for q, c in columns.items() if q not in ("omega_ref", "signal")}}
-        fixed.pop("omega_ref", None)
+    if options.speed_from == "measured" and "omega" not in columns:
+        hint = "--map omega=COLUMN:rpm, or --speed-from command"
+        raise BadInput(table.source, "omega", "no column of measured speed", "one for --speed-from measured", hint)
     return Plan(columns, fixed, table.read)
+
+
+def _of_measured_speed(plan: Plan) -> Plan:
+    """The plan with the measured speed as its command."""
+    columns = {q: c for q, c in plan.columns.items() if q not in ("omega_ref", "omega", "signal")}
+    fixed = {name: value for name, value in plan.fixed.items() if name != "omega_ref"}
+    return replace(plan, columns={"omega_ref": plan.columns["omega"], **columns}, fixed=fixed)
 
 
 def _propose(table: RawTable, options, lines: list[str]) -> Answer:
@@ -197,8 +213,8 @@ def _unused(table: RawTable, columns: Mapping[str, Column]) -> list[str]:
     return [f"not used: {', '.join(unused)}"] if unused else []
 
 
-def _columns(plan: Plan, taken: Taken) -> list[str]:
-    """Each column of the record, its source and range, in words."""
+def said_of_columns(table: RawTable, plan: Plan, taken: Taken) -> list[str]:
+    """Each column of the record, its source and range, in words, and the columns that are not used."""
     lines = []
     for quantity, column in plan.columns.items():
         values, unit = taken.columns.get(quantity), QUANTITIES[quantity].unit
@@ -209,17 +225,5 @@ def _columns(plan: Plan, taken: Taken) -> list[str]:
             span += f", {empty} cells empty" if empty else ""
         how = f" ({column.sure})" if column.sure else ""
         lines.append(f"{quantity} <- {column.name}{f' in {column.unit}' if column.unit else ''}{how}{span}")
-    return lines + [f"{name} = {number(value)} {QUANTITIES[name].unit}, fixed" for name, value in plan.fixed.items()]
-
-
-def _placed(options, plan: Plan, taken: Taken) -> tuple[OutputFolder, Taken, list[str]]:
-    """Write the campaign's file, the mapping and the speed map, all or none; returns folder, corrected log, remarks."""
-    place = Path(options.output)
-    sections = read_sections(place / FILE) if (place / FILE).exists() else {}
-    folder, put, said = placed(place, options.kind, taken, options.replace, options.mend)
-    folder.write(FILE, to_toml({**sections, options.kind: plan.section(Path(options.log).name)}))
-    if taken.speed_map is not None and not (place / SPEED_MAP).exists():
-        folder.write(SPEED_MAP, taken.speed_map.to_json())
-    if taken.clock is not None and "run" not in taken.columns:
-        said = said_of_gaps(taken.record()) + said
-    return folder, put, said
+    lines += [f"{name} = {number(value)} {QUANTITIES[name].unit}, fixed" for name, value in plan.fixed.items()]
+    return lines + _unused(table, plan.columns)
