@@ -120,8 +120,7 @@ def said(done: Round) -> list[str]:
     alarms = [f"alarm after {one.time:.0f} s, {one.cause}" for one in done.mission.alarms]
     lines = [f"round {done.number}: {'; '.join(alarms) or 'no alarm'}"]
     lines.append(f"  diagnosis of the mission: {done.verdict}{''.join(f' {name}' for name in done.named)}")
-    fitted = f", {done.after:.4f} N with what was added" if done.named else ""
-    lines.append(f"  error of the thrust in the mission: {done.before:.4f} N{fitted}")
+    lines.append(f"  error of the thrust in the mission: {done.before:.4f} N before, {done.after:.4f} N fitted anew")
     costs = ", ".join(f"{name} {mean(c):.4f}" for name, c in done.costs.items())
     cheapest = min(done.costs, key=lambda name: sum(done.costs[name]))
     doubt = "" if cheapest == done.winner else f", {cheapest} may be no cheaper"

@@ -32,8 +32,7 @@ def day_page(day: Day) -> Page:
     noise = float(np.std(np.diff(last.mission.record["thrust"])) / np.sqrt(2.0))
     page.figure(
         errors_by_round([(r.before, r.after) for r in day.rounds], noise),
-        "The present model has not seen the round's mission; effects that are added are fitted to it. The noise is a single "
-        "reading's.",
+        "The present model has not seen the round's mission; the next one is fitted to it. The noise is a single reading's.",
     )
     page.section("The controller, round by round")
     costs = costs_by_round([r.costs for r in day.rounds], [r.winner for r in day.rounds])
