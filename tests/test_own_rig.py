@@ -10,8 +10,10 @@ import zipfile
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 from builders import shorten_tuning
+from scipy.signal import lfilter
 
 from identification.diagnose import diagnose as diagnosing
 from identification.plan import plan as planning
@@ -29,9 +31,9 @@ RIGS = {
     "rig_e": {"speed": (833.33333, 2500.0), "pitch": (0.0, 25.0), "period": 0.008},
     "rig_f": {"speed": (6666.6667, 20000.0), "pitch": (-12.0, 12.0), "period": 0.002},
     "rig_h": {"speed": (2269.5, 5519.1), "pitch": (4.0, 4.0), "period": 0.004},
-    "log": {"speed": (2230.31, 5764.29), "pitch": (0.0, 0.0), "period": 0.02},
+    "log": {"speed": (2500.0, 5500.0), "pitch": (0.0, 0.0), "period": 0.02},
 }
-"""Commanded ranges of the files, and the period of their rows; the log's speeds are those of its map from throttle to speed."""
+"""Commanded ranges of the files, and the period of their rows; the log's speeds are those of `write_log`."""
 
 SHORTER = {
     "diagnose": ["--effects", "pitch_backlash", "--workers", "1"],
@@ -56,7 +58,7 @@ def written(request, tmp_path_factory):
         quick.setattr("identification.plan.plan.DRAWS", 1)
         quick.setattr("vpp_fmu.app.api.plan.planned", functools.partial(planning.plan, evaluations=20))
         if rig == "log":
-            shutil.copy(DATA / "units_in_names.csv", "LOG.csv")
+            write_log(Path("LOG.csv"))
         else:
             shutil.copytree(DATA / rig, "mine")
         Path("my_effect.py").write_text(re.search(r"```python\n(from vpp_fmu import Effect.*?)```", README, flags=re.S)[1])
@@ -70,6 +72,16 @@ def written(request, tmp_path_factory):
                 _profile(rig)
             found[verb] = _ran(quick, [verb, *words, *SHORTER.get(verb, []), *(["--yes"] if verb == "import" else [])])
     return rig, folder, found
+
+
+def write_log(path):
+    """Rows of 20 ms of a fixed pitch: a speed of 1000 rpm and 50 for each per cent of throttle, behind a lag of 0.25 s."""
+    throttle = np.repeat([50.0, 30.0, 70.0, 45.0, 90.0, 60.0, 35.0, 80.0], 200)
+    kept, goal = np.exp(-0.02 / 0.25), 1000.0 + 50.0 * throttle
+    speed = goal[0] + lfilter([0.0, 1.0 - kept], [1.0, -kept], goal - goal[0])
+    grams = 3.2e-5 * speed**2 + np.random.default_rng(1).normal(0.0, 4.0, len(throttle))
+    rows = zip(20 * np.arange(len(throttle)), throttle, grams.round(1), speed.round(), strict=True)
+    path.write_text("\n".join(["time_ms,throttle_%,thrust_g,rpm", *(",".join(map(str, row)) for row in rows)]) + "\n")
 
 
 def _profile(rig):
@@ -127,8 +139,8 @@ def test_every_controller_that_is_written_has_the_rigs_limits_and_sampling(writt
     if rig not in BEYOND_THE_EMULATOR:
         told = next((folder / "run").rglob("hil.json"))
         assert limits_in(json.loads(told.read_text())["controller"]["parameters"]) == approx(rig)
-    low, high = (f"{end:.6g}" for end in RIGS[rig]["speed"])
-    assert f"within {low} to {high} rpm" in found["export"][1]
+    said = re.search(r"within (\S+) to (\S+) rpm", found["export"][1]).groups()
+    assert tuple(map(float, said)) == approx(rig)[0]
 
 
 PAPERS = re.compile(r"(?<![\w.,])(6000(\.0)?|2000(\.0)?|20000? to 6000)(?![\w.])")
