@@ -230,6 +230,12 @@ def test_an_offset_later_than_the_speed_alone_shows_is_a_delay_of_the_thrust(row
     assert of._latest(SimpleNamespace(offset=_Delay(8.0 / RATE, 0.1 / RATE), **own)).value == pytest.approx(rows / RATE)
 
 
+def test_the_offset_of_the_speed_alone_replaces_a_later_one(monkeypatch):
+    monkeypatch.setattr(_Estimate, "_latest", lambda self, fit: _Delay(1.0 / RATE, 0.1 / RATE))
+    logger = as_logged(passed(campaign(logged(45, 2.0)))).logger
+    assert (logger.rows, logger.std) == pytest.approx((1.0, 0.1))
+
+
 @pytest.mark.parametrize(("lost", "better"), [(0.0, True), (2.0 * EVIDENCE, False)])
 def test_a_better_fit_of_the_speed_does_not_justify_a_worse_fit_of_the_thrust(lost, better):
     """`lost`: decrease of the thrust's log-likelihood. Half the error of 2000 speed readings is a gain of 2000 ln 2."""

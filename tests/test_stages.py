@@ -9,12 +9,13 @@ from studies.synthetic import TRUTH, commands
 
 from identification.demo import example_folder
 from identification.diagnose import given_speed, stages
-from identification.diagnose.diagnose import _channels, _with, diagnose
+from identification.diagnose.diagnose import _channels, _other, _with, diagnose
 from identification.diagnose.given_speed import with_given_speed
 from identification.diagnose.lack_of_fit import LackOfFit
 from identification.diagnose.score_test import ScoreTest
 from identification.diagnose.selection import Selection
 from identification.diagnose.stages import Stage, lack_of, verdict_of
+from identification.diagnose.validation import NOTHING_LEFT
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.kernel.effects.measured_speed import AHEAD
 from vpp_fmu.kernel.plant import LIBRARY, plant
@@ -52,6 +53,17 @@ def test_a_term_learned_in_one_stage_keeps_the_effects_of_the_other():
     found = _with(Selection(None, None, None, judged, rivals={"supply_sag": {}, "inflow_lag": {"sensor_lag": None}}), learned)
     assert found.judgements == {"inflow_lag": "of the inflow", "learned": "of the term"}
     assert found.family == {"inflow_lag": ["sensor_lag"]}
+
+
+@pytest.mark.parametrize(
+    ("why", "dropped"),
+    [(NOTHING_LEFT.format("speed_overshoot"), (0, "speed_overshoot")), ("it predicts worse", (1, "sensor_lag"))],
+)
+def test_an_effect_that_is_too_small_goes_first_and_else_the_weakest(why, dropped):
+    evidence = [{"pitch_speed_coupling": 3000.0, "speed_overshoot": 900.0}, {"sensor_lag": 400.0}]
+    each = [{n: SimpleNamespace(evidence=nats) for n, nats in own.items()} for own in evidence]
+    found = [SimpleNamespace(selection=SimpleNamespace(judgements=own, rivals={})) for own in each]
+    assert _other(SimpleNamespace(refuted=why, stages=found, less=lambda k, name, _: (k, name))) == dropped
 
 
 def readings(beyond, noise, seed=0):

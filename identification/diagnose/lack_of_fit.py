@@ -69,11 +69,12 @@ NO_ROTOR_ORDER = RotorOrderTest(0.0, 1.0)
 class LackOfFit:
     """Result of the checks on one fit.
 
-    `bands`: pure error, empty without a repeat. `score`: the score test. `p`: p-value of both together. `size` [N]: rms of the
-    significant residual below 10 Hz. `least` [N]: minimum size of interest. `has_effects`: whether the fit has effects, which
-    determines the level. `speed`: structured share of the speed residual; `thrust_equivalent` [N]: its equivalent in thrust, 0
-    below MAJORITY; `speed_rpm`: its rms, compared with `least_speed` [rpm]. `moving`, `transient_size` [N]: share and rms of
-    the thrust residual that is absent at rest. `turning`: the rotor order, compared with `most` [N] rms."""
+    `bands`: pure error, empty without a repeat. `score`: the score test; both without what the forms of effects may leave. `p`:
+    p-value of both together. `size` [N]: rms of the significant residual below 10 Hz. `least` [N]: minimum size of interest.
+    `has_effects`: whether the fit has effects, which determines the level. `speed`: structured share of the speed residual;
+    `thrust_equivalent` [N]: its equivalent in thrust, 0 below MAJORITY; `speed_rpm`: its rms, compared with `least_speed`
+    [rpm]. `moving`, `transient_size` [N]: share and rms of the thrust residual that is absent at rest. `turning`: the rotor
+    order, compared with `most` [N] rms."""
 
     bands: tuple[Band, ...]
     score: ScoreTest
