@@ -11,7 +11,6 @@ from hil.outcome import Outcome
 from hil.timing import timing
 from tests import test_report
 from tests.browser import browser as opened
-from vpp_fmu.app.report.canvas import figure
 from vpp_fmu.app.report.drawing import Arrays, drawing
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.effects import effects_page
@@ -224,15 +223,7 @@ def test_a_name_of_the_legend_hides_its_line_and_dragging_zooms(pages, browser):
     assert "N" in browser.run("document.querySelector('#figure-2 .tip').textContent")
 
 
-def test_what_cannot_be_drawn_is_refused():
-    fig = test_report.prediction()
-    fig.data[0].line.simplify = False
-    with pytest.raises(ValueError, match=r"scatter.line.simplify can't be drawn"):
-        drawing(fig, Arrays())
-    fig = figure("Title", 300)
-    fig.add_pie(values=[1, 2])
-    with pytest.raises(ValueError, match="a pie can't be drawn"):
-        drawing(fig, Arrays())
+def test_a_colour_that_may_be_invisible_on_dark_is_refused():
     fig = test_report.prediction()
     fig.data[0].line.color = "#123456"
     with pytest.raises(ValueError, match="#123456 is in no scheme"):

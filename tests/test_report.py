@@ -10,12 +10,10 @@ import pytest
 from vpp_fmu.app.report.figures.loop import (
     cost_ranks,
     margins_over_thrust,
-    nyquist,
 )
 from vpp_fmu.app.report.figures.map import (
-    behind_against_before,
+    best_pairs,
     map_lines,
-    map_section,
     reached_against_commanded,
 )
 from vpp_fmu.app.report.figures.parameters import (
@@ -28,7 +26,7 @@ from vpp_fmu.app.report.figures.residual import (
     correlations,
     residual_spectrum,
 )
-from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted, planned_commands, stacked, two_records
+from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted, stacked, step_responses, two_records
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult
 from vpp_fmu.app.report.summary import LEFT_OUT
@@ -65,7 +63,7 @@ def prediction(title: str = "The model errs by 0.1 N", samples: int = 500, name:
 
 def grid_points() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     omega, beta = (axis.ravel() for axis in np.meshgrid([2000.0, 4000.0, 6000.0], [-5.0, 0.0, 5.0, 10.0]))
-    return omega, beta, omega * (beta + 6) / 6000
+    return beta, omega, omega * (beta + 6) / 6000
 
 
 def figures(title: str = "The message") -> dict:
@@ -76,11 +74,11 @@ def figures(title: str = "The message") -> dict:
 def _of_models(title: str) -> dict:
     r, other = record(400), record(400, seed=2)
     names = ["tau_beta_1", "c20", "added"]
-    omega, beta, thrust = grid_points()
-    surface = np.outer(np.linspace(1, 2, 3), np.linspace(0, 10, 5))
+    speeds = {2000.0: 1.0, 4000.0: 1.5, 6000.0: 2.0}
+    lines = {speed: share * np.linspace(0, 10, 5) for speed, share in speeds.items()}
     return {
         "prediction": prediction(title),
-        "map": map_lines(np.linspace(2000, 6000, 3), np.linspace(-5, 10, 5), surface, (omega, beta, thrust), title),
+        "map": map_lines(np.linspace(-5, 10, 5), lines, grid_points(), title, "pitch [deg]", "rpm"),
         "loop": closed_loop({"dual": r, "speed only": {k: v for k, v in other.items() if k != "beta"}}, title),
         "two": two_records(("a", r["time"], r["thrust"]), ("b", other["time"], other["thrust"]), title, "thrust", "N"),
         "parameters": parameter_change(names, [0.1, 0.3, 0.0], [0.2, 0.2, 0.8], [0.1, 0.1, 0.7], [0.3, np.nan, 0.9], title),
@@ -95,22 +93,21 @@ def _of_diagnoses(title: str) -> dict:
         "correlations": correlations(x, {"itself": both, "pitch command": both}, 0.05, title),
         "spectrum": residual_spectrum(x, both, 0.3 + 0.0 * x, title),
         "curve": reached_against_commanded(x, both, title, "pitch", "deg"),
-        "change": behind_against_before(x, 0.1 * x, x, title),
         "stacked": stacked(x, {"pitch [deg]": {"pitch command": x, **both}, "thrust [N]": {"measured": x, **both}}, title),
     }
 
 
 def _of_designs(title: str) -> dict:
     x, rng = np.linspace(0.1, 20.0, 60), np.random.default_rng(1)
-    loops = {"published": 3.0 / (1j * x * (1.0 + 0.1j * x)), "tuned": 5.0 / (1j * x * (1.0 + 0.1j * x))}
+    surface = np.outer(x, x)
+    step = SimpleNamespace(time=x, direction="up", reason="", normalised=lambda _: (x / 20, x / 20))
     names = ["tau_beta_1", "c20", "pitch_command_deadband.half_width"]
     widths = {"before": [20.0, 3.0, 400.0], "the paper's plan": [10.0, 2.0, 50.0], "after this plan": [2.0, 0.5, 5.0]}
     return {
-        "section": map_section(x, x**2, (x[::10], x[::10] ** 2), title, "speed [rpm]", 1.0 + 0.0 * x),
         "learned": learned_curve(x, x**2, x, {"learned": (x, x**2)}, x, title, ("speed", "rpm"), ("thrust", "N")),
-        "commands": planned_commands(x, 3000.0 + 100.0 * np.round(x), np.round(x), x, title),
         "widths": interval_widths(names, {k: np.array(v) for k, v in widths.items()}, title),
-        "nyquist": nyquist(loops, 2.0, title),
+        "pairs": best_pairs(x, x, {"thrust": (surface, [50.0, 100.0], "N"), "power": (surface**2, [1e3], "W")}, (x, x), title),
+        "steps": step_responses([step], title),
         "margins": margins_over_thrust(
             {"tuned": x}, {"gain margin [-]": {"tuned": 2.0 + 0.1 * x}, "delay margin [s]": {"tuned": 0.1 / x}}, {}, title
         ),

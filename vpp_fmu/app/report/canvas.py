@@ -1,4 +1,4 @@
-"""Parts of all figures: the empty figure, panels over a common axis, lines, bands, heat maps; thinning of long records."""
+"""Parts of all figures: the empty figure, panels over a common axis, lines, points, bands; thinning of long records."""
 
 import math
 import textwrap
@@ -11,36 +11,28 @@ from vpp_fmu.app.report import style
 
 MOST = 4000
 """Maximum points per line. On a slow machine seven SVG lines of 22 500 points take 60 to 120 ms per zoom and 40 ms per hover;
-lines of 4000 points take 30 and 18 ms, and a fifth of the bytes. WebGL lines need eval, which the page forbids. plotly takes
-three WebGL contexts per figure, while a browser allows some 16 per page."""
+lines of 4000 points take 30 and 18 ms, and a fifth of the bytes."""
 
 _WIDEST = 80
-"""Maximum letters in a line of a title, for A4."""
+"""Maximum letters in a line of a title in a notebook; the page breaks it itself."""
 
 _GAP = 22
 """Pixels between two panels."""
 
+_ABOVE, _BELOW = 70, 48
+"""Pixels above and below the panels."""
+
 
 def figure(title: str, height: int, x: str = "", y: str = "", legend: bool = True) -> go.Figure:
-    """An empty figure `height` px high, as wide as the page, with axis labels; the title wraps, the legend is below it."""
-    lines = _lines(title)
-    below_title = 14 + 21 * len(lines)
-    corner = {"x": 0.0, "xref": "container", "xanchor": "left", "yref": "container", "yanchor": "top"}
+    """An empty figure `height` px high, as wide as the page, with axis labels; the legend is between title and panels."""
     return go.Figure(
         layout={
             "template": style.TEMPLATE,
             "height": height,
-            "title": {
-                "text": "<br>".join(f"<b>{style.escaped(line)}</b>" for line in lines),
-                "font": {"size": 15},
-                "y": 1.0,
-                # plotly forgets to lower a title of several lines by the height of a capital.
-                "pad": {"t": 8 if len(lines) < 2 else 19},
-                **corner,
-            },
+            "title": {"text": "<br>".join(f"<b>{style.escaped(line)}</b>" for line in textwrap.wrap(title, _WIDEST)), "x": 0.0},
             "showlegend": legend,
-            "legend": {"orientation": "h", "y": 1.0 - below_title / height, "bgcolor": "rgba(0,0,0,0)", **corner},
-            "margin": {"l": 64, "r": 24, "t": below_title + (34 if legend else 10), "b": 48},
+            "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom"},
+            "margin": {"l": 64, "r": 24, "t": _ABOVE, "b": _BELOW},
             **{f"{side}axis": {"title": {"text": label}} for side, label in (("x", x), ("y", y)) if label},
         }
     )
@@ -52,18 +44,16 @@ def panels(title: str, labels: Sequence[str], heights: Sequence[int]) -> go.Figu
     Zoom and hover act on all of them.
     """
     total = sum(heights) + _GAP * (len(heights) - 1)
-    fig = figure(title, total + 130)
+    fig = figure(title, total + _ABOVE + _BELOW)
     top = total
     for k, (label, height) in enumerate(zip(labels, heights, strict=True)):
-        domain = [(top - height) / total, top / total]
-        fig.update_layout({axis("yaxis", k): {"domain": domain, "title": {"text": _folded(label, height)}, "anchor": "x"}})
+        text = "<br>".join(textwrap.wrap(label, height // 8))  # some 8 pixels per letter
+        fig.update_layout({axis("yaxis", k): {"domain": [(top - height) / total, top / total], "title": {"text": text}}})
+        fig.layout[axis("yaxis", k)].anchor = "x"
         top -= height + _GAP
     last = axis("y", len(labels) - 1)
-    fig.update_layout(
-        xaxis={"title": {"text": style.label("time")}, "anchor": last, "hoverformat": ".3f"},
-        hovermode="x unified",
-        hoversubplots="axis",
-    )
+    fig.update_xaxes(title_text=style.label("time"), anchor=last, hoverformat=".3f")
+    fig.update_layout(hovermode="x unified", hoversubplots="axis")
     return fig
 
 
@@ -79,15 +69,14 @@ def add_line(
     name: str,
     colour: str,
     width: float = 1.8,
-    panel: int | None = None,
+    panel: int = 0,
     group: str | None = None,
     **more,
 ) -> None:
-    """A line, in the given panel (from 0) if there are panels. With a `group` it has no legend entry and is shown with the line
-    of that name. `more`: `dash` and `shape` of the line, and properties of plotly's trace."""
+    """A line in a panel, from 0. With a `group` it has no legend entry and is shown with the line of that name. `more`: `dash`
+    and `shape` of the line, and properties of plotly's trace."""
     line = {"color": colour, "width": width} | {key: more.pop(key) for key in ("dash", "shape") if key in more}
-    if panel is not None:
-        more |= {"legendgroup": group or name, "showlegend": group is None, "yaxis": axis("y", panel)}
+    more |= {"legendgroup": group or name, "yaxis": axis("y", panel)} | ({"showlegend": False} if group else {})
     fig.add_scatter(**{"x": x, "y": y, "mode": "lines", "name": style.escaped(name), "line": line, **more})
 
 
@@ -97,43 +86,28 @@ def add_points(fig: go.Figure, x, y, name: str, colour: str, size: float = 6, sy
     fig.add_scatter(**{"x": x, "y": y, "mode": "markers", "name": style.escaped(name), "marker": marker, **more})
 
 
-def add_envelope(fig: go.Figure, x, low, high, name: str, colour: str, panel: int | None = None) -> None:
+def add_envelope(fig: go.Figure, x, low, high, name: str, colour: str, panel: int = 0) -> None:
     """A coloured band from `low` to `high`, all (n,); only the first of a name is in the legend."""
     shown = not any(trace.name == style.escaped(name) for trace in fig.data)
     shared = {"x": x, "mode": "lines", "line": {"width": 0}, "hoverinfo": "skip"}
-    if panel is not None:
-        shared |= {"legendgroup": name, "yaxis": axis("y", panel)}
+    shared |= {"legendgroup": name, "yaxis": axis("y", panel)}
     fig.add_scatter(y=low, showlegend=False, **shared)
     fig.add_scatter(y=high, name=style.escaped(name), fill="tonexty", fillcolor=colour, showlegend=shown, **shared)
 
 
 def add_band(fig: go.Figure, panel: int, half_width: float, name: str) -> None:
     """A band around zero under the lines of a panel. Its dotted edges are above them: a dense residual hides the rest."""
-    fig.add_shape(
-        type="rect",
-        xref="x domain",
-        yref=axis("y", panel),
-        x0=0,
-        x1=1,
-        y0=-half_width,
-        y1=half_width,
-        fillcolor=style.NOISE,
-        line={"color": style.MEASURED, "width": 1, "dash": "dot"},
-        name=style.escaped(name),
-        showlegend=True,
-    )
+    edge = {"color": style.MEASURED, "width": 1, "dash": "dot"}
+    _across(fig, panel, "rect", -half_width, half_width, fillcolor=style.NOISE, line=edge, name=name, showlegend=True)
 
 
-def heatmap(
-    title: str, height: int, x, y, z: np.ndarray, ends: tuple[float, float], colours, labels: tuple[str, str, str], **more
-) -> go.Figure:
-    """Values z (rows, columns) over y (rows,) and x (columns,) in colours from one end to the other; `labels` of x, y, z."""
-    fig = figure(title, height, *labels[:2], legend=False)
-    bar = {"title": {"text": labels[2]}}
-    fig.add_heatmap(x=x, y=y, z=z, zmin=ends[0], zmax=ends[1], colorscale=colours, colorbar=bar, **more)
-    fig.update_xaxes(showgrid=False)
-    fig.update_yaxes(showgrid=False)
-    return fig
+def add_level(fig: go.Figure, panel: int, at: float) -> None:
+    """A dashed line across a panel."""
+    _across(fig, panel, "line", at, at, line={"color": style.SET_POINT, "width": 1.2, "dash": "dash"})
+
+
+def _across(fig: go.Figure, panel: int, kind: str, low: float, high: float, **more) -> None:
+    fig.add_shape(type=kind, xref="x domain", yref=axis("y", panel), x0=0, x1=1, y0=low, y1=high, **more)
 
 
 def places(lines: Iterable[np.ndarray], most: int = MOST) -> np.ndarray:
@@ -174,15 +148,3 @@ def _lowest(lines: list[np.ndarray], size: int) -> np.ndarray:
     padding = (0, len(starts) * size - n)
     kept = [starts + np.pad(line, padding, constant_values=np.inf).reshape(-1, size).argmin(axis=1) for line in lines]
     return np.unique(np.concatenate([[0, n - 1], *kept]))
-
-
-def _lines(title: str) -> list[str]:
-    """The title in the fewest lines that fit on A4, of similar length."""
-    widest = textwrap.wrap(title, _WIDEST)
-    shorter = (textwrap.wrap(title, width) for width in range(24, _WIDEST))
-    return next((lines for lines in shorter if len(lines) == len(widest)), widest)
-
-
-def _folded(label: str, height: int) -> str:
-    """The label in lines that fit along `height` pixels, at some 8 pixels per letter."""
-    return "<br>".join(textwrap.wrap(label, height // 8))

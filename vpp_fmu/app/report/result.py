@@ -17,6 +17,7 @@ from vpp_fmu.files import OutputFolder
 from vpp_fmu.notebook import table_html
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.structured import as_json
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,9 +31,16 @@ class Knowledge:
 
 
 class Result(ABC):
-    """The result of a verb. `verb`: its name; `found`: all of it; `save` writes its files."""
+    """The result of a verb: answer, files and report are made of `headline`, `key_figures`, `to_dict` and `fill`. `found`: all
+    of it; `save` writes its files.
+
+    `verb`: its name; `files`: those that hold `to_dict` (.json) and the report (.html); `title`, `source`: of the report, the
+    latter is the measurement and its date."""
 
     verb: ClassVar[str]
+    files: ClassVar[tuple[str, ...]] = ("report.html",)
+    title = ""
+    source = ""
 
     def __init__(self, found: Any, parameters: ParameterSet | None = None, file: str | os.PathLike[str] | None = None):
         """`parameters`: those of the plant in its files; `file`: that they were read from, if any."""
@@ -51,12 +59,24 @@ class Result(ABC):
         """All numbers, as the verb's JSON file holds them; strictly valid JSON."""
 
     @abstractmethod
+    def fill(self, page: Page) -> None:
+        """Add figures and tables to the report, below the headline and the tiles."""
+
+    def tiles(self) -> list[tuple[str, str, str]]:
+        """Key figures on top of the report."""
+        return self.key_figures()
+
     def page(self) -> Page:
         """The report."""
+        page = Page(self.title, self.headline(), self.source)
+        page.tiles(self.tiles())
+        self.fill(page)
+        return page
 
-    @abstractmethod
     def write(self, folder: OutputFolder) -> None:
         """Write the verb's files."""
+        for name in self.files:
+            folder.write(name, self.page().html() if name.endswith(".html") else as_json(self.to_dict()))
 
     def lines(self) -> list[str]:
         """Warnings and other important lines."""

@@ -6,31 +6,10 @@ import numpy as np
 from plotly import graph_objects as go
 
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_envelope, add_line, add_points, axis, figure, panels, places
+from vpp_fmu.app.report.canvas import add_envelope, add_level, add_line, figure, panels, places
 from vpp_fmu.app.report.sentences import words
 
-REACH = 2.5
-"""Half-width of the Nyquist plot, which must show the region around -1."""
-
 ADAPTED, STD = "adapted.", "std."
-
-
-def nyquist(loops: Mapping[str, np.ndarray], sensitivity: float, title: str) -> go.Figure:
-    """Open loops (n,), complex, by name; the unit circle, and the circle around -1 where the sensitivity is `sensitivity`."""
-    fig = figure(title, 560, "real part [-]", "imaginary part [-]")
-    turn = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 181))
-    circles = ("unit circle", 0.0, 1.0, "dot"), (f"sensitivity {sensitivity:g}", -1.0, 1.0 / sensitivity, "dash")
-    for name, centre, radius, dash in circles:
-        x, y = centre + radius * turn.real, radius * turn.imag
-        add_line(fig, x, y, name, style.SET_POINT, 1.2, dash=dash, hoverinfo="skip")
-    colours = style.colours(loops)
-    for name, loop in loops.items():
-        near = loop[np.abs(loop) < 2.0 * REACH]
-        add_line(fig, near.real, near.imag, name, colours[name], 1.6)
-    add_points(fig, [-1.0], [0.0], "-1", style.MEASURED, 9, "x", showlegend=False, hoverinfo="skip")
-    fig.update_xaxes(range=[-REACH, 1.0])
-    fig.update_yaxes(range=[-REACH, 1.0], scaleanchor="x", scaleratio=1.0)
-    return fig
 
 
 def margins_over_thrust(
@@ -50,8 +29,7 @@ def margins_over_thrust(
             shown, group = (f"{name}, {label}", name) if panel else (name, None)
             add_line(fig, thrust[name], own, shown, colours[name], 1.6, panel, group)
         if label in limits:
-            at, line = limits[label], {"color": style.SET_POINT, "width": 1.2, "dash": "dash"}
-            fig.add_shape(type="line", xref="x domain", yref=axis("y", panel), x0=0, x1=1, y0=at, y1=at, line=line)
+            add_level(fig, panel, limits[label])
     fig.update_traces(mode="lines+markers", marker={"size": 6})
     fig.update_xaxes(title_text="thrust at the operating point [N]", hoverformat=".3~g")
     return fig

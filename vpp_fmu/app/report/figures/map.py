@@ -5,44 +5,33 @@ from collections.abc import Mapping
 import numpy as np
 from plotly import graph_objects as go
 
-from identification.fit.uncertainty import NORMAL_95
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_envelope, add_line, add_points, figure, heatmap
+from vpp_fmu.app.report.canvas import add_envelope, add_line, add_points, figure
 from vpp_fmu.digits import number
-
-_COMMANDS = "speed [rpm]", "pitch [deg]"
 
 
 def map_lines(
-    speeds: np.ndarray, pitches: np.ndarray, thrust: np.ndarray, points: tuple[np.ndarray, np.ndarray, np.ndarray], title: str
+    at: np.ndarray,
+    lines: Mapping[float, np.ndarray],
+    points: tuple[np.ndarray, np.ndarray, np.ndarray],
+    title: str,
+    label: str,
+    unit: str,
 ) -> go.Figure:
-    """The map over pitch, one line per speed: thrust (m, n) [N] over speeds (m,) [rpm] and pitches (n,) [deg].
+    """The map along one command `at` (n,), whose axis is named `label`: thrust (n,) [N] by the value of the other command, in
+    `unit`.
 
-    `points`, measured: (speed [rpm], pitch [deg], thrust [N]), each (k,), in the colour of the nearest speed.
+    `points`, measured: (the one command, the other, thrust [N]), each (k,), in the colour of the nearest line.
     """
-    fig = figure(title, 520, "pitch [deg]", "thrust [N]")
-    omega, beta, measured = points
-    nearest = np.argmin(np.abs(np.asarray(omega)[:, None] - speeds), axis=1)
-    for k, (speed, line, shade) in enumerate(zip(speeds, thrust, style.shades(len(speeds)), strict=True)):
-        name, own = f"{number(speed)} rpm", nearest == k
-        shared = {"legendgroup": name, "hovertemplate": f"%{{y:{style.SHOWN}}} N at {name}, %{{x:.1f}} deg"}
-        add_line(fig, pitches, line, name, shade, 1.6, **shared)
-        add_points(fig, beta[own], measured[own], name, shade, showlegend=False, **shared)
-    return fig
-
-
-def map_section(
-    at: np.ndarray, thrust: np.ndarray, points: tuple[np.ndarray, np.ndarray], title: str, label: str, std: np.ndarray
-) -> go.Figure:
-    """The map along one command `at` (n,), whose axis is named `label`: thrust (n,) [N], with 1.96 `std` (n,) [N] as a band.
-
-    `points`: (command, thrust [N]) as measured, each (k,).
-    """
-    fig = figure(title, 440, label, "thrust [N]")
-    add_envelope(fig, at, thrust - NORMAL_95 * std, thrust + NORMAL_95 * std, "95 % interval of the map", style.NOISE)
-    add_line(fig, at, thrust, "fitted", style.AFTER)
-    hover = f"%{{y:{style.SHOWN}}} N at %{{x:{style.SHOWN}}}<extra></extra>"
-    add_points(fig, *points, "measured", style.MEASURED, 7, hovertemplate=hover)
+    fig = figure(title, 520, label, "thrust [N]")
+    along, beside, measured = points
+    levels = np.array(list(lines))
+    nearest = np.argmin(np.abs(np.asarray(beside)[:, None] - levels), axis=1)
+    for k, (level, shade) in enumerate(zip(levels, style.shades(len(levels)), strict=True)):
+        name, own = f"{number(float(level))} {unit}", nearest == k
+        shared = {"legendgroup": name, "hovertemplate": f"%{{y:{style.SHOWN}}} N at {name}, %{{x:{style.SHOWN}}}"}
+        add_line(fig, at, lines[level], name, shade, 1.6, **shared)
+        add_points(fig, along[own], measured[own], name, shade, showlegend=False, **shared)
     return fig
 
 
@@ -56,16 +45,6 @@ def reached_against_commanded(
     add_line(fig, ends, ends, "as commanded", style.SET_POINT, 1.4, dash="dot", hoverinfo="skip")
     for name, values in reached.items():
         add_line(fig, commanded, values, name, colours[name])
-    return fig
-
-
-def behind_against_before(before: np.ndarray, change: np.ndarray, time: np.ndarray, title: str) -> go.Figure:
-    """Change of the thrust by an effect [N] over the thrust without it [N], coloured by the time [s]; all (n,)."""
-    fig = figure(title, 440, "thrust without the effect [N]", "change by the effect [N]", legend=False)
-    scale = {"colorscale": style.sequence(), "showscale": True, "colorbar": {"title": {"text": "time [s]"}}}
-    hover = f"%{{y:+{style.SHOWN}}} N at %{{x:{style.SHOWN}}} N<extra></extra>"
-    fig.add_scatter(x=before, y=change, mode="markers", marker={"size": 4, "color": time, **scale}, hovertemplate=hover)
-    fig.update_yaxes(zeroline=True)
     return fig
 
 
@@ -85,19 +64,20 @@ def least_power(
 def best_pairs(
     speeds: np.ndarray,
     pitches: np.ndarray,
-    power: np.ndarray,
-    thrust: np.ndarray,
-    lines: np.ndarray,
+    equal: Mapping[str, tuple[np.ndarray, np.ndarray, str]],
     pairs: tuple[np.ndarray, np.ndarray],
     title: str,
 ) -> go.Figure:
-    """Power (k, m) [W] over speeds (m,) [rpm] and pitches (k,) [deg], contours of the `thrust` (k, m) at the levels `lines`
-    [N], and the best `pairs`, (speed, pitch), each (n,)."""
-    ends = float(power.min()), float(power.max())
-    hover = f"%{{z:{style.SHOWN}}} W<br>%{{x:.0f}} rpm, %{{y:.1f}} deg<extra></extra>"
-    fig = heatmap(title, 520, speeds, pitches, power, ends, style.sequence(), (*_COMMANDS, "power [W]"), hovertemplate=hover)
-    for level in lines:
-        omega = [np.interp(level, row, speeds, left=np.nan, right=np.nan) for row in np.maximum.accumulate(thrust, axis=1)]
-        add_line(fig, omega, pitches, f"{number(level, 3)} N", style.FIT, 1.0, hoverinfo="name")
+    """Lines of equal values over speed (m,) [rpm] and pitch (k,) [deg], and the best `pairs`, (speed, pitch), each (n,).
+
+    `equal`: by name (values (k, m), levels, unit); the values increase with the speed.
+    """
+    fig = figure(title, 520, "speed [rpm]", "pitch [deg]")
+    colours = dict(zip(equal, (style.MEASURED, style.LIGHT_BLUE), strict=True))
+    for name, (values, levels, unit) in equal.items():
+        for k, level in enumerate(levels):
+            omega = [np.interp(level, row, speeds, left=np.nan, right=np.nan) for row in np.maximum.accumulate(values, axis=1)]
+            told = {"hovertemplate": f"{name} {number(float(level), 3)} {unit}"}
+            add_line(fig, omega, pitches, f"equal {name}", colours[name], 1.2, group=f"equal {name}" if k else None, **told)
     add_line(fig, *pairs, "best pairs", style.BEFORE, 3.0, hovertemplate="%{x:.0f} rpm, %{y:.1f} deg<extra></extra>")
     return fig

@@ -6,7 +6,7 @@ import numpy as np
 from plotly import graph_objects as go
 
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_line, add_points, figure, panels
+from vpp_fmu.app.report.canvas import add_envelope, add_line, add_points, figure, panels
 from vpp_fmu.app.report.sentences import words
 from vpp_fmu.digits import interval, number
 
@@ -15,7 +15,7 @@ MOST = 300.0
 
 BINS = 60
 
-_NAMES = {"type": "category", "autorange": "reversed", "tickfont_size": 12}
+_NAMES = {"type": "category", "autorange": "reversed"}
 """Axis of parameters, the first on top."""
 
 
@@ -32,10 +32,8 @@ def parameter_change(
     change = (final - start) / scale
     rows = [_row(*values) for values in zip(names, start, final, low, high, strict=True)]
     fig = figure(title, 130 + 44 * len(rows), "change from the start [%]")
-    marker = {"symbol": "line-ns-open", "size": 16, "color": style.BEFORE, "line": {"width": 3}}
-    fig.add_scatter(x=np.where(np.isnan(scale), np.nan, 0.0), y=rows, mode="markers", name="start", marker=marker)
-    bar = {"array": (high - final) / scale, "arrayminus": (final - low) / scale, "color": style.AFTER}
-    bar |= {"thickness": 1.6, "width": 4}
+    add_points(fig, np.where(np.isnan(scale), np.nan, 0.0), rows, "start", style.BEFORE, 16, "line-ns-open")
+    bar = {"array": (high - final) / scale, "arrayminus": (final - low) / scale}
     hover = f"%{{x:+{style.SHOWN}}} %<extra></extra>"
     add_points(fig, change, rows, "fitted, 95 % interval", style.AFTER, 9, error_x=bar, hovertemplate=hover)
     fig.update_xaxes(range=_reach(change, (high - low) / scale))
@@ -49,8 +47,7 @@ def learning_curve(evaluations: np.ndarray, cost: np.ndarray, title: str, quanti
     add_points(fig, evaluations, cost, "evaluation", style.SET_POINT, 5)
     best = np.fmin.accumulate(np.asarray(cost, float))
     add_line(fig, evaluations, best, "best so far", style.AFTER, 2, shape="hv")
-    fig.update_xaxes(dtick=1 if len(cost) <= 20 else None)  # whole evaluations only
-    fig.update_yaxes(type="log", dtick=_ticks(cost), tickformat=".0e", hoverformat=".4~g")
+    fig.update_yaxes(type="log", hoverformat=".4~g")
     return fig
 
 
@@ -62,12 +59,6 @@ def _row(name: str, start: float, final: float, low: float, high: float) -> str:
     """The label of a parameter: its values, and its interval below."""
     ends = interval(low, high) if np.isfinite(high - low) else "interval unknown"
     return f"<b>{_named(name)}</b>  {number(start)} → {number(final)}<br>{ends}"
-
-
-def _ticks(cost: np.ndarray) -> str | int:
-    """Labels on a logarithmic axis: every digit within two thirds of a decade, 1 2 5 up to three decades, else powers."""
-    decades = np.log10(np.max(cost) / np.min(cost))
-    return "D1" if decades < 0.7 else "D2" if decades < 3.0 else 1
 
 
 def _reach(change: np.ndarray, widths: np.ndarray) -> list[float]:
@@ -96,8 +87,7 @@ def interval_widths(names: Sequence[str], widths: Mapping[str, np.ndarray], titl
         text = [f"± {width:.3g} %" if width <= MOST else "unknown" for width in np.asarray(widths[name], float)]
         colour = style.SET_POINT if "paper" in name else colours[name]
         add_points(fig, values, labels, name, colour, 10, text=text, hovertemplate="%{y}: %{text}<extra></extra>")
-    ticks = [digit * 10.0**power for power in range(-3, 3) for digit in (1, 2, 5)]
-    fig.update_xaxes(type="log", tickvals=ticks, ticktext=[f"{tick:g}" for tick in ticks])
+    fig.update_xaxes(type="log")
     fig.update_yaxes(**_NAMES)
     return fig
 
@@ -118,13 +108,12 @@ def learned_curve(
     """
     labels = [f"{term[0]} [{'-' if term[1] == '1' else term[1]}]", "share of time [%]"]
     fig = panels(title, labels, [320, 110])
-    band = {"x": np.concatenate([at, at[::-1]]), "y": np.concatenate([value + half, (value - half)[::-1]])}
-    fig.add_scatter(**band, mode="lines", fill="toself", fillcolor=style.VEIL, line_width=0, name="95 %", hoverinfo="skip")
+    add_envelope(fig, at, value - half, value + half, "95 %", style.VEIL)
     colours = style.colours(lines)
     for name, (x, y) in lines.items():
         add_line(fig, x, y, name, colours[name], mode="lines+markers" if len(x) == len(at) else "lines")
     count, edges = np.histogram(data, BINS)
-    share, middle = 100.0 * count / max(count.sum(), 1), 0.5 * (edges[1:] + edges[:-1])
-    fig.add_bar(x=middle, y=share, marker_color=style.MEASURED, name="data", showlegend=False, yaxis="y2")
+    share = 100.0 * count / max(count.sum(), 1)
+    add_line(fig, edges, np.append(share, 0.0), "data", style.MEASURED, panel=1, group="data", shape="hv")
     fig.update_xaxes(title_text=f"{driver[0]} [{driver[1]}]", hoverformat=".4~g")
     return fig

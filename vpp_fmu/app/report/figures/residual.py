@@ -18,14 +18,10 @@ def correlations(lags_s: np.ndarray, rows: Mapping[str, Mapping[str, np.ndarray]
         for name, values in lines.items():
             shown, group = (f"{name}, {row}", name) if panel else (name, None)
             add_line(fig, lags_s, np.round(values, 4), shown, colours[name], 1.6, panel, group)
-        add_band(fig, panel, band, _no_evidence(band))
+        add_band(fig, panel, band, f"± {band:.2g}: no evidence")
         fig.layout.shapes[panel].showlegend = panel == 0
     fig.update_xaxes(title_text="lag [s]", hoverformat=".2f")
     return fig
-
-
-def _no_evidence(band: float) -> str:
-    return f"± {band:.2g}: no evidence"
 
 
 def residual_spectrum(frequency: np.ndarray, power: Mapping[str, np.ndarray], noise: np.ndarray, title: str) -> go.Figure:
@@ -36,6 +32,5 @@ def residual_spectrum(frequency: np.ndarray, power: Mapping[str, np.ndarray], no
     colours = style.colours(power)
     for name, values in power.items():
         add_line(fig, frequency, values, name, colours[name], mode="lines+markers", marker={"size": 6}, **hover)
-    fig.update_xaxes(type="log", dtick="D2")
-    fig.update_yaxes(type="log", dtick=1, tickformat=".0e")
+    fig.update_layout(xaxis_type="log", yaxis_type="log")
     return fig

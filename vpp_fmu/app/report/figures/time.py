@@ -8,7 +8,7 @@ from plotly import graph_objects as go
 
 from identification.fit.uncertainty import NORMAL_95
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_band, add_envelope, add_line, axis, figure, panels, places, to_the_eye
+from vpp_fmu.app.report.canvas import add_band, add_envelope, add_line, panels, places, to_the_eye
 from vpp_fmu.digits import number
 from vpp_fmu.record import QUANTITIES, Record
 
@@ -23,13 +23,6 @@ _HELD = "hv"
 """Line shape of commands, which are held until the next one."""
 
 _LOOP = ("thrust_set", "thrust", "omega_ref", "omega", "beta_ref", "beta")
-
-_COLUMNS = 5
-_PANEL, _GAP, _HEADING = 150, 52, 22
-"""Heights in pixels, for step responses: a panel, the gap between two rows, and the headings above the first."""
-
-_RANKS = {"fitted": 2, "left out": 3}
-"""Order in the legend, after the measured ones."""
 
 _SETTLED, _ROOM = 0.02, 1.5
 """Share of a step within which a fit counts as settled, and the drawn time as a multiple of that settling time."""
@@ -156,41 +149,27 @@ def two_records(
 
 
 def stacked(time: np.ndarray, rows: Mapping[str, Mapping[str, np.ndarray]], title: str) -> go.Figure:
-    """A panel for each of the `rows`, named by its axis label with unit: lines (n,) by name over the time [s].
+    """A panel for each of the `rows`, named by its axis label with unit: lines (n,) by name over the time [s], thinned.
 
     Lines with "command" in their name are held and dotted, "measured" ones thin; one name has one colour in all panels.
     """
     fig = panels(title, list(rows), [180] * len(rows))
+    kept = places([values for lines in rows.values() for values in lines.values()])
     names = dict.fromkeys(name for lines in rows.values() for name in lines)
     colours, shown = style.colours(n for n in names if "command" not in n), set()
     for panel, lines in enumerate(rows.values()):
         for name, values in lines.items():
             colour, width = colours.get(name, style.SET_POINT), 1.0 if name == "measured" else 1.8
             held = {"dash": "dot", "shape": _HELD} if "command" in name else {}
-            add_line(fig, time, values, name, colour, width, panel, name if name in shown else None, **held)
+            add_line(fig, time[kept], values[kept], name, colour, width, panel, name if name in shown else None, **held)
             shown.add(name)
     return fig
 
 
-def planned_commands(
-    time: np.ndarray, omega_ref: np.ndarray, beta_ref: np.ndarray, thrust: np.ndarray, title: str
-) -> go.Figure:
-    """Commands [rpm], [deg], held from row to row, and the thrust [N] that the model predicts, over time [s]; each (n,)."""
-    fig = panels(title, [*map(style.label, COMMANDS), "predicted thrust [N]"], [180, 180, 180])
-    kept = places([omega_ref, beta_ref, thrust])
-    add_line(fig, time[kept], omega_ref[kept], "commands", style.SET_POINT, 1.3, 0, shape=_HELD)
-    add_line(fig, time[kept], beta_ref[kept], "pitch command", style.SET_POINT, 1.3, 1, "commands", shape=_HELD)
-    add_line(fig, time[kept], thrust[kept], "thrust", style.AFTER, 1.3, 2)
-    return fig
-
-
 class Run(Protocol):
-    """A run: `time` (rows,) s from the step, commands, and the reason if it is excluded."""
+    """A run: `time` (rows,) s from the step, and the reason if it is excluded."""
 
     time: np.ndarray
-    start: float
-    end: float
-    level: float
     direction: str
     reason: str
 
@@ -198,91 +177,26 @@ class Run(Protocol):
         """(measured, fitted), each (rows,): thrust as a share of the step."""
 
 
-def step_responses(
-    runs: Sequence[Run], title: str, unit: str = "rpm", level_unit: str = "deg", delayed: bool = False
-) -> go.Figure:
-    """Normalised thrust over the time from the step, of the runs (at least one) of one channel, as in the paper; black: fitted.
-
-    Rows of panels: up, then down; columns: steps by size, commands in `unit` above; a colour per level of the other command,
-    in `level_unit`. Excluded runs are grey and without a fit; pointing at them shows the reason.
-    """
-    cells = _cells(runs)
-    rows, columns = (1 + max(cell[side] for cell in cells.values()) for side in (0, 1))
-    plot = rows * (_PANEL + _GAP) - _GAP
-    margin = figure(title, plot).layout.margin
-    fig = figure(title, plot + margin.t + _HEADING + margin.b)
-    fig.update_layout(hovermode="closest", margin_t=margin.t + _HEADING)
-    own = {step: row * columns + column for step, (row, column) in cells.items()}
-    after = _after(runs, delayed)
-    for step, (row, column) in cells.items():
-        _add_axes(fig, own[step], row, column, columns, _PANEL / plot, (_PANEL + _GAP) / plot, step, unit, after)
-        if column == 0:
-            fig.layout[axis("yaxis", own[step])].title = {"text": "thrust [share of step]", "font": {"size": 12}}
-        if own[step] + columns not in own.values():
-            fig.layout[axis("xaxis", own[step])].title = {"text": "time [s]", "font": {"size": 12}, "standoff": 2}
-    levels = sorted({run.level for run in runs})
-    shades = {level: style.OTHERS[k % len(style.OTHERS)] for k, level in enumerate(levels)}
-    named: set[str] = set()
-    for run in sorted(runs, key=lambda run: not run.reason):  # the excluded runs first, under the others
-        name = "left out" if run.reason else f"measured at {run.level:g} {level_unit}"
-        _add_step(fig, own[run.direction, run.start, run.end], run, name, shades[run.level], delayed, named, after)
+def step_responses(runs: Sequence[Run], title: str, delayed: bool = False) -> go.Figure:
+    """Normalised thrust over the time from the step, of the used runs (at least one) of one channel; a panel per direction."""
+    kept = [run for run in runs if not run.reason]
+    directions = list(dict.fromkeys(run.direction for run in kept))
+    fig = panels(title, [f"thrust, steps {way} [share of step]" for way in directions], [260] * len(directions))
+    after = _after(kept, delayed)
+    for place, name, colour, width in ((0, "measured", style.FAINT, 1.0), (1, "fitted", style.AFTER, 1.0)):
+        for k, run in enumerate(kept):
+            near = np.flatnonzero((run.time >= -_BEFORE * after) & (run.time <= after))
+            near = near[places([run.normalised(delayed)[0][near]], most=_POINTS)]
+            values = to_the_eye(run.normalised(delayed)[place][near])
+            panel, time = directions.index(run.direction), to_the_eye(run.time[near])
+            add_line(fig, time, values, name, colour, width, panel, name if k else None, hoverinfo="skip")
     return fig
 
 
 def _after(runs: Sequence[Run], delayed: bool) -> float:
-    """Drawn time [s] from the step: until the slowest included run has settled, and some more."""
-    longest = max(float(run.time[-1]) for run in runs)
-    times = [0.0]
+    """Drawn time [s] from the step: until the slowest run has settled, and some more."""
+    longest, times = max(float(run.time[-1]) for run in runs), [0.0]
     for run in runs:
-        if not run.reason:
-            away = np.abs(run.normalised(delayed)[1] - 1.0) > _SETTLED
-            times.append(float(run.time[away].max(initial=0.0)))
+        away = np.abs(run.normalised(delayed)[1] - 1.0) > _SETTLED
+        times.append(float(run.time[away].max(initial=0.0)))
     return min(_ROOM * max(times), longest) or longest
-
-
-def _cells(runs: Sequence[Run]) -> dict[tuple[str, float, float], tuple[int, int]]:
-    """Row and column of each step (direction, start, end): by direction, then by size, a new row after _COLUMNS."""
-    found, row = {}, 0
-    for direction in ("up", "down"):
-        steps = {(run.direction, run.start, run.end) for run in runs if run.direction == direction}
-        for k, step in enumerate(sorted(steps, key=lambda s: (abs(s[2] - s[1]), s[1]))):
-            found[step] = row + k // _COLUMNS, k % _COLUMNS
-        row += -(-len(steps) // _COLUMNS)
-    return found
-
-
-def _add_axes(fig, panel, row, column, columns, tall, pitch, step, unit, after) -> None:
-    """The axes of a panel and its heading; `tall` and `pitch` are shares of the plot's height."""
-    width, top = 1.0 / columns, 1.0 - row * pitch
-    x, y, left = axis("x", panel), axis("y", panel), column * width
-    small = {"tickfont": {"size": 11}}
-    across = {"domain": [left + 0.012, left + width - 0.012], "anchor": y, "range": [-_BEFORE * after, after]}
-    down = {"domain": [max(0.0, top - tall), top], "anchor": x, "range": [-0.45, 1.55], "showticklabels": column == 0}
-    fig.update_layout({axis("xaxis", panel): across | small, axis("yaxis", panel): down | small})
-    fig.add_annotation(
-        text=f"{step[1]:g} → {step[2]:g} {unit}",
-        font={"size": 12},
-        showarrow=False,
-        x=0.5,
-        y=1.0,
-        xref=f"{x} domain",
-        yref=f"{y} domain",
-        xanchor="center",
-        yanchor="bottom",
-    )
-
-
-def _add_step(fig, panel, run, name, colour, delayed, named, after) -> None:
-    """The lines of one run until `after` s; `named`: names that are in the legend already."""
-    measured, fitted = run.normalised(delayed)
-    near = np.flatnonzero((run.time >= -_BEFORE * after) & (run.time <= after) & np.isfinite(measured))
-    kept = near[places([measured[near]], most=_POINTS)]
-    lines = [(name, measured, style.FAINT if run.reason else colour, 1, 0.75)]
-    if not run.reason:
-        lines.append(("fitted", fitted, style.FIT, 1.6, 1.0))
-    for label, values, shade, width, opacity in lines:
-        own = {"legendgroup": label, "showlegend": label not in named, "legendrank": _RANKS.get(label, 1), "opacity": opacity}
-        own |= {"xaxis": axis("x", panel), "yaxis": axis("y", panel)}
-        hover = f"%{{y:.2f}} at %{{x:.3f}} s<br>{style.escaped(run.reason or label)}<extra></extra>"
-        add_line(fig, to_the_eye(run.time[kept]), to_the_eye(values[kept]), label, shade, width, hovertemplate=hover, **own)
-        named.add(label)

@@ -13,7 +13,6 @@ from vpp_fmu.app.report.sentences import size
 from vpp_fmu.digits import number
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.parameters import ParameterSet, to_json
-from vpp_fmu.structured import as_json
 
 FORMAT = "vpp-allocation/1"
 
@@ -22,6 +21,8 @@ class AllocateResult(Result):
     """The pair of speed and pitch of least power for each thrust. `found`: the whole allocation."""
 
     verb = "allocate"
+    files = ("allocation.json", "report.html")
+    title = "Speed and pitch for each thrust"
     found: Allocation
 
     @property
@@ -80,16 +81,12 @@ class AllocateResult(Result):
         folder.write("allocation.csv", "\n".join(rows) + "\n")
         folder.write("allocation.h", as_c(self.found))
         folder.write("gains.json", to_json(self._dated(self.gains)))
-        folder.write("allocation.json", as_json(self.to_dict()))
-        folder.write("report.html", self.page().html())
+        super().write(folder)
 
-    def page(self) -> Page:
+    def fill(self, page: Page) -> None:
         found = self.found
         goal = "the least power" if found.weight == 0.0 else f"power and reserve of thrust at a weight of {found.weight:g}"
-        text = f"For each thrust the pair of speed and pitch of {goal}, within the rig's limits. Between pairs of the same "
-        text += f"thrust, {found.model.kind} power differs."
-        page = Page("Speed and pitch for each thrust", text, found.model.parameters.label)
-        page.tiles(self.key_figures())
+        page.section("The pairs", f"For each thrust the pair of speed and pitch of {goal}, within the rig's limits.")
         share = f"{100.0 * abs(found.saving):.1f} %"
         verb = f"save {share} of the power" if found.saving >= 0.0 else f"take {share} more power"
         title = f"The pairs {verb} against the best fixed pitch, {found.fixed_beta:.3g} deg"
@@ -101,17 +98,18 @@ class AllocateResult(Result):
         few = slice(None, None, max(1, len(speeds) // 100))
         watts = found.model.at(*np.meshgrid(speeds[few], pitches, indexing="ij"))
         title = "Pairs of equal thrust cross lines of equal power: the best ones lie on the line"
-        lines = np.linspace(0.0, float(found.thrust[-1]), 7)[1:-1]
-        figure = best_pairs(speeds[few], pitches, watts.T, thrust[few].T, lines, (found.omega, found.beta), title)
-        values = ", ".join(number(level, 3) for level in lines)
-        caption = f"Colours: power. Thin lines: equal thrust, {values} N. Thick line: the pairs, from least to greatest thrust."
-        page.figure(figure, caption)
+        lines = {
+            "thrust": (thrust[few].T, np.linspace(0.0, float(found.thrust[-1]), 7)[1:-1], "N"),
+            "power": (watts.T, np.linspace(0.0, float(found.power[-1]), 7)[1:], "W"),
+        }
+        values = "; ".join(f"{name} {', '.join(number(x, 3) for x in at)} {unit}" for name, (_, at, unit) in lines.items())
+        figure = best_pairs(speeds[few], pitches, lines, (found.omega, found.beta), title)
+        page.figure(figure, f"Thin lines: equal values, {values}. Thick line: the pairs, from least to greatest thrust.")
         bands = [f"{low:.3g} to {high:.3g}" for low, high in found.beta_band]
         cells = found.thrust, found.omega, found.beta, bands, found.power, NORMAL_95 * found.power_std, found.reserve
         rows = [tuple(map(number, row, (4, 5, 3, 4, 4, 2, 3))) for row in zip(*cells, strict=True)]
         columns = ("thrust [N]", "speed [rpm]", "pitch [deg]", "pitch, 95 % [deg]", "power [W]", "± 95 % [W]", "reserve [N]")
         page.table(columns, rows[:: max(1, len(rows) // 20)], "Pairs; allocation.csv has all of them.")
-        return page
 
 
 def as_c(found: Allocation) -> str:

@@ -9,8 +9,6 @@ from identification.logger import Logger
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
 from vpp_fmu.campaign import Campaign
-from vpp_fmu.files import OutputFolder
-from vpp_fmu.structured import as_json
 
 FORMAT = "vpp-check/1"
 
@@ -22,6 +20,7 @@ class CheckResult(Result):
     None if no model can be fitted."""
 
     verb = "check"
+    files = ("check.json",)
     found: tuple[Finding, ...]
 
     def __init__(
@@ -86,12 +85,14 @@ class CheckResult(Result):
         lines += said_of_size(self.files, self.campaign.rig.rotor.get("diameter"))
         return [*lines, *(self.findings or ["quality: nothing found against these data"])]
 
-    def page(self) -> Page:
-        page = Page(f"Check of {self.campaign.folder.name}", "; ".join(self.campaign.rig.lines()), self.campaign.label)
-        page.tiles(self.key_figures())
-        for line in self.findings:
-            page.note(line)
-        return page
+    @property
+    def title(self) -> str:
+        return f"Check of {self.campaign.folder.name}"
 
-    def write(self, folder: OutputFolder) -> None:
-        folder.write("check.json", as_json(self.to_dict()))
+    @property
+    def source(self) -> str:
+        return self.campaign.label
+
+    def fill(self, page: Page) -> None:
+        for line in (*self.campaign.rig.lines(), *self.findings):
+            page.note(line)

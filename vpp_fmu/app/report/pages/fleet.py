@@ -4,6 +4,7 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from pathlib import Path
 from urllib.parse import quote
 
@@ -243,17 +244,12 @@ def _add_size(page: Page, name: str, having: Sequence[Entry]) -> None:
     what = f"{titled(name)}: {number(min(values))} to {size(max(values), unit)}"
     label = words(name) + ("" if unit == "1" else f" [{unit}]")
     far = _farthest(name, own).partition(": ")[2]
-    fig = figure(
-        f"{what} in {len(own)} campaigns{far and f'; {far}'}", 340, "date" if dated else "campaign", label, legend=False
-    )
-    fig.add_scatter(
-        x=[e.date for e in own] if dated else names,
-        y=values,
-        mode="lines+markers" if dated else "markers",
-        error_y={"type": "data", "array": [NORMAL_95 * (e.sizes[name][1] or 0.0) for e in own]},
-        text=names,
-        line={"color": style.AFTER, "width": 1},
-        marker={"size": 8},
-    )
-    fig.update_xaxes(type="date" if dated else "category")
+    at, across = names, "campaign"
+    if dated:
+        times = [datetime.fromisoformat(e.date).replace(tzinfo=None) for e in own]
+        at = [(time - times[0]).total_seconds() / 86400.0 for time in times]
+        across = f"days since {own[0].date[:10]} [d]"
+    fig = figure(f"{what} in {len(own)} campaigns{far and f'; {far}'}", 340, across, label, legend=False)
+    bars = {"array": [NORMAL_95 * (e.sizes[name][1] or 0.0) for e in own]}
+    add_points(fig, at, values, "", style.AFTER, 8, error_y=bars, text=names, hovertemplate="%{text}: %{y}")
     page.figure(fig, "Bars are 95 % intervals.")

@@ -20,13 +20,14 @@ from vpp_fmu.files import OutputFolder
 from vpp_fmu.record import QUANTITIES, Record, write_record
 from vpp_fmu.response import UNITS, Step, steps
 
-STEP_COLUMNS = ("at [s]", "from [N]", "to [N]", "settled after [s]", "overshoot [%]")
+STEP_COLUMNS = ("loop", "at [s]", "from [N]", "to [N]", "settled after [s]", "overshoot [%]")
 
 
 class LoopResult(Result):
     """A closed loop's run: `record` holds `time, thrust_set, omega_ref, beta_ref, thrust, omega, beta`, each (n,)."""
 
     verb = "cosim"
+    title = "Closed loop"
 
     def __init__(
         self,
@@ -37,8 +38,9 @@ class LoopResult(Result):
     ):
         """`limits` as of `vpp_fmu.response.steps`; `twin`: outputs of a twin beside the loop, and their units."""
         super().__init__(record)
+        self.source = title.removesuffix(".")
         self.record = Record({**record.columns, **twin[0]}, record.source) if twin else record
-        self._title, self._limits, self._twin = title, limits, twin
+        self._limits, self._twin = limits, twin
 
     @property
     def steps(self) -> list[Step]:
@@ -61,31 +63,27 @@ class LoopResult(Result):
 
     def write(self, folder: OutputFolder) -> None:
         write_record(folder, "run.csv", self.record)
-        folder.write("report.html", self.page().html())
+        super().write(folder)
 
-    def page(self) -> Page:
-        done, found = self.record, self.steps
-        page = Page("Closed loop", self.headline(), self._title.removesuffix("."))
-        if found:
-            settled = [step.settling for step in found if step.settling is not None]
-            slowest = f"{number(max(settled))} s" if settled else "none"
-            error = float(np.sqrt(np.mean((done["thrust_set"] - done["thrust"]) ** 2)))
-            page.tiles([("slowest settling", slowest, f"{len(settled)} of {len(found)} steps settle")])
-            page.tiles([("largest overshoot", percent(max(step.overshoot for step in found)), "of the step")])
-            page.tiles([("error", f"{number(error)} N", "rms of set-point less thrust, the steps themselves included")])
-        title = sentence(found[0]) if found else "Thrust under a constant set-point"
-        drawn = closed_loop({"loop": done}, title, self._limits)
-        page.figure(drawn, "Thrust with its set-point, speed and pitch with their commands.")
-        page.table(STEP_COLUMNS, [row(step) for step in found], "Every change of the set-point.")
+    def tiles(self) -> list[tuple[str, str, str]]:
+        error = float(np.sqrt(np.mean((self.record["thrust_set"] - self.record["thrust"]) ** 2)))
+        return [
+            *step_tiles(self.steps),
+            ("error", size(error, "N"), "rms of set-point less thrust, the steps themselves included"),
+        ]
+
+    def fill(self, page: Page) -> None:
+        add_loops(page, {"loop": self.record}, {"loop": self.steps}, self._limits)
         if self._twin:
-            add_adaptive(page, done.time, *self._twin, "the twin's", "The twin's adapted parameters.")
-        return page
+            add_adaptive(page, self.record.time, *self._twin, "the twin's", "The twin's adapted parameters.")
 
 
 class SimulateResult(Result):
     """A record, and the model's open-loop response to its commands. `found`: the prediction."""
 
     verb = "simulate"
+    files = ()
+    title = "Open loop"
     found: Prediction
 
     @property
@@ -119,17 +117,46 @@ class SimulateResult(Result):
         fit = None if self.rmse_thrust is None else p.fit_thrust
         return content | {"rmse_thrust": self.rmse_thrust, "rmse_omega": p.rmse_omega, "fit_thrust": fit}
 
-    def page(self) -> Page:
+    @property
+    def source(self) -> str:
+        return self.found.record.source
+
+    def fill(self, page: Page) -> None:
         p = self.found
-        page = Page("Open loop", self.headline(), p.record.source)
         title = "Thrust, as the model predicts it"
         if self.rmse_thrust is not None:
             title = f"The model errs by {size(self.rmse_thrust, 'N')}"
         page.figure(measured_against_predicted(p.record, {"model": p.thrust}, title), thinning(len(p.record)))
-        return page
 
     def write(self, folder: OutputFolder) -> None:
         write_record(folder, "prediction.csv", self.record)
+
+
+def step_tiles(found: Sequence[Step], of: str = "") -> list[tuple[str, str, str]]:
+    """Key figures (label, value, note) of the steps, if there are any; `of`: which loop."""
+    if not found:
+        return []
+    settled = [step.settling for step in found if step.settling is not None]
+    note = f"{len(settled)} of {len(found)} steps settle; overshoot up to {percent(max(step.overshoot for step in found))}"
+    return [(f"slowest settling{of}", f"{number(max(settled))} s" if settled else "none", note)]
+
+
+def add_loops(
+    page: Page,
+    loops: Mapping[str, Record],
+    judged: Mapping[str, Sequence[Step]],
+    limits: Mapping[str, tuple[float, float]] | None = None,
+    title: str = "",
+    within: str = "within 2 % of the step",
+) -> None:
+    """Closed loops over one profile and their steps, by name; `limits` of the commands by name, drawn if known."""
+    first = next(iter(judged.values()))
+    title = title or (sentence(first[0]) if first else "Thrust under a constant set-point")
+    rows = max(len(loop) for loop in loops.values())
+    caption = f"Thrust with its set-point, speed and pitch with their commands. {thinning(rows)}"
+    page.figure(closed_loop(loops, title, limits), caption)
+    table = [(name, *row(step)) for name, steps in judged.items() for step in steps]
+    page.table(STEP_COLUMNS, table, f"Every change of the set-point. Settled: {within} from then on.")
 
 
 def row(step: Step) -> tuple:

@@ -9,7 +9,7 @@ from identification.plan.excitation import PAPERS_HOLD
 from identification.plan.plan import Plan
 from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures.parameters import interval_widths
-from vpp_fmu.app.report.figures.time import planned_commands
+from vpp_fmu.app.report.figures.time import stacked
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
 from vpp_fmu.app.report.sentences import titled, words
@@ -17,7 +17,6 @@ from vpp_fmu.files import OutputFolder
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record, write_record
 from vpp_fmu.rig import DECLARED
-from vpp_fmu.structured import as_json
 
 UNKNOWN = 10.0
 """Ratio of standard deviation to size above which a parameter counts as unknown."""
@@ -31,6 +30,8 @@ class PlanResult(Result):
     """The next experiment. `found`: the whole plan."""
 
     verb = "plan"
+    files = ("plan.json", "report.html")
+    title = "The next experiment"
 
     def __init__(self, found: Plan, parameters: ParameterSet, inflation: float = 1.0, noise: str = ""):
         super().__init__(found, parameters)
@@ -86,20 +87,16 @@ class PlanResult(Result):
 
     def write(self, folder: OutputFolder) -> None:
         write_record(folder, "plan.csv", self.found.commands)
-        folder.write("plan.json", as_json(self.to_dict()))
-        folder.write("report.html", self.page().html())
+        super().write(folder)
 
-    def page(self) -> Page:
+    def fill(self, page: Page) -> None:
         """Assumptions and remarks are above the figures."""
         found, after = self.found, self.found.after
-        page = Page(
-            "The next experiment",
-            f"{self.headline()} This holds if a thrust reading every {1e3 * found.step:g} ms has white noise of "
-            f"{found.noise_std:.3g} N. Effects that the model does not have, and any colour of the noise, widen all intervals.",
-            self._parameters.label,
-        )
-        page.tiles(self.key_figures())
         page.remarks(self._basis())
+        page.note(
+            f"The forecast holds if a thrust reading every {1e3 * found.step:g} ms has white noise of {found.noise_std:.3g} N. "
+            "Effects that the model does not have, and any colour of the noise, widen all intervals."
+        )
         for remark in self._remarks():
             page.note(remark)
         for name, why in found.not_identifiable.items():
@@ -118,10 +115,10 @@ class PlanResult(Result):
         changes = int(np.sum(np.any(np.diff([columns["omega_ref"], columns["beta_ref"]]) != 0.0, axis=0)))
         title = f"Commands change at {changes} of {len(found.commands)} rows; thrust is predicted between "
         title += f"{found.thrust.min():.3g} and {found.thrust.max():.3g} N"
-        drawn = planned_commands(columns["time"], columns["omega_ref"], columns["beta_ref"], found.thrust, title)
-        page.figure(drawn, f"plan.csv. {thinning(len(found.commands))}")
+        lines = {"speed [rpm]": {"speed command": columns["omega_ref"]}, "pitch [deg]": {"pitch command": columns["beta_ref"]}}
+        lines["predicted thrust [N]"] = {"thrust": found.thrust}
+        page.figure(stacked(columns["time"], lines, title), f"plan.csv. {thinning(len(found.commands))}")
         _add_tables(page, found)
-        return page
 
 
 def _add_tables(page: Page, found: Plan) -> None:

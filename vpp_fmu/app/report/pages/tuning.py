@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from identification.tune.linear import MOVE
-from identification.tune.operating import open_loop
 from identification.tune.summary import (
     NAMES,
     against,
@@ -21,7 +19,7 @@ from identification.tune.summary import (
 )
 from identification.tune.tune import JUDGED, Tuned, Tuning
 from identification.tune.verdict import UNITS
-from vpp_fmu.app.report.figures.loop import cost_ranks, margins_over_thrust, nyquist
+from vpp_fmu.app.report.figures.loop import margins_over_thrust
 from vpp_fmu.app.report.figures.time import closed_loop as loop_figure
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
@@ -29,7 +27,6 @@ from vpp_fmu.digits import number
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.parameters import ParameterSet, to_json
 from vpp_fmu.record import write_record
-from vpp_fmu.structured import as_json
 
 FILES = {"dual": "gains.json", "speed_only": "gains_speed_only.json", "allocated": "gains.json"}
 
@@ -38,6 +35,8 @@ class TuneResult(Result):
     """Gains for both actuators and for speed alone. `found`: the whole tuning."""
 
     verb = "tune"
+    files = ("tuning.json", "report.html")
+    title = "Gains for the model"
     found: Tuning
 
     def __init__(
@@ -94,17 +93,19 @@ class TuneResult(Result):
     def write(self, folder: OutputFolder) -> None:
         for name, gains in self.gains.items():
             folder.write(FILES[name], to_json(self._dated(gains)))
-        folder.write("tuning.json", as_json(self.to_dict()))
         write_record(folder, "profile.csv", self.found.task.profile)
-        folder.write("report.html", self.page().html())
+        super().write(folder)
 
-    def page(self) -> Page:
-        found = self.found
-        task = found.task
+    @property
+    def source(self) -> str:
+        return self.found.task.parameters.label
+
+    def tiles(self) -> list[tuple[str, str, str]]:
+        return [each for each in self.key_figures() if each[0].startswith(("step", "cost", "phase"))]
+
+    def fill(self, page: Page) -> None:
+        found, task = self.found, self.found.task
         assumed = ", ".join(f"{name} = {task.parameters.values[name]:g}" for name in task.assumed)
-        page = Page("Gains for the model", headline(found), task.parameters.label)
-        figures = key_figures(found)
-        page.tiles([each for each in figures if each[0].startswith(("step", "cost", "phase"))])
         for name, tuned in found.tuned.items():
             _add_controller(page, found, name, tuned)
         if len(found.tuned) > 1:
@@ -118,8 +119,7 @@ class TuneResult(Result):
             f"the operating points {task.sensitivity:g}, and the settling and ringing of each step under the initial gains."
             + (f" Assumed for the design: {assumed}." if assumed else ""),
         )
-        page.table(("figure", "value", "note"), figures, "All figures of this tuning.")
-        return page
+        page.table(("figure", "value", "note"), self.key_figures(), "All figures of this tuning.")
 
 
 def _names(found: Tuning, tuned: Tuned) -> dict[str, str]:
@@ -146,14 +146,7 @@ def _add_controller(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
     own = objective.settings
     limits = {f"{n}_ref": (own[f"{n}_min"], own[f"{n}_max"]) for n in ("omega", "beta")}
     page.figure(loop_figure(runs, title, limits), f"{found.task.profile.source}. Thrust is the plant's, not its reading.")
-    rows = [
-        (names[which], s.time, s.before, s.after, settling(s.settling), f"{s.overshoot:.1f}", f"{s.ringing:.1f}")
-        for which, gains in tuned.gains.items()
-        for s in objective.steps(gains)
-    ]
-    columns = ("gains", "at [s]", "from [N]", "to [N]", "settled after", "overshoot [%]", "ringing [%]")
-    page.table(columns, rows, "Settled: within 2 % of the step. Ringing: the largest swing after the overshoot.")
-    _add_margins(page, found, name, tuned)
+    _add_margins(page, found, tuned)
 
 
 def _judged_by(found: Tuning, tuned: Tuned, which: str) -> str:
@@ -164,9 +157,9 @@ def _judged_by(found: Tuning, tuned: Tuned, which: str) -> str:
     )
 
 
-def _add_margins(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
-    names, last, gains = _names(found, tuned), tuned.chosen, tuned.final
-    if not tuned.points[last]:
+def _add_margins(page: Page, found: Tuning, tuned: Tuned) -> None:
+    names = _names(found, tuned)
+    if not tuned.points[tuned.chosen]:
         page.note("No operating point at which a command is free to move: no margins.")
         return
     thrust = {names[w]: np.array([p.thrust for p in tuned.points[w]]) for w in tuned.gains}
@@ -184,62 +177,24 @@ def _add_margins(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
         margins_over_thrust(thrust, quantities, limits, title),
         "Operating points at which the loop settles, on levels of thrust up and down. Dashed: the limit.",
     )
-    points = tuned.points[last][: (len(tuned.points[last]) + 1) // 2]
-    loops = {f"{p.thrust:.3g} N": open_loop(tuned.objective, gains, p) for p in points}
-    shown = {label: loop for label, (_, loop) in loops.items()}
-    title = f"{NAMES[name].capitalize()}: distance of the open loops from -1"
-    page.figure(nyquist(shown, found.task.sensitivity, title), f"Open loops of the {own[last]} gains on increasing levels.")
-    _add_margin_table(page, tuned, last, own[last])
-
-
-def _add_margin_table(page: Page, tuned: Tuned, which: str, label: str) -> None:
-    rows, scales = [], tuned.objective.settings
-    for p, m in zip(tuned.points[which], tuned.margins[which], strict=True):
-        gain = None if m.gain is None else 20.0 * np.log10(m.gain)
-        delay = None if m.delay is None else 1e3 * m.delay
-        free = "both" if len(p.channels) > 1 else "speed" if "omega" in p.channels else "pitch"
-        state = "stable" if m.stable else "unstable"
-        rows.append((p.thrust, *p.commands, free, gain, m.phase, delay, m.crossover, m.sensitivity, state))
-    columns = ("thrust [N]", "speed [rpm]", "pitch [deg]", "free", "gain [dB]", "phase [deg]", "delay [ms]")
-    page.table(
-        (*columns, "crossover [rad/s]", "sensitivity [-]", "closed loop"),
-        rows,
-        f"Margins of the {label} gains; a dash: no crossing. Linearised by steps of "
-        f"{number(MOVE * scales['omega_scale'])} rpm and {number(MOVE * scales['beta_scale'])} deg.",
-    )
 
 
 def _add_comparison(page: Page, found: Tuning) -> None:
     page.section("Both actuators against speed alone")
     runs = {NAMES[name]: tuned.objective.run(tuned.final) for name, tuned in found.tuned.items()}
-    rows = against(found)
-    down = [row for row in rows if row["after"] < row["before"]]
     title = "Both actuators against speed alone"
-    if down:
+    if down := [row for row in against(found) if row["after"] < row["before"]]:
         times = [settling(down[0][name]["settling"]) for name in found.tuned]
         title = f"Step down: both actuators settle in {times[0]}, speed alone in {times[1]}"
     page.figure(loop_figure(runs, title), "The chosen gains.")
-    cells = []
-    for row in rows:
-        for name in found.tuned:
-            own = row[name]
-            figures = settling(own["settling"]), own["overshoot"], own["squared_error"]
-            cells.append((row["time"], row["before"], row["after"], NAMES[name], *figures))
-    columns = ("at [s]", "from [N]", "to [N]", "controller", "settled after", "overshoot [%]", "squared error [s]")
-    page.table(columns, cells, "Squared error: of normalised thrust, until the next step.")
 
 
 def _add_robust(page: Page, found: Tuning) -> None:
-    page.section("Robustness over plants within the uncertainty")
-    gains = {"nominal (before)": "tuned", "robust (after)": "robust"}
+    rows = []
     for name, tuned in found.tuned.items():
-        worst = " and ".join(number(tuned.judged[which].max()) for which in gains.values())
-        title = f"{NAMES[name].capitalize()}: worst cost of {JUDGED} plants under nominal and robust gains {worst}"
-        shown = {label: tuned.judged[which] for label, which in gains.items()}
-        page.figure(cost_ranks(shown, title), "Costs, sorted for each gain set. The search used none of these plants.")
-        rows = []
         for which, label in _names(found, tuned).items():
             costs, overshoot = tuned.judged[which], 100.0 * tuned.overshoots[which].max()
-            rows.append((label, tuned.cost(which), costs.mean(), costs.max(), overshoot))
-        columns = ("gains", "cost, nominal plant", "mean", "worst", "largest overshoot [%]")
-        page.table(columns, rows, f"Costs on the nominal plant and on {JUDGED} others.")
+            rows.append((NAMES[name], label, tuned.cost(which), costs.mean(), costs.max(), overshoot))
+    page.section("Robustness over plants within the uncertainty")
+    columns = ("controller", "gains", "cost, nominal plant", "mean", "worst", "largest overshoot [%]")
+    page.table(columns, rows, f"Costs on the nominal plant and on {JUDGED} others, which the search did not use.")
