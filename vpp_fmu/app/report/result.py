@@ -12,7 +12,7 @@ from identification.fit.problem import Prior
 from vpp_fmu import __version__
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.date import now
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.notebook import table_html
 from vpp_fmu.outputs import OutputSet
@@ -34,11 +34,11 @@ class Result(ABC):
     """The result of a verb: answer, files and report are made of `headline`, `key_figures`, `to_dict` and `fill`. `found`: all
     of it; `save` writes its files.
 
-    `verb`: its name; `files`: those that hold `to_dict` (.json) and the report (.html); `title`, `source`: of the report, the
-    latter is the measurement and its date."""
+    `verb`: its name; `writes`: its files that hold `to_dict` (.json) and the report (.html). `title`, `source`: of the report;
+    the latter is the measurement and its date."""
 
     verb: ClassVar[str]
-    files: ClassVar[tuple[str, ...]] = ("report.html",)
+    writes: ClassVar[tuple[str, ...]] = ("report.html",)
     title = ""
     source = ""
 
@@ -75,12 +75,17 @@ class Result(ABC):
 
     def write(self, folder: OutputFolder) -> None:
         """Write the verb's files."""
-        for name in self.files:
+        for name in self.writes:
             folder.write(name, self.page().html() if name.endswith(".html") else as_json(self.to_dict()))
 
     def lines(self) -> list[str]:
         """Warnings and other important lines."""
         return []
+
+    @property
+    def failure(self) -> VppError | None:
+        """An error that is reported after the answer."""
+        return None
 
     def details(self) -> list[str]:
         """Lines for --verbose only."""

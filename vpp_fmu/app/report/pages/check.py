@@ -9,6 +9,7 @@ from identification.logger import Logger
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
 from vpp_fmu.campaign import Campaign
+from vpp_fmu.errors import BadInput
 
 FORMAT = "vpp-check/1"
 
@@ -20,7 +21,7 @@ class CheckResult(Result):
     None if no model can be fitted."""
 
     verb = "check"
-    files = ("check.json",)
+    writes = ("check.json",)
     found: tuple[Finding, ...]
 
     def __init__(
@@ -49,6 +50,13 @@ class CheckResult(Result):
     def findings(self) -> tuple[str, ...]:
         """Quality problems of the data, one per line, errors first."""
         return tuple(finding.text for finding in self.found)
+
+    @property
+    def failure(self) -> BadInput | None:
+        if not (codes := [f.code for f in self.errors]):
+            return None
+        what = f"{len(codes)} error{'s' * (len(codes) > 1)}: {', '.join(dict.fromkeys(codes))}"
+        return BadInput(self.campaign.folder, "quality", what, "no errors", "vpp check --help, which explains each code")
 
     def headline(self) -> str:
         errors, files, findings = len(self.errors), len(self.held), len(self.found)

@@ -8,9 +8,9 @@ from plotly import graph_objects as go
 from vpp_fmu.app.day import GAINS, PRESENT, Day, Round
 from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import add_band, add_line, add_points, panels, thinning
-from vpp_fmu.app.report.figures.loop import adapted_parameters
-from vpp_fmu.app.report.figures.time import closed_loop
+from vpp_fmu.app.report.figures import closed_loop
 from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.pages.loop import adapted_parameters
 
 
 def day_page(day: Day) -> Page:

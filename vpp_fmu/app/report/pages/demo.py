@@ -5,7 +5,7 @@ from typing import Any
 from identification.demo import Demo
 from identification.thrust_steps import step_profile
 from vpp_fmu.app.report.canvas import thinning
-from vpp_fmu.app.report.figures.time import measured_against_predicted
+from vpp_fmu.app.report.figures import measured_against_predicted
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult, findings
 from vpp_fmu.app.report.pages.identification import add_map
@@ -46,7 +46,8 @@ class DemoResult(Result):
         return content | {"rmse_thrust_fmu": {**self.found.rmse, "unit": "N"}}
 
     def lines(self) -> list[str]:
-        return [f"{name}: {sentence(step)}" for name, loop in self.loops.items() for step in loop.steps]
+        steps = [f"{name}: {sentence(step)}" for name, loop in self.loops.items() for step in loop.steps]
+        return [*steps, f"{self._seconds:.1f} s"]
 
     def write(self, folder: OutputFolder) -> None:
         done, found = self.found, self.found.diagnosis

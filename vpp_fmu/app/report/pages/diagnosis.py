@@ -13,9 +13,9 @@ from identification.diagnose.learned.description import sentence as described
 from identification.fit.noise import blocks
 from identification.fit.problem import Prior
 from identification.fit.uncertainty import NORMAL_95
-from vpp_fmu.app.report.canvas import thinning
-from vpp_fmu.app.report.figures.parameters import parameter_change
-from vpp_fmu.app.report.figures.time import measured_against_predicted
+from vpp_fmu.app.report import style
+from vpp_fmu.app.report.canvas import add_points, figure, thinning
+from vpp_fmu.app.report.figures import measured_against_predicted
 from vpp_fmu.app.report.page import Link, Page
 from vpp_fmu.app.report.pages.effect import add_effects, add_learned, around
 from vpp_fmu.app.report.pages.identification import add_quality, quality_tile
@@ -201,8 +201,8 @@ class DiagnoseResult(Result, Linearisable):
                 add_learned(page, found)
             add_effects(page, found)
         page.section("Before and after" if found.final.effects else "The model")
-        for figure, caption in (*figures, _worst(found)):
-            page.figure(figure, caption)
+        for drawn, caption in (*figures, _worst(found)):
+            page.figure(drawn, caption)
         if found.final.effects:
             _add_shift(page, found)
         page.section("What was tried")
@@ -459,6 +459,21 @@ def _add_shift(page: Page, found: Diagnosis) -> None:
     k = int(np.argmax(np.abs(before - after) / np.maximum(np.abs(after), 1e-9)))
     names = labelled(names, found.final.problem.model.parameters)
     title = f"Without the effect {names[k]} is biased to {number(before[k])}; with it, it is {number(after[k])}"
-    figure = parameter_change(names, before, after, after - reach, after + reach, title)
-    caption = "Start: the best fit without the effects; fitted: with them, 95 % intervals. Lags in the order of the latter."
-    page.figure(figure, caption)
+    scale = np.where(before == 0.0, np.nan, np.abs(before)) / 100.0
+    ends = [interval(a - r, a + r) if np.isfinite(r) else "interval unknown" for a, r in zip(after, reach, strict=True)]
+    rows = [
+        f"<b>{style.escaped(name)}</b>  {number(b)} → {number(a)}<br>{end}"
+        for name, b, a, end in zip(names, before, after, ends, strict=True)
+    ]
+    change, widths = (after - before) / scale, reach / scale
+    fig = figure(title, 130 + 44 * len(rows), "change from the start [%]")
+    add_points(fig, 0.0 * scale, rows, "start", style.BEFORE, 16, "line-ns-open")
+    hover = f"%{{x:+{style.SHOWN}}} %<extra></extra>"
+    add_points(fig, change, rows, "fitted, 95 % interval", style.AFTER, 9, error_x={"array": widths}, hovertemplate=hover)
+    # Every change and the typical interval are shown: one unidentifiable parameter does not set the range.
+    most = np.nanmax(np.abs(change), initial=0.5) + np.nanmedian([0.0, *widths[np.isfinite(widths)]])
+    fig.update_xaxes(range=[-1.1 * most, 1.1 * most])
+    fig.update_yaxes(type="category", autorange="reversed")
+    page.figure(
+        fig, "Start: the best fit without the effects; fitted: with them, 95 % intervals. Lags in the order of the latter."
+    )

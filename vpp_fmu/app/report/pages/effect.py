@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from plotly import graph_objects as go
 
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.learned.columns import Course, lagged
@@ -11,9 +12,9 @@ from identification.diagnose.learned.laws import curve_of
 from identification.diagnose.search.fits import Fit
 from identification.fit.noise import blocks
 from identification.fit.uncertainty import NORMAL_95
-from vpp_fmu.app.report.figures.map import reached_against_commanded
-from vpp_fmu.app.report.figures.parameters import learned_curve
-from vpp_fmu.app.report.figures.time import stacked
+from vpp_fmu.app.report import style
+from vpp_fmu.app.report.canvas import add_envelope, add_line, figure, panels
+from vpp_fmu.app.report.figures import stacked
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.sentences import titled
 from vpp_fmu.digits import number
@@ -35,8 +36,8 @@ NEAR = 1.5
 AT_REST = 0.01
 """Minimum share of the range that counts as an influence at rest."""
 
-POINTS = 200
-"""Points of a law's line."""
+POINTS, BINS = 200, 60
+"""Points of a law's line; bins of a histogram."""
 
 
 def add_effects(page: Page, found: Diagnosis) -> None:
@@ -83,8 +84,12 @@ def _add_at_rest(page: Page, found: Diagnosis, effects: Sequence[str], channel: 
     if off < AT_REST * np.ptp(stairs):
         return False
     title = f"{titled(' and '.join(effects))}: at rest the {word} deviates by up to {number(off, 3)} {unit} from its command"
-    figure = reached_against_commanded(stairs, reached, title, word, unit)
-    page.figure(figure, f"The settled models on stairs of {number(stairs[1] - stairs[0], 2)} {unit}, up and down.")
+    fig = figure(title, 440, f"{word} commanded [{unit}]", f"{word} reached [{unit}]")
+    add_line(fig, up[[0, -1]], up[[0, -1]], "as commanded", style.SET_POINT, 1.4, dash="dot", hoverinfo="skip")
+    colours = style.colours(reached)
+    for name, values in reached.items():
+        add_line(fig, stairs, values, name, colours[name])
+    page.figure(fig, f"The settled models on stairs of {number(stairs[1] - stairs[0], 2)} {unit}, up and down.")
     return True
 
 
@@ -131,10 +136,10 @@ def add_learned(page: Page, found: Diagnosis) -> None:
             level = np.interp(at[0], at, f) - law(term, at[:1])[0] if _free(curve) else 0.0
             lines[f"law: {term.lead.shape}"] = fine, law(term, fine) + level
         title = f"The term at {port.words} over {driver.words}, as learned"
-        figure = learned_curve(
+        fig = learned_curve(
             at, f, NORMAL_95 * std, lines, data(found), title, (driver.words, driver.unit), (port.words, port.unit)
         )
-        page.figure(figure, "Band: 95 % at each knot. Below: histogram of the fitted records. Constant beyond both ends.")
+        page.figure(fig, "Band: 95 % at each knot. Below: histogram of the fitted records. Constant beyond both ends.")
     own = [(p, term.effect.full(p.name)) for p in term.effect.parameters if p.name in term.values]
     rows = [
         (p.name, p.unit, "fitted" if n in term.fit.free else "fixed", term.values[p.name], number(stds.get(n), 2))
@@ -144,6 +149,33 @@ def add_learned(page: Page, found: Diagnosis) -> None:
     if learned.rivals:
         others = ", ".join(dict.fromkeys(rival_words(t) for t in learned.rivals))
         page.note(f"These records hardly distinguish it from: {others}. The commands of next_experiment.csv do.")
+
+
+def learned_curve(
+    at: np.ndarray,
+    value: np.ndarray,
+    half: np.ndarray,
+    lines: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    data: np.ndarray,
+    title: str,
+    driver: tuple[str, str],
+    term: tuple[str, str],
+) -> go.Figure:
+    """A curve `value` (knots,) +- `half` over `at`, further `lines` (x, y) by name, and a histogram of the `data` (n,) below.
+
+    `driver`, `term`: (words, unit) of the axes.
+    """
+    labels = [f"{term[0]} [{'-' if term[1] == '1' else term[1]}]", "share of time [%]"]
+    fig = panels(title, labels, [320, 110])
+    add_envelope(fig, at, value - half, value + half, "95 %", style.VEIL)
+    colours = style.colours(lines)
+    for name, (x, y) in lines.items():
+        add_line(fig, x, y, name, colours[name], mode="lines+markers" if len(x) == len(at) else "lines")
+    count, edges = np.histogram(data, BINS)
+    share = 100.0 * count / max(count.sum(), 1)
+    add_line(fig, edges, np.append(share, 0.0), "data", style.MEASURED, panel=1, group="data", shape="hv")
+    fig.update_xaxes(title_text=f"{driver[0]} [{driver[1]}]", hoverformat=".4~g")
+    return fig
 
 
 def _free(curve) -> bool:

@@ -4,19 +4,20 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from plotly import graph_objects as go
 
 from identification.fit.problem import Prior
 from identification.fit.uncertainty import NORMAL_95, Uncertainty
 from identification.gate.finding import ERROR, Finding
 from identification.identify import Identification
 from identification.static.static_map import design
-from vpp_fmu.app.report.canvas import thinning
-from vpp_fmu.app.report.figures.map import map_lines
-from vpp_fmu.app.report.figures.parameters import parameter_change
-from vpp_fmu.app.report.figures.time import measured_against_predicted, step_responses
+from identification.steps.run import StepRun
+from vpp_fmu.app.report import style
+from vpp_fmu.app.report.canvas import add_line, add_points, figure, panels, places, thinning, to_the_eye
+from vpp_fmu.app.report.figures import measured_against_predicted
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Knowledge, Result, dated
-from vpp_fmu.app.report.sentences import labelled, size, titled, words
+from vpp_fmu.app.report.sentences import size, titled, words
 from vpp_fmu.digits import interval, number
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.linear import Linearisable
@@ -25,12 +26,18 @@ from vpp_fmu.parameters import ParameterSet, to_json, to_ssv
 TELLING = 0.2
 """Minimum component of the weakest direction for its parameter to be named."""
 
+SETTLED, ROOM, BEFORE = 0.02, 1.5, 0.13
+"""Share of a step within which a fit counts as settled; the drawn time as a multiple of that settling time, and before it."""
+
+POINTS = 240
+"""Points of a step's line."""
+
 
 class IdentifyResult(Result, Linearisable):
     """A campaign's parameters and their uncertainty. `found`: the whole identification, with predictions and the search."""
 
     verb = "identify"
-    files = ("identification.json", "report.html")
+    writes = ("identification.json", "report.html")
     title = "Identification"
     found: Identification
 
@@ -193,7 +200,7 @@ def _add_steps(page: Page, found: Identification) -> None:
             slow, fast = (steps.start.get(f"tau_{channel}_{k}") for k in (1, 2))
             lags = "" if slow is None else f": lags of {number(slow)} and {number(fast)} s on average"
             title = f"{kept} of {len(runs)} steps of {word} are used{lags}"
-            figure = step_responses(runs, title, steps.delayed(channel))
+            figure = step_responses([run for run in runs if not run.reason], title, steps.delayed(channel))
             page.figure(figure, "Thrust as a share of the step; fitted: two lags through the static map.")
     rows = [(run.source.rsplit("/", 1)[-1], run.reason) for run in steps.outliers]
     if rows:
@@ -201,21 +208,15 @@ def _add_steps(page: Page, found: Identification) -> None:
 
 
 def _add_parameters(page: Page, found: Identification) -> None:
-    """Change of the parameters, their values and their correlation."""
+    """Values of the parameters and their correlation."""
     uncertainty = found.uncertainty
     units = {p.name: p.unit for p in found.parameters.model.parameters}
-    start, (low, high) = np.array([found.start[n] for n in uncertainty.names]), uncertainty.intervals.T
     page.section("Parameters")
-    if found.refinement is not None:
-        names = labelled(uncertainty.names, found.parameters.model.parameters)
-        title = _most_moved(uncertainty.names, start, uncertainty)
-        caption = "Change in % of the start values from steps and static map; 95 % intervals."
-        page.figure(parameter_change(names, start, uncertainty.values, low, high, title), caption)
     rows = []
     for k, name in enumerate(uncertainty.names):
         by = "on its bound" if name in found.at_bounds else uncertainty.kind(name)
-        std, ends = number(float(uncertainty.std[k]), 3), interval(float(low[k]), float(high[k]))
-        rows.append((name, units[name], start[k], float(uncertainty.values[k]), std, ends, by))
+        std, ends = number(float(uncertainty.std[k]), 3), interval(*uncertainty.intervals[k].tolist())
+        rows.append((name, units[name], found.start[name], float(uncertainty.values[k]), std, ends, by))
     columns = ("parameter", "unit", "start", "value", "std", "95 % interval", "by")
     page.table(columns, rows, "Unit 1: normalised; std accounts for the autocorrelation of the residuals.")
     page.remarks(not_identifiable(found))
@@ -253,13 +254,20 @@ def _weakest(uncertainty: Uncertainty) -> str:
     return f"{pair}: {correlation[i, j]:.2f}. {weakest}; condition number {number(condition, 3)}."
 
 
-def _most_moved(names, start: np.ndarray, uncertainty: Uncertainty) -> str:
-    """Title: the parameter with the largest change, in standard errors."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        far = np.nan_to_num(np.abs(uncertainty.values - start) / uncertainty.std, posinf=0.0)
-    k = int(np.argmax(far))
-    change = f"by {number(far[k], 2)} standard errors, from {number(start[k])} to {number(uncertainty.values[k])}"
-    return f"The fit changes {words(names[k])} the most: {change}"
+def step_responses(runs: Sequence[StepRun], title: str, delayed: bool = False) -> go.Figure:
+    """Normalised thrust over the time from the step, of runs (at least one) of one channel; a panel per direction."""
+    directions = list(dict.fromkeys(run.direction for run in runs))
+    fig = panels(title, [f"thrust, steps {way} [share of step]" for way in directions], [260] * len(directions))
+    settled = [float(run.time[np.abs(run.normalised(delayed)[1] - 1.0) > SETTLED].max(initial=0.0)) for run in runs]
+    after = ROOM * max(settled) or float(runs[0].time[-1])
+    for place, name, colour in ((0, "measured", style.FAINT), (1, "fitted", style.AFTER)):
+        for k, run in enumerate(runs):
+            near = np.flatnonzero((run.time >= -BEFORE * after) & (run.time <= after))
+            near = near[places([run.normalised(delayed)[0][near]], most=POINTS)]
+            values = to_the_eye(run.normalised(delayed)[place][near])
+            panel, time = directions.index(run.direction), to_the_eye(run.time[near])
+            add_line(fig, time, values, name, colour, 1.0, panel, name if k else None, hoverinfo="skip")
+    return fig
 
 
 def add_map(page: Page, found: Identification) -> None:
@@ -270,17 +278,20 @@ def add_map(page: Page, found: Identification) -> None:
     along = ("pitch [deg]", pitch), ("speed [rpm]", speed)
     (label, at), (_, beside) = along if np.ptp(pitch) > 0.0 or np.ptp(speed) == 0.0 else along[::-1]
     over = np.linspace(at.min(), at.max(), 61)
-    lines = {}
-    for level in np.unique(beside):
-        # Each line is at the mean measured speed, which may differ from the command.
-        other = np.full(61, points.omega[used][beside == level].mean() if beside is speed else level)
-        omega, beta = (other, over) if beside is speed else (over, other)
-        lines[other[0]] = design(omega, beta, scales) @ list(static.coefficients.values()) * scales["thrust_scale"]
     quality = "" if static.r2_adjusted is None else f" (adjusted R² {static.r2_adjusted:.4f})"
-    title = f"A cubic fits {used.sum()} steady points to {number(static.rmse)} N{quality}"
-    measured = at, points.omega[used] if beside is speed else beside, thrust
-    unit = "rpm" if beside is speed else "deg"
-    page.figure(map_lines(over, lines, measured, title, label, unit), "Lines: fitted; points: measured.")
+    fig = figure(f"A cubic fits {used.sum()} steady points to {number(static.rmse)} N{quality}", 520, label, "thrust [N]")
+    levels = np.unique(beside)
+    for level, shade in zip(levels, style.shades(len(levels)), strict=True):
+        # Each line is at the mean measured speed, which may differ from the command.
+        own = beside == level
+        other = np.full(61, points.omega[used][own].mean() if beside is speed else level)
+        omega, beta = (other, over) if beside is speed else (over, other)
+        fitted = design(omega, beta, scales) @ list(static.coefficients.values()) * scales["thrust_scale"]
+        name = f"{number(float(other[0]))} {'rpm' if beside is speed else 'deg'}"
+        shared = {"legendgroup": name, "hovertemplate": f"%{{y:{style.SHOWN}}} N at {name}, %{{x:{style.SHOWN}}}"}
+        add_line(fig, over, fitted, name, shade, 1.6, **shared)
+        add_points(fig, at[own], thrust[own], name, shade, showlegend=False, **shared)
+    page.figure(fig, "Lines: fitted; points: measured.")
     if static.not_identifiable:
         page.note(
             f"The steady points identify only combinations of {', '.join(map(words, static.not_identifiable))} with others: "

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from identification.tune.learn import LearnedLaw
-from vpp_fmu.app.report.figures.loop import cost_ranks
-from vpp_fmu.app.report.figures.parameters import learning_curve
-from vpp_fmu.app.report.figures.time import closed_loop
+from vpp_fmu.app.report import style
+from vpp_fmu.app.report.canvas import add_line, figure
+from vpp_fmu.app.report.figures import closed_loop
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
 from vpp_fmu.app.report.sentences import change
@@ -24,7 +24,7 @@ class LearnResult(Result):
     """A learned control law beside the tuned PID. `found`: the search, and the comparison on held-out plants."""
 
     verb = "learn"
-    files = ("learning.json", "report.html")
+    writes = ("learning.json", "report.html")
     title = "A learned control law"
     found: LearnedLaw
 
@@ -94,13 +94,14 @@ class LearnResult(Result):
         text += "uncertainty of the parameters. The PID was tuned on set-points of the same kind, unless gains were given. The "
         text += "comparison flies plants, set-points and noise that are not part of the search."
         page.section("The comparison", text)
-        errors = {NAMES[name]: f.errors.tolist() for name, f in found.flights.items()}
         verb = "less" if found.better > 0.5 else "more"
         title = f"The learned law has {verb} error than the tuned PID on most of the held-out plants"
-        page.figure(cost_ranks(errors, title), "Integral of the squared normalised thrust error of each plant, in order.")
+        fig = figure(title, 340, "share of the plants with no more [%]", "squared error [s]")
+        colours = style.colours(NAMES.values())
+        for name, flight in found.flights.items():
+            share = 100.0 * np.arange(1, len(flight.errors) + 1) / len(flight.errors)
+            add_line(fig, share, np.sort(flight.errors), NAMES[name], colours[NAMES[name]])
+        page.figure(fig, "Integral of the squared normalised thrust error of each plant, in order.")
         runs = {NAMES[name]: run for name, run in found.example.items()}
         title = "A flight of the identified plant with held-out set-points"
         page.figure(closed_loop(runs, title), "Thrust is the plant's, not its reading.")
-        title = f"The median cost of a generation ends at {number(float(found.cost[-1]), 3)}"
-        caption = "Each generation flies other plants and set-points, so that its cost varies."
-        page.figure(learning_curve(found.evaluations, found.cost, title), caption)

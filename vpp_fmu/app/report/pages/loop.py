@@ -5,20 +5,23 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from plotly import graph_objects as go
 
 from identification.assessment.prediction import Prediction
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import thinning
-from vpp_fmu.app.report.figures.loop import ADAPTED, adapted_parameters, residual_in_band
-from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted, two_records
+from vpp_fmu.app.report.canvas import add_envelope, add_line, panels, places, thinning
+from vpp_fmu.app.report.figures import closed_loop, measured_against_predicted, two_records
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
-from vpp_fmu.app.report.sentences import size
+from vpp_fmu.app.report.sentences import size, words
 from vpp_fmu.comparison import Comparison
 from vpp_fmu.digits import number
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.record import QUANTITIES, Record, write_record
 from vpp_fmu.response import UNITS, Step, steps
+
+ADAPTED, STD = "adapted.", "std."
+"""Prefixes of a twin's outputs."""
 
 STEP_COLUMNS = ("loop", "at [s]", "from [N]", "to [N]", "settled after [s]", "overshoot [%]")
 
@@ -82,7 +85,7 @@ class SimulateResult(Result):
     """A record, and the model's open-loop response to its commands. `found`: the prediction."""
 
     verb = "simulate"
-    files = ()
+    writes = ()
     title = "Open loop"
     found: Prediction
 
@@ -130,6 +133,56 @@ class SimulateResult(Result):
 
     def write(self, folder: OutputFolder) -> None:
         write_record(folder, "prediction.csv", self.record)
+
+
+class CompareResult(Result):
+    """Two records, at the times of the first. `found`: their common part."""
+
+    verb = "compare"
+    writes = ("comparison.json", "report.html")
+    title = "Two records"
+    found: Comparison
+
+    def __init__(self, found: Comparison, first: str, second: str):
+        """`first`, `second`: their files."""
+        super().__init__(found)
+        self._names, self.source = (first, second), f"{second} beside {first}, at the times of the latter"
+
+    def _said(self) -> dict[str, str]:
+        """The difference of each column in words."""
+        found = {}
+        for name, figures in self.found.summary()["columns"].items():
+            sizes = f"{size(figures['rms'], _unit(name))} rms, at most {size(figures['largest'], _unit(name))}"
+            found[name] = f"{style.label(name).partition(' [')[0]} differs by {sizes}"
+        return found
+
+    def headline(self) -> str:
+        said = next(iter(self._said().values()), "no shared column")
+        return f"Over {self.found.time[-1] - self.found.time[0]:.4g} s that both records have: {said}."
+
+    def key_figures(self) -> list[tuple[str, str, str]]:
+        return []
+
+    def lines(self) -> list[str]:
+        return list(self._said().values())[1:]
+
+    def to_dict(self) -> dict[str, Any]:
+        return self.found.summary()
+
+    def fill(self, page: Page) -> None:
+        found, rows = self.found, []
+        for name, title in self._said().items():
+            figures = found.summary()["columns"][name]
+            rows.append((f"{name} [{_unit(name)}]", figures["rms"], figures["mean"], figures["largest"]))
+            values = zip(self._names, (found.first[name], found.second[name]), strict=True)
+            pair = ((file, found.time, column) for file, column in values)
+            quantity = style.label(name).partition(" [")[0]
+            page.figure(two_records(*pair, title, quantity, _unit(name)), "Second less first below.")
+        page.table(("column", "rms", "mean", "largest"), rows, "Differences, second less first.")
+
+
+def _unit(name: str) -> str:
+    return QUANTITIES[name].unit if name in QUANTITIES else "as recorded"
 
 
 def step_tiles(found: Sequence[Step], of: str = "") -> list[tuple[str, str, str]]:
@@ -218,15 +271,28 @@ def add_adaptive(
     page.figure(adapted_parameters(time, outputs, own), caption)
 
 
-def comparison_page(found: Comparison, first: str, second: str) -> tuple[Page, list[str]]:
-    """The page of two records, named by their files, and its figures' titles."""
-    page, rows, titles = Page("Two records", f"{second} beside {first}, at the times of the latter."), [], []
-    for name, figures in found.summary()["columns"].items():
-        unit = QUANTITIES[name].unit if name in QUANTITIES else "as recorded"
-        rows.append((f"{name} [{unit}]", figures["rms"], figures["mean"], figures["largest"]))
-        quantity = style.label(name).partition(" [")[0]
-        titles.append(f"{quantity} differs by {number(figures['rms'])} {unit} rms, at most {number(figures['largest'])} {unit}")
-        pair = (first, found.time, found.first[name]), (second, found.time, found.second[name])
-        page.figure(two_records(*pair, titles[-1], quantity, unit), "Second less first below.")
-    page.table(("column", "rms", "mean", "largest"), rows, "Differences, second less first.")
-    return page, titles
+def residual_in_band(time: np.ndarray, twin: Mapping[str, np.ndarray]) -> go.Figure:
+    """Measured thrust less the twin's [N] over time [s], with the 95 % band; (n,) by the twin's outputs."""
+    kept = places([twin["residual"], twin["band"], twin["alarm"]])
+    alarms = time[np.diff(twin["alarm"], prepend=0.0) > 0.5]
+    said = f"alarm at {', '.join(f'{at:.1f}' for at in alarms[:5])} s" if len(alarms) else "no alarm"
+    fig = panels(f"Twin: {said}, {twin['changes'][-1]:.0f} changes followed", ["residual [N]"], [240])
+    half = twin["band"][kept]
+    add_envelope(fig, time[kept], -half, half, "95 % of readings expected", style.BAND, 0)
+    add_line(fig, time[kept], twin["residual"][kept], "rig − twin", style.MEASURED, 1, 0)
+    for at in alarms:
+        fig.add_vline(x=float(at), line={"color": style.BEFORE, "width": 1.6, "dash": "dash"})
+    return fig
+
+
+def adapted_parameters(time: np.ndarray, twin: Mapping[str, np.ndarray], units: Mapping[str, str]) -> go.Figure:
+    """Each adapted parameter over time [s] with +-2 standard deviations; `units` by its name."""
+    names = [name.removeprefix(ADAPTED) for name in twin if name.startswith(ADAPTED)]
+    kept = places([twin[part + name] for name in names for part in (ADAPTED, STD)])
+    fig = panels("Adapted parameters", [f"{words(name)} [{units[name]}]" for name in names], [150] * len(names))
+    for panel, name in enumerate(names):
+        value, std = twin[ADAPTED + name][kept], twin[STD + name][kept]
+        band = value - 2.0 * std, value + 2.0 * std
+        add_envelope(fig, time[kept], *band, "± 2 standard deviations", style.BAND, panel)
+        add_line(fig, time[kept], value, words(name), style.AFTER, 1.6, panel, "adapted")
+    return fig

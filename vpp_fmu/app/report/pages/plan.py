@@ -4,12 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from identification.fit.uncertainty import NORMAL_95
 from identification.plan.excitation import PAPERS_HOLD
 from identification.plan.plan import Plan
 from vpp_fmu.app.report.canvas import thinning
-from vpp_fmu.app.report.figures.parameters import interval_widths
-from vpp_fmu.app.report.figures.time import stacked
+from vpp_fmu.app.report.figures import stacked
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
 from vpp_fmu.app.report.sentences import titled, words
@@ -30,7 +28,7 @@ class PlanResult(Result):
     """The next experiment. `found`: the whole plan."""
 
     verb = "plan"
-    files = ("plan.json", "report.html")
+    writes = ("plan.json", "report.html")
     title = "The next experiment"
 
     def __init__(self, found: Plan, parameters: ParameterSet, inflation: float = 1.0, noise: str = ""):
@@ -91,7 +89,7 @@ class PlanResult(Result):
 
     def fill(self, page: Page) -> None:
         """Assumptions and remarks are above the figures."""
-        found, after = self.found, self.found.after
+        found = self.found
         page.remarks(self._basis())
         page.note(
             f"The forecast holds if a thrust reading every {1e3 * found.step:g} ms has white noise of {found.noise_std:.3g} N. "
@@ -101,16 +99,7 @@ class PlanResult(Result):
             page.note(remark)
         for name, why in found.not_identifiable.items():
             page.note(f"{titled(name)} is not planned for and counts as known: {why}.")
-        title = f"The paper's plan leaves {_percent(found.paper.weakest()[1])} in the weakest direction, this one"
-        widths = {"before": found.before, "the paper's plan": found.paper, "after this plan": after}
-        shown = {name: 100.0 * NORMAL_95 * forecast.relative for name, forecast in widths.items() if forecast is not None}
-        hold = [time * found.rig.scales.time_scale for time in PAPERS_HOLD]
-        page.figure(
-            interval_widths(after.names, shown, f"{title} {_percent(after.weakest()[1])}"),
-            "Predicted 95 % intervals. The paper's plan: as long, a third speed only, a third pitch only, a third both, "
-            f"levels held for {hold[0]:g} to {hold[1]:g} s."
-            + ("" if found.before is None else " Both plans add to what is known before."),
-        )
+        _add_forecast(page, found)
         columns = found.commands.columns
         changes = int(np.sum(np.any(np.diff([columns["omega_ref"], columns["beta_ref"]]) != 0.0, axis=0)))
         title = f"Commands change at {changes} of {len(found.commands)} rows; thrust is predicted between "
@@ -118,16 +107,18 @@ class PlanResult(Result):
         lines = {"speed [rpm]": {"speed command": columns["omega_ref"]}, "pitch [deg]": {"pitch command": columns["beta_ref"]}}
         lines["predicted thrust [N]"] = {"thrust": found.thrust}
         page.figure(stacked(columns["time"], lines, title), f"plan.csv. {thinning(len(found.commands))}")
-        _add_tables(page, found)
 
 
-def _add_tables(page: Page, found: Plan) -> None:
+def _add_forecast(page: Page, found: Plan) -> None:
     before, paper, after = found.before, found.paper, found.after
     known = [None] * len(after.names) if before is None else np.where(before.relative < UNKNOWN, before.std, np.nan)
     units = [found.units[name] for name in after.names]
     rows = zip(after.names, units, after.values, known, paper.std, after.std, *after.intervals.T, strict=True)
     columns = ("parameter", "unit", "value", "std before", "std, paper's plan", "std after", "95 % from", "to")
-    page.table(columns, list(rows), "Unit 1: normalised.")
+    low, high = (time * found.rig.scales.time_scale for time in PAPERS_HOLD)
+    caption = "Unit 1: normalised. The paper's plan: as long, a third speed only, a third pitch only, a third both, levels "
+    caption += f"held for {low:g} to {high:g} s." + ("" if before is None else " Both plans add to what is known before.")
+    page.table(columns, list(rows), caption)
 
 
 def combination(names, direction: np.ndarray) -> str:

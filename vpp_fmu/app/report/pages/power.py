@@ -3,7 +3,7 @@
 from identification.power.diagnose import PowerDiagnosis
 from identification.power.effects import PowerEffect
 from vpp_fmu.app.report.canvas import thinning
-from vpp_fmu.app.report.figures.time import measured_against_predicted
+from vpp_fmu.app.report.figures import measured_against_predicted
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.sentences import change, sentence, size
 from vpp_fmu.digits import chance, interval, number

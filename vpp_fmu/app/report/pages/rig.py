@@ -14,7 +14,7 @@ from hil.selftest import SelfTest
 from hil.timing import PERCENTILES, Timing
 from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import add_line, figure, thinning
-from vpp_fmu.app.report.figures.time import stacked, two_records
+from vpp_fmu.app.report.figures import stacked, two_records
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.loop import add_adaptive, add_loops, headline, step_tiles
 from vpp_fmu.digits import number, signed

@@ -1,7 +1,7 @@
 """The report of a tuning: improvement by the search, benefit of the second actuator, stability margins, robustness."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -19,8 +19,9 @@ from identification.tune.summary import (
 )
 from identification.tune.tune import JUDGED, Tuned, Tuning
 from identification.tune.verdict import UNITS
-from vpp_fmu.app.report.figures.loop import margins_over_thrust
-from vpp_fmu.app.report.figures.time import closed_loop as loop_figure
+from vpp_fmu.app.report import style
+from vpp_fmu.app.report.canvas import add_level, add_line, panels
+from vpp_fmu.app.report.figures import closed_loop as loop_figure
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
 from vpp_fmu.digits import number
@@ -35,7 +36,7 @@ class TuneResult(Result):
     """Gains for both actuators and for speed alone. `found`: the whole tuning."""
 
     verb = "tune"
-    files = ("tuning.json", "report.html")
+    writes = ("tuning.json", "report.html")
     title = "Gains for the model"
     found: Tuning
 
@@ -162,21 +163,19 @@ def _add_margins(page: Page, found: Tuning, tuned: Tuned) -> None:
     if not tuned.points[tuned.chosen]:
         page.note("No operating point at which a command is free to move: no margins.")
         return
-    thrust = {names[w]: np.array([p.thrust for p in tuned.points[w]]) for w in tuned.gains}
-
-    def over(name, scale=1.0) -> Mapping[str, np.ndarray]:
-        found = {w: [getattr(m, name) for m in tuned.margins[w]] for w in tuned.gains}
-        return {names[w]: np.array([np.nan if v is None else scale * v for v in values]) for w, values in found.items()}
-
-    quantities = {"phase [deg]": over("phase"), "delay [ms]": over("delay", 1e3), "sensitivity [-]": over("sensitivity")}
     own = labels(found, tuned)
     worst = {w: max((m.sensitivity for m in tuned.margins[w]), default=np.nan) for w in tuned.gains}
     title = f"Largest sensitivity: {', '.join(f'{own[w]} {s:.3g}' for w, s in worst.items())}"
-    limits = {"sensitivity [-]": found.task.sensitivity}
-    page.figure(
-        margins_over_thrust(thrust, quantities, limits, title),
-        "Operating points at which the loop settles, on levels of thrust up and down. Dashed: the limit.",
-    )
+    fig = panels(title, ["phase [deg]", "delay [ms]", "sensitivity [-]"], [130] * 3)
+    colours = style.colours(names.values())
+    for panel, (quantity, scale) in enumerate((("phase", 1.0), ("delay", 1e3), ("sensitivity", 1.0))):
+        for which, name in names.items():
+            thrust, margins = [p.thrust for p in tuned.points[which]], [getattr(m, quantity) for m in tuned.margins[which]]
+            values = np.array([np.nan if value is None else scale * value for value in margins])
+            add_line(fig, thrust, values, name, colours[name], 1.6, panel, name if panel else None, mode="lines+markers")
+    add_level(fig, 2, found.task.sensitivity)
+    fig.update_xaxes(title_text="thrust at the operating point [N]", hoverformat=".3~g")
+    page.figure(fig, "Operating points at which the loop settles, on levels of thrust up and down. Dashed: the limit.")
 
 
 def _add_comparison(page: Page, found: Tuning) -> None:

@@ -1,14 +1,13 @@
-"""Figures over time: measurement and prediction, closed loop, two records, planned commands, step responses."""
+"""Figures of several pages, over time: measurement and prediction, closed loop, two records, panels of lines."""
 
-from collections.abc import Mapping, Sequence
-from typing import Protocol
+from collections.abc import Mapping
 
 import numpy as np
 from plotly import graph_objects as go
 
 from identification.fit.uncertainty import NORMAL_95
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_band, add_envelope, add_line, panels, places, to_the_eye
+from vpp_fmu.app.report.canvas import add_band, add_envelope, add_line, panels, places
 from vpp_fmu.digits import number
 from vpp_fmu.record import QUANTITIES, Record
 
@@ -23,15 +22,6 @@ _HELD = "hv"
 """Line shape of commands, which are held until the next one."""
 
 _LOOP = ("thrust_set", "thrust", "omega_ref", "omega", "beta_ref", "beta")
-
-_SETTLED, _ROOM = 0.02, 1.5
-"""Share of a step within which a fit counts as settled, and the drawn time as a multiple of that settling time."""
-
-_BEFORE = 0.13
-"""Share of the time after the step that is drawn before it."""
-
-_POINTS = 240
-"""Points per line: the width of a panel in pixels."""
 
 
 def measured_against_predicted(
@@ -164,39 +154,3 @@ def stacked(time: np.ndarray, rows: Mapping[str, Mapping[str, np.ndarray]], titl
             add_line(fig, time[kept], values[kept], name, colour, width, panel, name if name in shown else None, **held)
             shown.add(name)
     return fig
-
-
-class Run(Protocol):
-    """A run: `time` (rows,) s from the step, and the reason if it is excluded."""
-
-    time: np.ndarray
-    direction: str
-    reason: str
-
-    def normalised(self, delayed: bool) -> tuple[np.ndarray, np.ndarray]:
-        """(measured, fitted), each (rows,): thrust as a share of the step."""
-
-
-def step_responses(runs: Sequence[Run], title: str, delayed: bool = False) -> go.Figure:
-    """Normalised thrust over the time from the step, of the used runs (at least one) of one channel; a panel per direction."""
-    kept = [run for run in runs if not run.reason]
-    directions = list(dict.fromkeys(run.direction for run in kept))
-    fig = panels(title, [f"thrust, steps {way} [share of step]" for way in directions], [260] * len(directions))
-    after = _after(kept, delayed)
-    for place, name, colour, width in ((0, "measured", style.FAINT, 1.0), (1, "fitted", style.AFTER, 1.0)):
-        for k, run in enumerate(kept):
-            near = np.flatnonzero((run.time >= -_BEFORE * after) & (run.time <= after))
-            near = near[places([run.normalised(delayed)[0][near]], most=_POINTS)]
-            values = to_the_eye(run.normalised(delayed)[place][near])
-            panel, time = directions.index(run.direction), to_the_eye(run.time[near])
-            add_line(fig, time, values, name, colour, width, panel, name if k else None, hoverinfo="skip")
-    return fig
-
-
-def _after(runs: Sequence[Run], delayed: bool) -> float:
-    """Drawn time [s] from the step: until the slowest run has settled, and some more."""
-    longest, times = max(float(run.time[-1]) for run in runs), [0.0]
-    for run in runs:
-        away = np.abs(run.normalised(delayed)[1] - 1.0) > _SETTLED
-        times.append(float(run.time[away].max(initial=0.0)))
-    return min(_ROOM * max(times), longest) or longest
