@@ -1,4 +1,4 @@
-"""The report: a page that needs no network, and figures with titles, units and correct data."""
+"""The report: a page that needs no network, and figures with correct data."""
 
 import re
 from html.parser import HTMLParser
@@ -7,26 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from vpp_fmu.app.report.figures.loop import (
-    cost_ranks,
-    margins_over_thrust,
-)
-from vpp_fmu.app.report.figures.map import (
-    best_pairs,
-    map_lines,
-    reached_against_commanded,
-)
-from vpp_fmu.app.report.figures.parameters import (
-    interval_widths,
-    learned_curve,
-    learning_curve,
-    parameter_change,
-)
-from vpp_fmu.app.report.figures.residual import (
-    correlations,
-    residual_spectrum,
-)
-from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted, stacked, step_responses, two_records
+from vpp_fmu.app.report.drawing import Arrays, drawing
+from vpp_fmu.app.report.figures import measured_against_predicted
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult
 from vpp_fmu.app.report.summary import LEFT_OUT
@@ -61,69 +43,11 @@ def prediction(title: str = "The model errs by 0.1 N", samples: int = 500, name:
     return measured_against_predicted(r, models, title, noise=0.1)
 
 
-def grid_points() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    omega, beta = (axis.ravel() for axis in np.meshgrid([2000.0, 4000.0, 6000.0], [-5.0, 0.0, 5.0, 10.0]))
-    return beta, omega, omega * (beta + 6) / 6000
-
-
-def figures(title: str = "The message") -> dict:
-    """A figure of each kind by name."""
-    return _of_models(title) | _of_diagnoses(title) | _of_designs(title)
-
-
-def _of_models(title: str) -> dict:
-    r, other = record(400), record(400, seed=2)
-    names = ["tau_beta_1", "c20", "added"]
-    speeds = {2000.0: 1.0, 4000.0: 1.5, 6000.0: 2.0}
-    lines = {speed: share * np.linspace(0, 10, 5) for speed, share in speeds.items()}
-    return {
-        "prediction": prediction(title),
-        "map": map_lines(np.linspace(-5, 10, 5), lines, grid_points(), title, "pitch [deg]", "rpm"),
-        "loop": closed_loop({"dual": r, "speed only": {k: v for k, v in other.items() if k != "beta"}}, title),
-        "two": two_records(("a", r["time"], r["thrust"]), ("b", other["time"], other["thrust"]), title, "thrust", "N"),
-        "parameters": parameter_change(names, [0.1, 0.3, 0.0], [0.2, 0.2, 0.8], [0.1, 0.1, 0.7], [0.3, np.nan, 0.9], title),
-        "learning": learning_curve(np.arange(1, 9), np.geomspace(1, 1e-3, 8), title),
-    }
-
-
-def _of_diagnoses(title: str) -> dict:
-    x = np.linspace(0.1, 2.0, 20)
-    both = {"before": np.exp(-x), "after": 0.1 * np.exp(-x)}
-    return {
-        "correlations": correlations(x, {"itself": both, "pitch command": both}, 0.05, title),
-        "spectrum": residual_spectrum(x, both, 0.3 + 0.0 * x, title),
-        "curve": reached_against_commanded(x, both, title, "pitch", "deg"),
-        "stacked": stacked(x, {"pitch [deg]": {"pitch command": x, **both}, "thrust [N]": {"measured": x, **both}}, title),
-    }
-
-
-def _of_designs(title: str) -> dict:
-    x, rng = np.linspace(0.1, 20.0, 60), np.random.default_rng(1)
-    surface = np.outer(x, x)
-    step = SimpleNamespace(time=x, direction="up", reason="", normalised=lambda _: (x / 20, x / 20))
-    names = ["tau_beta_1", "c20", "pitch_command_deadband.half_width"]
-    widths = {"before": [20.0, 3.0, 400.0], "the paper's plan": [10.0, 2.0, 50.0], "after this plan": [2.0, 0.5, 5.0]}
-    return {
-        "learned": learned_curve(x, x**2, x, {"learned": (x, x**2)}, x, title, ("speed", "rpm"), ("thrust", "N")),
-        "widths": interval_widths(names, {k: np.array(v) for k, v in widths.items()}, title),
-        "pairs": best_pairs(x, x, {"thrust": (surface, [50.0, 100.0], "N"), "power": (surface**2, [1e3], "W")}, (x, x), title),
-        "steps": step_responses([step], title),
-        "margins": margins_over_thrust(
-            {"tuned": x}, {"gain margin [-]": {"tuned": 2.0 + 0.1 * x}, "delay margin [s]": {"tuned": 0.1 / x}}, {}, title
-        ),
-        "ranks": cost_ranks({"tuned": rng.uniform(size=30), "published": rng.uniform(1, 2, 30)}, title),
-    }
-
-
-FIGURES = figures()
-
-
 def page() -> Page:
     report = Page("A rig", "It errs by 0.4 N.\n\nNoise: 0.3 N.")
     report.tiles([("Error", "0.40 N", "unseen record"), ("Parameters", 9, "")])
-    for section, fig in figures().items():
-        report.section(section, "What it shows.")
-        report.figure(fig, "A caption.")
+    report.section("The section", "What it shows.")
+    report.figure(prediction(), "A caption.")
     report.table(["parameter", "value [s]"], [["tau", 0.12345], ["late", None]], "Values.")
     report.note("Mind this.")
     return report
@@ -188,20 +112,6 @@ def test_tags_in_names_are_escaped_in_figures():
     assert not any("<b>" in trace.name for trace in fig.data)
 
 
-@pytest.mark.parametrize("name", FIGURES)
-def test_every_axis_names_its_quantity_and_unit(name):
-    layout = FIGURES[name].layout
-    axes = []
-    for key, value in layout.to_plotly_json().items():
-        if re.fullmatch(r"[xy]axis\d*", key):
-            axes.append(value)
-    assert len(axes) >= 2
-    for axis in axes:
-        if axis.get("type") == "category":  # its labels are names
-            continue
-        assert re.search(r"\w.*\[.+\]$", axis["title"]["text"].replace("<br>", " "))
-
-
 def test_residual_and_its_size_are_those_of_the_data():
     fig = prediction()
     after = next(trace for trace in fig.data if trace.name.startswith("after, rmse"))
@@ -249,3 +159,10 @@ def test_an_effect_left_out_of_the_model_is_in_the_headline_with_the_reason(ship
     for part in ("he rotor shakes the load cell by 0.31 N once a revolution (", LEFT_OUT, *errors):
         assert part in said
     assert ("backlash" in said) == ("->" in said) == bool(shipped)
+
+
+def test_a_colour_that_may_be_invisible_on_dark_is_refused():
+    fig = prediction()
+    fig.data[0].line.color = "#123456"
+    with pytest.raises(ValueError, match="#123456 is in no scheme"):
+        drawing(fig, Arrays())

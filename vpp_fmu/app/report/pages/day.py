@@ -76,5 +76,5 @@ def by_round(rounds: Sequence[Round], noise: float) -> go.Figure:
         x, y = np.array(at, float).T
         add_points(fig, x, y, name, colours[name], 10, yaxis="y2")
     add_line(fig, numbers, [r.cost for r in rounds], "flies next", style.FIT, 1.4, 1)
-    fig.update_xaxes(title_text="round", dtick=1, range=[0.5, len(rounds) + 0.5])
+    fig.update_xaxes(title_text="round [-]", dtick=1, range=[0.5, len(rounds) + 0.5])
     return fig
