@@ -1,4 +1,4 @@
-"""The answer of each verb: one JSON object that its schema describes, a sentence in the first line, --quiet; its report as seen."""
+"""The answer of each verb: an object that its schema describes, a sentence in the first line, --quiet; its report as seen."""
 
 import base64
 import io

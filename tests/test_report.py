@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from vpp_fmu.app.report.drawing import Arrays, drawing
+from vpp_fmu.app.report.canvas import Arrays
 from vpp_fmu.app.report.figures import measured_against_predicted
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult
@@ -107,19 +107,19 @@ def test_page_escapes_every_text():
 
 
 def test_tags_in_names_are_escaped_in_figures():
-    fig = prediction(HOSTILE, name="<b>loud</b>")
+    fig = prediction(HOSTILE, name="<b>loud</b>").plotly()
     assert "<a" not in fig.layout.title.text
     assert not any("<b>" in trace.name for trace in fig.data)
 
 
 def test_residual_and_its_size_are_those_of_the_data():
     fig = prediction()
-    after = next(trace for trace in fig.data if trace.name.startswith("after, rmse"))
-    residual = next(trace for trace in fig.data if trace.name == "after, residual")
-    assert after.name == "after, rmse 0.1 N"
-    np.testing.assert_allclose(residual.y, 0.1)
-    assert residual.yaxis == "y2"
-    assert [fig.layout.shapes[0].y0, fig.layout.shapes[0].y1] == [-0.2, 0.2]
+    after = next(mark for mark in fig.marks if mark["name"].startswith("after, rmse"))
+    residual = next(mark for mark in fig.marks if mark["name"] == "after, residual")
+    assert after["name"] == "after, rmse 0.1 N"
+    np.testing.assert_allclose(residual["y"], 0.1)
+    assert residual["axis"] == fig.shapes[0]["axis"] == "y1"
+    assert fig.shapes[0]["ends"] == [-0.2, 0.2]
 
 
 def test_band_stands_around_the_prediction_and_in_the_residual():
@@ -127,12 +127,20 @@ def test_band_stands_around_the_prediction_and_in_the_residual():
     std = np.linspace(0.1, 0.2, 500)
     predicted = r["thrust"] - 0.1
     fig = measured_against_predicted(r, {"model": predicted}, "title", band=std)
-    edges = [trace for trace in fig.data if trace.hoverinfo == "skip"]
-    assert [trace.yaxis for trace in edges] == ["y", "y", "y2", "y2"]
+    edges = [mark for mark in fig.marks if mark.get("mute")]
+    assert [mark["axis"] for mark in edges] == ["y0", "y0", "y1", "y1"]
     for edge, centre, side in zip(edges, (predicted, predicted, 0.0, 0.0), (-1, 1, -1, 1), strict=True):
-        np.testing.assert_allclose(edge.y, centre + side * 1.96 * std, atol=1e-5)
-    assert [trace.fill for trace in edges] == [None, "tonexty", None, "tonexty"]
-    assert sum(bool(trace.showlegend) for trace in edges) == 1
+        np.testing.assert_allclose(edge["y"], centre + side * 1.96 * std, atol=1e-5)
+    assert ["fill" in mark for mark in edges] == [False, True, False, True]
+    assert sum(mark["shown"] and bool(mark["name"]) for mark in edges) == 1
+
+
+def test_the_figure_of_a_notebook_has_the_same_lines_and_panels():
+    own, fig = prediction(), prediction().plotly()
+    assert [len(trace.x) for trace in fig.data] == [len(mark["x"]) for mark in own.marks]
+    assert [fig.layout[f"yaxis{k}"].title.text for k in ("", 2, 3, 4)] == [own.axes[f"y{k}"]["title"] for k in range(4)]
+    assert fig.layout.xaxis.title.text == "time [s]"
+    assert {trace.yaxis for trace in fig.data} == {"y", "y2", "y3", "y4"}
 
 
 @pytest.mark.parametrize(("shipped", "errors"), [((), ["0.2 N"]), (("pitch_backlash",), ["0.3 -> 0.2 N"])])
@@ -163,6 +171,6 @@ def test_an_effect_left_out_of_the_model_is_in_the_headline_with_the_reason(ship
 
 def test_a_colour_that_may_be_invisible_on_dark_is_refused():
     fig = prediction()
-    fig.data[0].line.color = "#123456"
+    fig.marks[0]["colour"] = "#123456"
     with pytest.raises(ValueError, match="#123456 is in no scheme"):
-        drawing(fig, Arrays())
+        fig.drawing(Arrays())

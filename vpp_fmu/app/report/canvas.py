@@ -1,13 +1,23 @@
-"""Parts of all figures: the empty figure, panels over a common axis, lines, points, bands; thinning of long records."""
+"""Figures: lines, points and bands in panels over one x axis, which `draw.js` draws on a page, in its colours and at its width.
 
+plotly's own script takes 4.8 MB in every page, 2.0 MB packed. In a notebook the same figures are plotly's.
+"""
+
+import base64
+import html
+import json
 import math
 import textwrap
 from collections.abc import Iterable, Sequence
+from importlib.resources import files
+from typing import Any
 
 import numpy as np
 from plotly import graph_objects as go
 
 from vpp_fmu.app.report import style
+
+SCRIPT = files(__package__).joinpath("draw.js").read_text(encoding="utf-8")
 
 MOST = 4000
 """Maximum points per line. On a slow machine seven SVG lines of 22 500 points take 60 to 120 ms per zoom and 40 ms per hover;
@@ -16,98 +26,185 @@ lines of 4000 points take 30 and 18 ms, and a fifth of the bytes."""
 _WIDEST = 80
 """Maximum letters in a line of a title in a notebook; the page breaks it itself."""
 
-_GAP = 22
-"""Pixels between two panels."""
-
-_ABOVE, _BELOW = 70, 48
-"""Pixels above and below the panels."""
+_GAP, _AROUND = 22, 118
+"""Pixels between two panels, and above and below them in a notebook."""
 
 
-def figure(title: str, height: int, x: str = "", y: str = "", legend: bool = True) -> go.Figure:
-    """An empty figure `height` px high, as wide as the page, with axis labels; the legend is between title and panels."""
-    return go.Figure(
-        layout={
-            "template": style.TEMPLATE,
-            "height": height,
-            "title": {"text": "<br>".join(f"<b>{style.escaped(line)}</b>" for line in textwrap.wrap(title, _WIDEST)), "x": 0.0},
-            "showlegend": legend,
-            "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom"},
-            "margin": {"l": 64, "r": 24, "t": _ABOVE, "b": _BELOW},
-            **{f"{side}axis": {"title": {"text": label}} for side, label in (("x", x), ("y", y)) if label},
-        }
-    )
+class Arrays:
+    """Numbers as base64 of 32-bit floats, seven digits. Each array is stored once per page, since figures share their times."""
+
+    def __init__(self):
+        self._places: dict[str, int] = {}
+        self._new: list[str] = []
+
+    def add(self, values) -> int:
+        """Index of an array."""
+        packed = base64.b64encode(np.asarray(values, np.float32).tobytes()).decode()
+        if packed not in self._places:
+            self._places[packed] = len(self._places)
+            self._new.append(packed)
+        return self._places[packed]
+
+    def new(self) -> list[str]:
+        """Arrays added since the last call."""
+        new, self._new = self._new, []
+        return new
 
 
-def panels(title: str, labels: Sequence[str], heights: Sequence[int]) -> go.Figure:
-    """A figure of panels from top to bottom with these axis labels and heights [px], over one axis in seconds.
+class Figure:
+    """A figure with its message as the `title`, and panels from top to bottom, each (label, height in pixels).
 
-    Zoom and hover act on all of them.
+    `x`: label of the x axis. `unified`: the values of all lines at the pointer are shown, else those of the nearest point.
+    `axes`: properties by name, "x", "y0", "y1", ...: title, kind (linear, log), range, reversed, zero (must be visible), step
+    (least distance of ticks), and format (d3's) of a value under the pointer. Axes of texts are categories.
     """
-    total = sum(heights) + _GAP * (len(heights) - 1)
-    fig = figure(title, total + _ABOVE + _BELOW)
-    top = total
-    for k, (label, height) in enumerate(zip(labels, heights, strict=True)):
-        text = "<br>".join(textwrap.wrap(label, height // 8))  # some 8 pixels per letter
-        fig.update_layout({axis("yaxis", k): {"domain": [(top - height) / total, top / total], "title": {"text": text}}})
-        fig.layout[axis("yaxis", k)].anchor = "x"
-        top -= height + _GAP
-    last = axis("y", len(labels) - 1)
-    fig.update_xaxes(title_text=style.label("time"), anchor=last, hoverformat=".3f")
-    fig.update_layout(hovermode="x unified", hoversubplots="axis")
+
+    def __init__(self, title: str, panels: Sequence[tuple[str, int]], x: str, unified: bool = False, legend: bool = True):
+        self.title, self.unified, self.legend = title, unified, legend
+        labels = {"x": x, **{f"y{k}": label for k, (label, _) in enumerate(panels)}}
+        self.axes: dict[str, dict[str, Any]] = {name: {"title": label, "kind": "linear"} for name, label in labels.items()}
+        self.heights = [height for _, height in panels]
+        self.marks: list[dict[str, Any]] = []
+        self.shapes: list[dict[str, Any]] = []
+
+    def line(self, x, y, name: str, colour: str, width: float = 1.8, panel: int = 0, group: str = "", **more) -> None:
+        """A line in a panel, from 0. With a `group` it has no legend entry and is shown with the line of that name. `more`:
+        `dash` (dot, dash, dashdot), `held` (until the next value), `size` of a marker at each value, `text` of each value,
+        `told` (at the pointer: a text with values such as %{y:.3f}), `mute` (nothing is told)."""
+        own = {"name": name, "key": group or name, "shown": not group, "colour": colour, "wide": width, **more}
+        self.marks.append({"axis": f"y{panel}", "x": x, "y": y, **own})
+
+    def points(self, x, y, name: str, colour: str, size: float = 6, panel: int = 0, group: str = "", **more) -> None:
+        """Points without a line. `more`: as of a line, `bar` (a vertical stroke in place of a dot), and error bars of half
+        width `error` (n,) along the axis `across`, "x" or "y"."""
+        self.line(x, y, name, colour, 0, panel, group, size=size, **more)
+
+    def envelope(self, x, low, high, name: str, colour: str, panel: int = 0) -> None:
+        """A coloured band from `low` to `high`, all (n,); only the first of a name is in the legend."""
+        group = name if any(mark["name"] == name for mark in self.marks) else ""
+        self.line(x, low, "", colour, 0, panel, name, mute=True)
+        self.line(x, high, name, colour, 0, panel, group, mute=True, fill=colour)
+
+    def band(self, panel: int, half_width: float, name: str, shown: bool = True) -> None:
+        """A band around zero under the lines of a panel. Its dotted edges are above them: a dense residual hides the rest."""
+        own = {"fill": style.NOISE, "colour": style.MEASURED, "wide": 1, "dash": "dot"}
+        self.shapes.append(
+            {"axis": f"y{panel}", "name": name, "key": name, "shown": shown, "ends": [-half_width, half_width], **own}
+        )
+
+    def level(self, axis: str, at: float, colour: str = style.SET_POINT) -> None:
+        """A dashed line across the panels at a value of an axis."""
+        self.shapes.append({"axis": axis, "ends": [at], "colour": colour, "wide": 1.4, "dash": "dash"})
+
+    def drawing(self, arrays: Arrays) -> str:
+        """JSON for `draw`, with those of its `arrays` that are not yet in the page. ValueError for a colour that may be
+        invisible on dark."""
+        panels, top = [], 8
+        for k, tall in enumerate(self.heights):
+            panels.append({"y": f"y{k}", "y0": top, "tall": tall})
+            top += tall + _GAP
+        spec = {
+            "panels": panels,
+            "axes": {name: axis | self._names(name) for name, axis in self.axes.items()},
+            "marks": [_encoded(mark, arrays) for mark in self.marks],
+            "shapes": [_encoded(shape, arrays) for shape in self.shapes],
+            "legend": self.legend,
+            "unified": self.unified,
+            "arrays": arrays.new(),
+        }
+        # "</script>" in a label would end the script.
+        return json.dumps(spec, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+
+    def _names(self, axis: str) -> dict[str, Any]:
+        """Kind and names of an axis of texts; empty for others."""
+        own = [value for mark in self.marks if axis in ("x", mark["axis"]) for value in mark[axis[0]]]
+        return {"kind": "category", "names": list(dict.fromkeys(own))} if any(isinstance(value, str) for value in own) else {}
+
+    def plotly(self) -> go.Figure:
+        """The same figure for a notebook."""
+        total = sum(self.heights)
+        title = "<br>".join(map(_escaped, textwrap.wrap(self.title, _WIDEST)))
+        fig = go.Figure(layout={"template": "plotly_white", "height": total + _AROUND, "showlegend": self.legend})
+        fig.update_layout(title={"text": title, "x": 0.0}, legend={"orientation": "h", "y": 1.0, "yanchor": "bottom"})
+        fig.update_layout(hovermode="x unified" if self.unified else "closest")
+        for name, axis in self.axes.items():
+            given = {
+                "title": {"text": _escaped(axis["title"])},
+                "type": (axis | self._names(name))["kind"],
+                "range": axis.get("range"),
+            }
+            if name != "x":
+                below = sum(self.heights[int(name[1:]) + 1 :])
+                given["domain"] = [below / total, (below + 0.9 * self.heights[int(name[1:])]) / total]
+            fig.layout[_plotlys(name, "axis")] = given | ({"autorange": "reversed"} if axis.get("reversed") else {})
+        fig.layout.xaxis.anchor = _plotlys(list(self.axes)[-1])
+        for mark in self.marks:
+            values = {side: [_escaped(v) if isinstance(v, str) else v for v in mark[side]] for side in "xy"}
+            kinds = ["markers"] * ("size" in mark) + ["lines"] * bool(mark["wide"] or "size" not in mark)
+            line = {
+                "color": mark["colour"],
+                "width": mark["wide"],
+                "dash": mark.get("dash"),
+                "shape": "hv" if mark.get("held") else None,
+            }
+            fig.add_scatter(
+                **values,
+                **({f"error_{mark['across']}": {"array": mark["error"]}} if "across" in mark else {}),
+                **({"fill": "tonexty", "fillcolor": mark["fill"]} if "fill" in mark else {}),
+                name=_escaped(mark["name"]),
+                mode="+".join(kinds),
+                line=line,
+                marker={"color": mark["colour"], "size": mark.get("size")},
+                yaxis=_plotlys(mark["axis"]),
+                legendgroup=mark["key"],
+                showlegend=mark["shown"],
+                hovertemplate=mark.get("told"),
+                hoverinfo="skip" if mark.get("mute") else None,
+                text=mark.get("text"),
+            )
+        for shape in self.shapes:
+            across = {"xref": "paper", "x0": 0, "x1": 1, "yref": _plotlys(shape["axis"])}
+            ends = dict(zip(("y0", "y1"), (shape["ends"][0], shape["ends"][-1]), strict=True))
+            if shape["axis"] == "x":
+                across, ends = (
+                    {"yref": "paper", "y0": 0, "y1": 1, "xref": "x"},
+                    {key.replace("y", "x"): end for key, end in ends.items()},
+                )
+            line = {"color": shape["colour"], "width": shape["wide"], "dash": shape["dash"]}
+            fig.add_shape(type="rect", **across, **ends, line=line, fillcolor=shape.get("fill"))
+        return fig
+
+
+def _encoded(mark: dict[str, Any], arrays: Arrays) -> dict[str, Any]:
+    """A mark or shape for `draw`: colours of the page, and places of its arrays."""
+    inked = {key: style.ink(mark[key]) for key in ("colour", "fill") if key in mark}
+    return mark | inked | {key: _placed(mark[key], arrays) for key in ("x", "y", "error") if key in mark}
+
+
+def _placed(values, arrays: Arrays) -> list[str] | int:
+    return list(values) if any(isinstance(value, str) for value in values) else arrays.add(np.array(values, float))
+
+
+def _plotlys(axis: str, kind: str = "") -> str:
+    """plotly's name of an axis: y2 for y1, or yaxis2."""
+    return f"{axis[0]}{kind}{int(axis[1:]) + 1 if axis[1:] not in ('', '0') else ''}"
+
+
+def _escaped(text: str) -> str:
+    """Text for plotly, which would interpret tags."""
+    return html.escape(text, quote=False).replace("\n", "<br>")
+
+
+def figure(title: str, height: int, x: str, y: str, legend: bool = True) -> Figure:
+    """A figure of one panel with axis labels."""
+    return Figure(title, [(y, height)], x, legend=legend)
+
+
+def panels(title: str, labels: Iterable[str], heights: Iterable[int], x: str = style.LABELS["time"]) -> Figure:
+    """A figure of panels from top to bottom with these labels and heights. Zoom and pointer act on all of them."""
+    fig = Figure(title, list(zip(labels, heights, strict=True)), x, unified=True)
+    fig.axes["x"]["format"] = ".3f"
     return fig
-
-
-def axis(kind: str, panel: int) -> str:
-    """Plotly's name of an axis: the first has no number."""
-    return kind if panel == 0 else f"{kind}{panel + 1}"
-
-
-def add_line(
-    fig: go.Figure,
-    x,
-    y,
-    name: str,
-    colour: str,
-    width: float = 1.8,
-    panel: int = 0,
-    group: str | None = None,
-    **more,
-) -> None:
-    """A line in a panel, from 0. With a `group` it has no legend entry and is shown with the line of that name. `more`: `dash`
-    and `shape` of the line, and properties of plotly's trace."""
-    line = {"color": colour, "width": width} | {key: more.pop(key) for key in ("dash", "shape") if key in more}
-    more |= {"legendgroup": group or name, "yaxis": axis("y", panel)} | ({"showlegend": False} if group else {})
-    fig.add_scatter(**{"x": x, "y": y, "mode": "lines", "name": style.escaped(name), "line": line, **more})
-
-
-def add_points(fig: go.Figure, x, y, name: str, colour: str, size: float = 6, symbol: str | None = None, **more) -> None:
-    """Points without a line."""
-    marker = {"size": size, "color": colour, "symbol": symbol}
-    fig.add_scatter(**{"x": x, "y": y, "mode": "markers", "name": style.escaped(name), "marker": marker, **more})
-
-
-def add_envelope(fig: go.Figure, x, low, high, name: str, colour: str, panel: int = 0) -> None:
-    """A coloured band from `low` to `high`, all (n,); only the first of a name is in the legend."""
-    shown = not any(trace.name == style.escaped(name) for trace in fig.data)
-    shared = {"x": x, "mode": "lines", "line": {"width": 0}, "hoverinfo": "skip"}
-    shared |= {"legendgroup": name, "yaxis": axis("y", panel)}
-    fig.add_scatter(y=low, showlegend=False, **shared)
-    fig.add_scatter(y=high, name=style.escaped(name), fill="tonexty", fillcolor=colour, showlegend=shown, **shared)
-
-
-def add_band(fig: go.Figure, panel: int, half_width: float, name: str) -> None:
-    """A band around zero under the lines of a panel. Its dotted edges are above them: a dense residual hides the rest."""
-    edge = {"color": style.MEASURED, "width": 1, "dash": "dot"}
-    _across(fig, panel, "rect", -half_width, half_width, fillcolor=style.NOISE, line=edge, name=name, showlegend=True)
-
-
-def add_level(fig: go.Figure, panel: int, at: float) -> None:
-    """A dashed line across a panel."""
-    _across(fig, panel, "line", at, at, line={"color": style.SET_POINT, "width": 1.2, "dash": "dash"})
-
-
-def _across(fig: go.Figure, panel: int, kind: str, low: float, high: float, **more) -> None:
-    fig.add_shape(type=kind, xref="x domain", yref=axis("y", panel), x0=0, x1=1, y0=low, y1=high, **more)
 
 
 def places(lines: Iterable[np.ndarray], most: int = MOST) -> np.ndarray:

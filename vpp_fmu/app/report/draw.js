@@ -1,4 +1,4 @@
-// Draws the figures of a report, from the data of vpp_fmu/app/report/drawing.py, as SVG in the page's colours and at its width.
+// Draws the figures of a report, from the data of vpp_fmu/app/report/canvas.py, as SVG in the page's colours and at its width.
 // Point at a line to read it, drag to zoom, double-click to go back, click on a name of the legend to hide it.
 "use strict";
 const figures = [];
@@ -8,13 +8,13 @@ function draw(name, spec) {
   const host = document.getElementById(name);
   arrays.push(...spec.arrays.map(floats));
   for (const mark of spec.marks)
-    for (const key of ["x", "y", "high", "low"]) {
+    for (const key of ["x", "y", "error"]) {
       if (Number.isInteger(mark[key])) mark[key] = arrays[mark[key]];
     }
   const figure = { host, spec, hidden: new Set(), zoom: {}, width: 0 };
   figures.push(figure);
   const keys = make("div", "keys", host);
-  for (const entry of spec.legend) legendEntry(figure, keys, entry);
+  if (spec.legend) for (const entry of [...spec.marks, ...spec.shapes]) if (entry.shown) legendEntry(figure, keys, entry);
   figure.place = make("div", "sheet", host);
   figure.note = make("div", "tip", host);
   new ResizeObserver(() => paint(figure)).observe(host);
@@ -93,7 +93,7 @@ function raised(power) {
 
 class Axis {
   constructor(given, range) {
-    Object.assign(this, { title: "" }, given);
+    Object.assign(this, { format: ".5~g" }, given);
     [this.low, this.high] = range;
   }
 
@@ -186,11 +186,11 @@ function axisOf(figure, name) {
       if (window && !(mark.x[k] >= window[0] && mark.x[k] <= window[1])) continue;
       hold(mark[side][k]);
       if (mark.across === side) {
-        hold(mark[side][k] + (mark.high[k] || 0));
-        hold(mark[side][k] - (mark.low[k] || 0));
+        hold(mark[side][k] + (mark.error[k] || 0));
+        hold(mark[side][k] - (mark.error[k] || 0));
       }
     }
-    if (mark.symbol) round = true;
+    if (mark.size) round = true;
   }
   for (const shape of figure.spec.shapes) if (shape.axis === name) shape.ends.forEach(hold);
   if (given.zero) hold(0);
@@ -212,7 +212,7 @@ function paint(figure, forced) {
   figure.note.hidden = true;
   const axes = {};
   for (const name of Object.keys(spec.axes)) axes[name] = axisOf(figure, name);
-  const placed = spec.panels.map((panel) => ({ ...panel, tall: panel.tall * spec.height, y0: panel.top * spec.height + 8 }));
+  const placed = spec.panels.map((panel) => ({ ...panel }));
   // The y labels are on the left; those of categories are above their rows if they would take too much of the width.
   let [room, titled] = [0, 0];
   const labels = {};
@@ -251,9 +251,9 @@ function paint(figure, forced) {
     const inner = svg("g", { "clip-path": `url(#${host.id}-${k})` }, root);
     const own = spec.marks.filter((mark) => mark.axis === panel.y && !figure.hidden.has(mark.key));
     const shapes = spec.shapes.filter((shape) => ["x", panel.y].includes(shape.axis) && !figure.hidden.has(shape.key));
-    for (const shape of shapes) shaped(inner, shape, panel);
+    for (const shape of shapes) if (shape.fill) shaded(inner, shape, panel);
     own.forEach((mark) => line(inner, mark, panel, own));
-    for (const shape of shapes) if (shape.edge) shape.ends.forEach((end) => level(inner, shape, panel, end, shape.edge));
+    for (const shape of shapes) for (const end of shape.ends) level(inner, shape, panel, end);
   });
   // The titles of the axes: of y in the margin, of x below the labels.
   for (const panel of placed) {
@@ -330,13 +330,13 @@ const DASHES = { dot: "2 3", dash: "7 4", dashdot: "8 3 2 3" };
 
 function line(parent, mark, panel, own) {
   const points = placedAt(mark, panel);
-  if (mark.veil) area(parent, mark, points, placedAt(own[own.indexOf(mark) - 1], panel).reverse());
+  if (mark.fill) area(parent, mark, points, placedAt(own[own.indexOf(mark) - 1], panel).reverse());
   if (mark.wide) {
     const style = `stroke:${mark.colour};stroke-width:${mark.wide}`;
     svg("path", { d: path(points, mark.held), class: "mark line", "stroke-dasharray": DASHES[mark.dash], style }, parent);
   }
   if (mark.across) whiskers(parent, mark, panel);
-  if (mark.symbol) for (const [x, y] of points) symbol(parent, mark, x, y);
+  if (mark.size) for (const [x, y] of points) symbol(parent, mark, x, y);
 }
 
 function placedAt(mark, panel) {
@@ -358,53 +358,38 @@ function path(points, held) {
 }
 
 function area(parent, mark, points, back) {
-  svg("path", { d: `${path([...points, ...back].filter((p) => p.every(Number.isFinite)))}Z`, class: "mark", style: `fill:${mark.veil}` }, parent);
+  svg("path", { d: `${path([...points, ...back].filter((p) => p.every(Number.isFinite)))}Z`, class: "mark", style: `fill:${mark.fill}` }, parent);
 }
 
 function whiskers(parent, mark, panel) {
   const flat = mark.across === "x";
   const axis = panel.axes[mark.across];
   placedAt(mark, panel).forEach(([x, y], k) => {
-    const [low, high] = [mark[mark.across][k] - mark.low[k], mark[mark.across][k] + mark.high[k]].map((end) => axis.at(end));
+    const [low, high] = [mark[mark.across][k] - mark.error[k], mark[mark.across][k] + mark.error[k]].map((end) => axis.at(end));
     if (![x, y, low, high].every(Number.isFinite)) return;
     const d = flat ? `M${low} ${y}H${high}M${low} ${y - 4}v8M${high} ${y - 4}v8` : `M${x} ${low}V${high}M${x - 4} ${low}h8M${x - 4} ${high}h8`;
     svg("path", { d, class: "mark line", style: `stroke:${mark.colour};stroke-width:1.6` }, parent);
   });
 }
 
-function outline(kind, x, y, half) {
-  if (kind === "circle") return `M${x - half} ${y}a${half} ${half} 0 1 0 ${2 * half} 0a${half} ${half} 0 1 0 ${-2 * half} 0`;
-  if (kind === "diamond") return `M${x} ${y - 1.3 * half}l${half} ${1.3 * half}l${-half} ${1.3 * half}l${-half} ${-1.3 * half}z`;
-  if (kind === "x") return `M${x - half} ${y - half}l${2 * half} ${2 * half}m0 ${-2 * half}l${-2 * half} ${2 * half}`;
-  return kind === "line-ns" ? `M${x} ${y - half}v${2 * half}` : `M${x - half} ${y}h${2 * half}`;
-}
-
 function symbol(parent, mark, x, y) {
   if (!Number.isFinite(x) || !Number.isFinite(y)) return;
-  const [kind, open] = [mark.symbol.replace("-open", ""), /open|^x$/.test(mark.symbol)];
-  const style = open
-    ? `fill:none;stroke:${mark.colour};stroke-width:${kind.startsWith("line") ? 3 : 1.6}`
-    : `fill:${mark.colour}`;
-  svg("path", { d: outline(kind, +x.toFixed(1), +y.toFixed(1), mark.size / 2), class: "mark", style }, parent);
+  const half = mark.size / 2;
+  if (mark.bar) svg("path", { d: `M${x} ${y - half}v${mark.size}`, class: "mark line", style: `stroke:${mark.colour};stroke-width:3` }, parent);
+  else svg("circle", { cx: x.toFixed(1), cy: y.toFixed(1), r: half, class: "mark", style: `fill:${mark.colour}` }, parent);
 }
 
 // A line across the panel: a shape of its own, or the edge of a band.
-function level(parent, shape, panel, end, colour) {
+function level(parent, shape, panel, end) {
   const at = panel.axes[shape.axis[0]].at(end);
-  const d = shape.axis[0] === "y" ? `M${panel.x0} ${at}H${panel.x1}` : `M${at} ${panel.y0}V${panel.y1}`;
-  svg("path", { d, class: "line", "stroke-dasharray": DASHES[shape.dash], style: `stroke:${colour};stroke-width:${shape.wide}` }, parent);
+  const d = shape.axis === "x" ? `M${at} ${panel.y0}V${panel.y1}` : `M${panel.x0} ${at}H${panel.x1}`;
+  const style = `stroke:${shape.colour};stroke-width:${shape.wide}`;
+  svg("path", { d, class: "line", "stroke-dasharray": DASHES[shape.dash], style }, parent);
 }
 
-function shaped(parent, shape, panel) {
-  const axis = panel.axes[shape.axis[0]];
-  const [low, high] = shape.ends.map((end) => axis.at(end));
-  const lying = shape.axis[0] === "y";
-  if (shape.line) return level(parent, shape, panel, shape.ends[0], shape.colour);
-  const [from, size] = [Math.min(low, high), Math.abs(high - low)];
-  const box = lying
-    ? { x: panel.x0, y: from, width: panel.x1 - panel.x0, height: size }
-    : { x: from, y: panel.y0, width: size, height: panel.y1 - panel.y0 };
-  svg("rect", { ...box, style: `fill:${shape.colour}` }, parent);
+function shaded(parent, shape, panel) {
+  const [high, low] = shape.ends.map((end) => panel.axes.y.at(end)).sort((a, b) => a - b);
+  svg("rect", { x: panel.x0, y: high, width: panel.x1 - panel.x0, height: low - high, style: `fill:${shape.fill}` }, parent);
 }
 
 // ------------------------------------------------------------------------------------------------------------------ legend
@@ -413,12 +398,12 @@ function legendEntry(figure, keys, entry) {
   const button = make("button", "key", keys);
   button.type = "button";
   const swatch = svg("svg", { width: 26, height: 12, "aria-hidden": "true" }, button);
-  if (entry.box) svg("rect", { x: 2, y: 1, width: 22, height: 10, style: `fill:${entry.colour}` }, swatch);
-  if (entry.wide) {
+  if (entry.fill) svg("rect", { x: 2, y: 1, width: 22, height: 10, style: `fill:${entry.fill}` }, swatch);
+  else if (entry.wide) {
     const style = `stroke:${entry.colour};stroke-width:${Math.max(entry.wide, 1.5)}`;
     svg("path", { d: "M1 6H25", class: "line", "stroke-dasharray": DASHES[entry.dash], style }, swatch);
   }
-  if (entry.symbol) symbol(swatch, { ...entry, size: Math.min(entry.size, 9) }, 13, 6);
+  if (entry.size) symbol(swatch, { ...entry, size: Math.min(entry.size, 9) }, 13, 6);
   make("span", "", button, entry.name);
   button.addEventListener("click", () => {
     if (!figure.hidden.delete(entry.key)) figure.hidden.add(entry.key);
@@ -445,7 +430,7 @@ function attend(figure, root, placed) {
     guide.setAttribute("d", "");
     figure.note.hidden = true;
     if (begun) {
-      const flat = figure.spec.hover === "x";
+      const flat = figure.spec.unified;
       const from = [Math.min(x, begun.x), flat ? begun.panel.y0 : Math.min(y, begun.y)];
       const size = [Math.abs(x - begun.x), flat ? begun.panel.tall : Math.abs(y - begun.y)];
       const box = { x: from[0], y: from[1], width: size[0], height: size[1], visibility: "visible" };
@@ -473,7 +458,7 @@ function attend(figure, root, placed) {
       figure.stale = true;
     };
     zoom("x", panel.axes.x, begun.x, x);
-    if (figure.spec.hover !== "x") zoom(panel.y, panel.axes.y, begun.y, y);
+    if (!figure.spec.unified) zoom(panel.y, panel.axes.y, begun.y, y);
     begun = null;
     frame.setAttribute("visibility", "hidden");
     paint(figure);
@@ -493,7 +478,7 @@ function attend(figure, root, placed) {
 function tell(figure, placed, panel, x, y, guide) {
   const { spec } = figure;
   const lines = [];
-  if (spec.hover === "x") {
+  if (spec.unified) {
     let at = null;
     for (const each of placed)
       for (const mark of seen(figure, each)) {

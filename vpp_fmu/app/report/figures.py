@@ -3,11 +3,10 @@
 from collections.abc import Mapping
 
 import numpy as np
-from plotly import graph_objects as go
 
 from identification.fit.uncertainty import NORMAL_95
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_band, add_envelope, add_line, panels, places
+from vpp_fmu.app.report.canvas import Figure, panels, places
 from vpp_fmu.digits import number
 from vpp_fmu.record import QUANTITIES, Record
 
@@ -17,9 +16,6 @@ COMMANDS = {"omega_ref": "omega", "beta_ref": "beta"}
 Columns = Record | Mapping[str, np.ndarray]
 """Arrays (n,) by column name."""
 
-
-_HELD = "hv"
-"""Line shape of commands, which are held until the next one."""
 
 _LOOP = ("thrust_set", "thrust", "omega_ref", "omega", "beta_ref", "beta")
 
@@ -31,7 +27,7 @@ def measured_against_predicted(
     noise: float | None = None,
     band: np.ndarray | None = None,
     reading: str = "thrust",
-) -> go.Figure:
+) -> Figure:
     """Measured and predicted thrust [N], their difference with a band of +-2 `noise`, and a record's commands with
     their measured quantities, over time [s].
 
@@ -51,27 +47,25 @@ def measured_against_predicted(
     if band is not None:
         reach, middle = NORMAL_95 * np.asarray(band)[kept], np.asarray(next(iter(predictions.values())))[kept]
         for panel, centre in ((0, middle), (1, 0.0 * middle)):
-            add_envelope(fig, time, centre - reach, centre + reach, "95 % of readings expected", style.BAND, panel)
-    add_line(fig, time, measured[kept], "measured", style.MEASURED, 1, 0)
+            fig.envelope(time, centre - reach, centre + reach, "95 % of readings expected", style.BAND, panel)
+    fig.line(time, measured[kept], "measured", style.MEASURED, 1, 0)
     if noise is not None:
-        add_band(fig, 1, 2 * noise, f"± 2 noise ({number(2 * noise)} {unit})")
+        fig.band(1, 2 * noise, f"± 2 noise ({number(2 * noise)} {unit})")
     colours = style.colours(predictions)
     for name, residual in residuals.items():
         seen = residual[np.isfinite(residual)]
         error = f"rmse {number(np.sqrt(np.mean(seen**2)))} {unit}" if len(seen) else "nothing measured beside it"
-        add_line(fig, time, np.asarray(predictions[name])[kept], f"{name}, {error}", colours[name], 1.6, 0)
-        add_line(fig, time, residual[kept], f"{name}, residual", colours[name], 1, 1, f"{name}, {error}")
+        fig.line(time, np.asarray(predictions[name])[kept], f"{name}, {error}", colours[name], 1.6, 0)
+        fig.line(time, residual[kept], f"{name}, residual", colours[name], 1, 1, f"{name}, {error}")
     for panel, (name, output) in enumerate(COMMANDS.items(), start=2):
         if output in record:
-            add_line(fig, time, np.asarray(record[output])[kept], output, style.MEASURED, 1, panel, "measured")
+            fig.line(time, np.asarray(record[output])[kept], output, style.MEASURED, 1, panel, "measured")
         group = None if panel == 2 else "commands"
-        add_line(
-            fig, time, np.asarray(record[name])[kept], "commands", style.SET_POINT, 1.4, panel, group, shape=_HELD, dash="dash"
-        )
+        fig.line(time, np.asarray(record[name])[kept], "commands", style.SET_POINT, 1.4, panel, group, held=True, dash="dash")
     return fig
 
 
-def closed_loop(runs: Mapping[str, Columns], title: str, limits: Mapping[str, tuple[float, float]] | None = None) -> go.Figure:
+def closed_loop(runs: Mapping[str, Columns], title: str, limits: Mapping[str, tuple[float, float]] | None = None) -> Figure:
     """Thrust with its set-point [N], speed [rpm] and pitch [deg] of each run over time [s]; commands dotted. `limits`: (least,
     greatest) of each command by its name, drawn if known.
 
@@ -86,8 +80,8 @@ def closed_loop(runs: Mapping[str, Columns], title: str, limits: Mapping[str, tu
         columns = {column: np.asarray(run[column])[kept] for column in ("time", *_LOOP) if column in run}
         if not any(all(np.array_equal(run[column], other[column]) for column in ("time", "thrust_set")) for other in drawn):
             group = "set-point" if drawn else None
-            held = {"dash": "dash", "shape": _HELD}
-            add_line(fig, columns["time"], columns["thrust_set"], "set-point", style.SET_POINT, 1.8, 0, group, **held)
+            held = {"dash": "dash", "held": True}
+            fig.line(columns["time"], columns["thrust_set"], "set-point", style.SET_POINT, 1.8, 0, group, **held)
             drawn.append(run)
         _add_run(fig, name, columns, colours[name])
     first = next(iter(runs.values()))["time"]
@@ -95,20 +89,20 @@ def closed_loop(runs: Mapping[str, Columns], title: str, limits: Mapping[str, tu
     for panel, column in ((1, "omega_ref"), (2, "beta_ref")):
         for k, end in enumerate(dict.fromkeys((limits or {}).get(column, ()))):
             group = None if panel == 1 and k == 0 else "limits"
-            add_line(fig, ends, np.full(2, end), "limits", style.SET_POINT, 1, panel, group, dash="dashdot")
+            fig.line(ends, np.full(2, end), "limits", style.SET_POINT, 1, panel, group, dash="dashdot")
     return fig
 
 
-def _add_run(fig: go.Figure, name: str, run: Mapping[str, np.ndarray], colour: str) -> None:
+def _add_run(fig: Figure, name: str, run: Mapping[str, np.ndarray], colour: str) -> None:
     """The lines of one run in the panels thrust, speed, pitch."""
-    dotted = {"dash": "dot", "shape": _HELD}
+    dotted = {"dash": "dot", "held": True}
     time, commands = run["time"], f"{name}, commands"
-    add_line(fig, time, run["thrust"], name, colour, 1.5, 0)
-    add_line(fig, time, run["omega_ref"], commands, colour, 1.2, 1, **dotted)
-    add_line(fig, time, run["beta_ref"], f"{name}, pitch command", colour, 1.2, 2, commands, **dotted)
+    fig.line(time, run["thrust"], name, colour, 1.5, 0)
+    fig.line(time, run["omega_ref"], commands, colour, 1.2, 1, **dotted)
+    fig.line(time, run["beta_ref"], f"{name}, pitch command", colour, 1.2, 2, commands, **dotted)
     for panel, column, word in ((1, "omega", "speed"), (2, "beta", "pitch")):
         if column in run:
-            add_line(fig, time, run[column], f"{name}, {word}", colour, 1.5, panel, name)
+            fig.line(time, run[column], f"{name}, {word}", colour, 1.5, panel, name)
 
 
 def two_records(
@@ -117,7 +111,7 @@ def two_records(
     title: str,
     quantity: str,
     unit: str,
-) -> go.Figure:
+) -> Figure:
     """Two records (name, time [s], values), values in `unit`, all (n,), and their difference.
 
     The difference, second less first, is at the common times of the first; the second is interpolated linearly.
@@ -132,13 +126,13 @@ def two_records(
     if np.array_equal(time_a, time_b):
         kept_a = kept_b = places([a, b, difference])
     # Equal records hide each other, so the first is a wide line under the second.
-    add_line(fig, time_a[kept_a], a[kept_a], name_a, colours[name_a], 2.6, 0)
-    add_line(fig, time_b[kept_b], b[kept_b], name_b, colours[name_b], 1, 0)
-    add_line(fig, time_a[kept_a], difference[kept_a], f"{name_b} − {name_a}", style.MEASURED, 1, 1)
+    fig.line(time_a[kept_a], a[kept_a], name_a, colours[name_a], 2.6, 0)
+    fig.line(time_b[kept_b], b[kept_b], name_b, colours[name_b], 1, 0)
+    fig.line(time_a[kept_a], difference[kept_a], f"{name_b} − {name_a}", style.MEASURED, 1, 1)
     return fig
 
 
-def stacked(time: np.ndarray, rows: Mapping[str, Mapping[str, np.ndarray]], title: str) -> go.Figure:
+def stacked(time: np.ndarray, rows: Mapping[str, Mapping[str, np.ndarray]], title: str) -> Figure:
     """A panel for each of the `rows`, named by its axis label with unit: lines (n,) by name over the time [s], thinned.
 
     Lines with "command" in their name are held and dotted, "measured" ones thin; one name has one colour in all panels.
@@ -150,7 +144,7 @@ def stacked(time: np.ndarray, rows: Mapping[str, Mapping[str, np.ndarray]], titl
     for panel, lines in enumerate(rows.values()):
         for name, values in lines.items():
             colour, width = colours.get(name, style.SET_POINT), 1.0 if name == "measured" else 1.8
-            held = {"dash": "dot", "shape": _HELD} if "command" in name else {}
-            add_line(fig, time[kept], values[kept], name, colour, width, panel, name if name in shown else None, **held)
+            held = {"dash": "dot", "held": True} if "command" in name else {}
+            fig.line(time[kept], values[kept], name, colour, width, panel, name if name in shown else None, **held)
             shown.add(name)
     return fig

@@ -7,9 +7,7 @@ from importlib.metadata import version
 from importlib.resources import files
 from textwrap import dedent
 
-from plotly import graph_objects as go
-
-from vpp_fmu.app.report.drawing import SCRIPT, Arrays, drawing, heading
+from vpp_fmu.app.report.canvas import SCRIPT, Arrays, Figure
 from vpp_fmu.app.report.style import FONT, SCHEME
 from vpp_fmu.date import now
 from vpp_fmu.digits import TABLE, number
@@ -80,7 +78,7 @@ class Page:
         self._findings = ""
         self._parts: list[str] = []
         self._sections: list[str] = []
-        self.figures: list[go.Figure] = []
+        self.figures: list[Figure] = []
         self._arrays = Arrays()
         self._tables = 0
 
@@ -102,14 +100,14 @@ class Page:
         self._sections.append(title)
         self._parts.append(f'<h2 id="section-{len(self._sections)}">{escape(title)}</h2>\n{_paragraphs(text)}')
 
-    def figure(self, fig: go.Figure, caption: str) -> int:
+    def figure(self, fig: Figure, caption: str) -> int:
         """A figure, as wide as the page; returns its number."""
         self.figures.append(fig)
         name = f"figure-{len(self.figures)}"
-        title = heading(fig)
+        title = escape(fig.title)
         self._parts.append(
-            f'<figure><h3>{escape(title)}</h3>\n<div id="{name}" class="plot" data-title="{escape(title)}"></div>\n'
-            f"<script>draw({name!r},{drawing(fig, self._arrays)})</script>\n"
+            f'<figure><h3>{title}</h3>\n<div id="{name}" class="plot" data-title="{title}"></div>\n'
+            f"<script>draw({name!r},{fig.drawing(self._arrays)})</script>\n"
             f"<figcaption><b>Figure {len(self.figures)}.</b> {escape(caption)}</figcaption></figure>"
         )
         return len(self.figures)

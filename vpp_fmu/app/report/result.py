@@ -40,7 +40,6 @@ class Result(ABC):
     verb: ClassVar[str]
     writes: ClassVar[tuple[str, ...]] = ("report.html",)
     title = ""
-    source = ""
 
     def __init__(self, found: Any, parameters: ParameterSet | None = None, file: str | os.PathLike[str] | None = None):
         """`parameters`: those of the plant in its files; `file`: that they were read from, if any."""
@@ -61,6 +60,10 @@ class Result(ABC):
     @abstractmethod
     def fill(self, page: Page) -> None:
         """Add figures and tables to the report, below the headline and the tiles."""
+
+    @property
+    def source(self) -> str:
+        return self._parameters.label if self._parameters else ""
 
     def tiles(self) -> list[tuple[str, str, str]]:
         """Key figures on top of the report."""
@@ -114,7 +117,7 @@ class Result(ABC):
         if not 1 <= figure <= len(figures):
             allowed = f"1 to {len(figures)}" if figures else "none, there is nothing to draw"
             raise BadInput(type(self).__name__, "figure", figure, allowed)
-        return figures[figure - 1]
+        return figures[figure - 1].plotly()
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({'; '.join(f'{label}: {value}' for label, value, _ in self.key_figures())})"

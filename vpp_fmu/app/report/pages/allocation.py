@@ -7,7 +7,7 @@ import numpy as np
 from identification.fit.uncertainty import NORMAL_95
 from identification.power.allocation import COLUMNS, Allocation, allocated_controller, table
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_envelope, add_line, figure
+from vpp_fmu.app.report.canvas import figure
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
 from vpp_fmu.app.report.sentences import size
@@ -96,10 +96,10 @@ class AllocateResult(Result):
         title = f"The pairs {verb} against the best fixed pitch, {found.fixed_beta:.3g} deg"
         half = NORMAL_95 * found.power_std
         fig = figure(title, 440, "thrust [N]", "power [W]")
-        add_envelope(fig, found.thrust, found.power - half, found.power + half, "95 % interval", style.NOISE)
+        fig.envelope(found.thrust, found.power - half, found.power + half, "95 % interval", style.NOISE)
         fixed = f"best fixed pitch, {found.fixed_beta:.3g} deg"
-        add_line(fig, found.thrust, found.fixed, fixed, style.BEFORE, 1.6, dash="dash")
-        add_line(fig, found.thrust, found.power, "best pairs", style.AFTER, 2.2)
+        fig.line(found.thrust, found.fixed, fixed, style.BEFORE, 1.6, dash="dash")
+        fig.line(found.thrust, found.power, "best pairs", style.AFTER, 2.2)
         page.figure(fig, "95 % interval: of the power's parameters; the choice of a map's terms is not part of it.")
         speeds, pitches, thrust = found.surface.grid
         few = slice(None, None, max(1, len(speeds) // 100))
@@ -119,8 +119,8 @@ class AllocateResult(Result):
                     np.interp(level, row, speeds[few], left=np.nan, right=np.nan) for row in np.maximum.accumulate(rows, axis=1)
                 ]
                 told = f"{name} {number(float(level), 3)} {unit}"
-                add_line(fig, at, pitches, group, colour, 1.2, group=group if k else None, hovertemplate=told)
-        add_line(fig, found.omega, found.beta, "best pairs", style.BEFORE, 3.0)
+                fig.line(at, pitches, group, colour, 1.2, group=group if k else None, told=told)
+        fig.line(found.omega, found.beta, "best pairs", style.BEFORE, 3.0)
         caption = f"Thin lines: equal values, {'; '.join(values)}. Thick line: the pairs, from least to greatest thrust."
         page.figure(fig, caption)
         bands = [f"{low:.3g} to {high:.3g}" for low, high in found.beta_band]

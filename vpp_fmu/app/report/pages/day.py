@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 
 import numpy as np
-from plotly import graph_objects as go
 
 from vpp_fmu.app.day import GAINS, PRESENT, Day, Round
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_band, add_line, add_points, panels, thinning
+from vpp_fmu.app.report.canvas import Figure, panels, thinning
 from vpp_fmu.app.report.figures import closed_loop
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.loop import adapted_parameters
@@ -60,21 +59,21 @@ def day_page(day: Day) -> Page:
     return page
 
 
-def by_round(rounds: Sequence[Round], noise: float) -> go.Figure:
+def by_round(rounds: Sequence[Round], noise: float) -> Figure:
     """Errors of the present and of the next model in each round's mission, with the `noise` [N] of a reading; measured costs of
     each law, and of those that fly next."""
     numbers, first, last = [r.number for r in rounds], rounds[0], rounds[-1]
     title = f"From the first round to the last: error of the model {first.before:.3g} to {last.after:.3g} N, "
     title += f"cost on the rig {np.mean(first.costs[PRESENT]):.4f} to {last.cost:.4f}"
-    fig = panels(title, ["rms error of thrust [N]", "integral of (error / scale)² [s]"], [260, 260])
-    add_points(fig, numbers, [r.before for r in rounds], "present model, unseen mission", style.BEFORE, 11)
-    add_points(fig, numbers, [r.after for r in rounds], "next model, fitted", style.AFTER, 11)
-    add_band(fig, 0, noise, "noise of a reading")
+    fig = panels(title, ["rms error of thrust [N]", "integral of (error / scale)² [s]"], [260, 260], "round [-]")
+    fig.points(numbers, [r.before for r in rounds], "present model, unseen mission", style.BEFORE, 11)
+    fig.points(numbers, [r.after for r in rounds], "next model, fitted", style.AFTER, 11)
+    fig.band(0, noise, "noise of a reading")
     colours = {PRESENT: style.BEFORE, "model-based": style.AFTER, "learned": "#cc79a7"}
     for name in dict.fromkeys(name for r in rounds for name in r.costs):
         at = [(r.number, cost) for r in rounds for cost in r.costs.get(name, ())]
         x, y = np.array(at, float).T
-        add_points(fig, x, y, name, colours[name], 10, yaxis="y2")
-    add_line(fig, numbers, [r.cost for r in rounds], "flies next", style.FIT, 1.4, 1)
-    fig.update_xaxes(title_text="round [-]", dtick=1, range=[0.5, len(rounds) + 0.5])
+        fig.points(x, y, name, colours[name], 10, 1)
+    fig.line(numbers, [r.cost for r in rounds], "flies next", style.FIT, 1.4, 1)
+    fig.axes["x"] |= {"step": 1, "range": [0.5, len(rounds) + 0.5]}
     return fig

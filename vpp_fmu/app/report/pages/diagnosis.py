@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from plotly import graph_objects as go
 
 from identification.assessment.quality import rmse
 from identification.diagnose.diagnose import UNEXPLAINED, Diagnosis
@@ -14,7 +13,7 @@ from identification.fit.noise import blocks
 from identification.fit.problem import Prior
 from identification.fit.uncertainty import NORMAL_95
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_points, figure, thinning
+from vpp_fmu.app.report.canvas import Figure, figure, thinning
 from vpp_fmu.app.report.figures import measured_against_predicted
 from vpp_fmu.app.report.page import Link, Page
 from vpp_fmu.app.report.pages.effect import add_effects, add_learned, around
@@ -191,7 +190,7 @@ class DiagnoseResult(Result, Linearisable):
         lines = [*(f"Rig: {line}." for line in found.rig.lines()), *(f"Logger: {line}." for line in found.logger.lines)]
         page.section("The rig and its logger", "\n\n".join(lines))
 
-    def fill_effects(self, page: Page, *figures: tuple[go.Figure, str]) -> None:
+    def fill_effects(self, page: Page, *figures: tuple[Figure, str]) -> None:
         """Add the effects, the model before and after, with further `figures` and their captions, what was tried, and the
         residual, whose details are shown if it is not explained."""
         found = self.found
@@ -358,7 +357,7 @@ def _predicted(found: Diagnosis) -> dict[str, np.ndarray]:
     return {name: found.prediction(fit, found.shown).thrust for name, fit in found.fits.items()}
 
 
-def _whole(found: Diagnosis) -> tuple[go.Figure, str]:
+def _whole(found: Diagnosis) -> tuple[Figure, str]:
     """The shown record beside the models, and the caption."""
     lines = _predicted(found)
     errors = [f"{number(rmse(thrust - found.shown['thrust']))} N" for thrust in lines.values()]
@@ -369,7 +368,7 @@ def _whole(found: Diagnosis) -> tuple[go.Figure, str]:
     return figure, f"{found.shown_name}.csv. {thinning(len(found.shown))}"
 
 
-def _worst(found: Diagnosis) -> tuple[go.Figure, str]:
+def _worst(found: Diagnosis) -> tuple[Figure, str]:
     """The largest error of the model before, and the caption."""
     record, lines = found.shown, _predicted(found)
     at = blocks(record, SMOOTHED)
@@ -461,19 +460,16 @@ def _add_shift(page: Page, found: Diagnosis) -> None:
     title = f"Without the effect {names[k]} is biased to {number(before[k])}; with it, it is {number(after[k])}"
     scale = np.where(before == 0.0, np.nan, np.abs(before)) / 100.0
     ends = [interval(a - r, a + r) if np.isfinite(r) else "interval unknown" for a, r in zip(after, reach, strict=True)]
-    rows = [
-        f"<b>{style.escaped(name)}</b>  {number(b)} → {number(a)}<br>{end}"
-        for name, b, a, end in zip(names, before, after, ends, strict=True)
-    ]
+    rows = [f"{name}  {number(b)} → {number(a)}\n{end}" for name, b, a, end in zip(names, before, after, ends, strict=True)]
     change, widths = (after - before) / scale, reach / scale
     fig = figure(title, 130 + 44 * len(rows), "change from the start [%]")
-    add_points(fig, 0.0 * scale, rows, "start", style.BEFORE, 16, "line-ns-open")
-    hover = f"%{{x:+{style.SHOWN}}} %<extra></extra>"
-    add_points(fig, change, rows, "fitted, 95 % interval", style.AFTER, 9, error_x={"array": widths}, hovertemplate=hover)
+    fig.points(0.0 * scale, rows, "start", style.BEFORE, 16, bar=True)
+    hover = f"%{{x:+{style.SHOWN}}} %"
+    fig.points(change, rows, "fitted, 95 % interval", style.AFTER, 9, across="x", error=widths, told=hover)
     # Every change and the typical interval are shown: one unidentifiable parameter does not set the range.
     most = np.nanmax(np.abs(change), initial=0.5) + np.nanmedian([0.0, *widths[np.isfinite(widths)]])
-    fig.update_xaxes(range=[-1.1 * most, 1.1 * most])
-    fig.update_yaxes(type="category", autorange="reversed")
+    fig.axes["x"]["range"] = [-1.1 * most, 1.1 * most]
+    fig.axes["y0"]["reversed"] = True
     page.figure(
         fig, "Start: the best fit without the effects; fitted: with them, 95 % intervals. Lags in the order of the latter."
     )

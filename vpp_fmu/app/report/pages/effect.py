@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from plotly import graph_objects as go
 
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.learned.columns import Course, lagged
@@ -13,7 +12,7 @@ from identification.diagnose.search.fits import Fit
 from identification.fit.noise import blocks
 from identification.fit.uncertainty import NORMAL_95
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_envelope, add_line, figure, panels
+from vpp_fmu.app.report.canvas import Figure, figure, panels
 from vpp_fmu.app.report.figures import stacked
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.sentences import titled
@@ -85,10 +84,10 @@ def _add_at_rest(page: Page, found: Diagnosis, effects: Sequence[str], channel: 
         return False
     title = f"{titled(' and '.join(effects))}: at rest the {word} deviates by up to {number(off, 3)} {unit} from its command"
     fig = figure(title, 440, f"{word} commanded [{unit}]", f"{word} reached [{unit}]")
-    add_line(fig, up[[0, -1]], up[[0, -1]], "as commanded", style.SET_POINT, 1.4, dash="dot", hoverinfo="skip")
+    fig.line(up[[0, -1]], up[[0, -1]], "as commanded", style.SET_POINT, 1.4, dash="dot", mute=True)
     colours = style.colours(reached)
     for name, values in reached.items():
-        add_line(fig, stairs, values, name, colours[name])
+        fig.line(stairs, values, name, colours[name])
     page.figure(fig, f"The settled models on stairs of {number(stairs[1] - stairs[0], 2)} {unit}, up and down.")
     return True
 
@@ -160,21 +159,21 @@ def learned_curve(
     title: str,
     driver: tuple[str, str],
     term: tuple[str, str],
-) -> go.Figure:
+) -> Figure:
     """A curve `value` (knots,) +- `half` over `at`, further `lines` (x, y) by name, and a histogram of the `data` (n,) below.
 
     `driver`, `term`: (words, unit) of the axes.
     """
     labels = [f"{term[0]} [{'-' if term[1] == '1' else term[1]}]", "share of time [%]"]
-    fig = panels(title, labels, [320, 110])
-    add_envelope(fig, at, value - half, value + half, "95 %", style.VEIL)
+    fig = panels(title, labels, [320, 110], f"{driver[0]} [{driver[1]}]")
+    fig.envelope(at, value - half, value + half, "95 %", style.VEIL)
     colours = style.colours(lines)
     for name, (x, y) in lines.items():
-        add_line(fig, x, y, name, colours[name], mode="lines+markers" if len(x) == len(at) else "lines")
+        fig.line(x, y, name, colours[name], size=6 * (len(x) == len(at)))
     count, edges = np.histogram(data, BINS)
     share = 100.0 * count / max(count.sum(), 1)
-    add_line(fig, edges, np.append(share, 0.0), "data", style.MEASURED, panel=1, group="data", shape="hv")
-    fig.update_xaxes(title_text=f"{driver[0]} [{driver[1]}]", hoverformat=".4~g")
+    fig.line(edges, np.append(share, 0.0), "data", style.MEASURED, panel=1, group="data", held=True)
+    fig.axes["x"]["format"] = ".4~g"
     return fig
 
 

@@ -16,7 +16,7 @@ from identification.diagnose.diagnose import Diagnosis
 from identification.fit.uncertainty import NORMAL_95
 from identification.static.static_map import TERMS, design
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_points, figure
+from vpp_fmu.app.report.canvas import figure
 from vpp_fmu.app.report.page import Link, Page
 from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult
 from vpp_fmu.app.report.result import Result
@@ -261,7 +261,7 @@ def _add_size(page: Page, name: str, having: Sequence[Entry]) -> None:
     dated = all(e.date for e in having) and len({e.date for e in having}) > 1
     own = list(having)
     values = [e.sizes[name][0] for e in own]
-    names = [style.escaped(e.name) for e in own]
+    names = [e.name for e in own]
     what = f"{titled(name)}: {number(min(values))} to {size(max(values), unit)}"
     label = words(name) + ("" if unit == "1" else f" [{unit}]")
     far = _farthest(name, own).partition(": ")[2]
@@ -271,6 +271,6 @@ def _add_size(page: Page, name: str, having: Sequence[Entry]) -> None:
         at = [(time - times[0]).total_seconds() / 86400.0 for time in times]
         across = f"days since {own[0].date[:10]} [d]"
     fig = figure(f"{what} in {len(own)} campaigns{far and f'; {far}'}", 340, across, label, legend=False)
-    bars = {"array": [NORMAL_95 * (e.sizes[name][1] or 0.0) for e in own]}
-    add_points(fig, at, values, "", style.AFTER, 8, error_y=bars, text=names, hovertemplate="%{text}: %{y}")
+    error = [NORMAL_95 * (e.sizes[name][1] or 0.0) for e in own]
+    fig.points(at, values, "", style.AFTER, 8, across="y", error=error, text=names, told="%{text}: %{y}")
     page.figure(fig, "Bars are 95 % intervals.")

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from plotly import graph_objects as go
 
 from identification.fit.problem import Prior
 from identification.fit.uncertainty import NORMAL_95, Uncertainty
@@ -13,7 +12,7 @@ from identification.identify import Identification
 from identification.static.static_map import design
 from identification.steps.run import StepRun
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_line, add_points, figure, panels, places, thinning, to_the_eye
+from vpp_fmu.app.report.canvas import Figure, figure, panels, places, thinning, to_the_eye
 from vpp_fmu.app.report.figures import measured_against_predicted
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Knowledge, Result, dated
@@ -254,7 +253,7 @@ def _weakest(uncertainty: Uncertainty) -> str:
     return f"{pair}: {correlation[i, j]:.2f}. {weakest}; condition number {number(condition, 3)}."
 
 
-def step_responses(runs: Sequence[StepRun], title: str, delayed: bool = False) -> go.Figure:
+def step_responses(runs: Sequence[StepRun], title: str, delayed: bool = False) -> Figure:
     """Normalised thrust over the time from the step, of runs (at least one) of one channel; a panel per direction."""
     directions = list(dict.fromkeys(run.direction for run in runs))
     fig = panels(title, [f"thrust, steps {way} [share of step]" for way in directions], [260] * len(directions))
@@ -266,7 +265,7 @@ def step_responses(runs: Sequence[StepRun], title: str, delayed: bool = False) -
             near = near[places([run.normalised(delayed)[0][near]], most=POINTS)]
             values = to_the_eye(run.normalised(delayed)[place][near])
             panel, time = directions.index(run.direction), to_the_eye(run.time[near])
-            add_line(fig, time, values, name, colour, 1.0, panel, name if k else None, hoverinfo="skip")
+            fig.line(time, values, name, colour, 1.0, panel, name if k else None, mute=True)
     return fig
 
 
@@ -288,9 +287,9 @@ def add_map(page: Page, found: Identification) -> None:
         omega, beta = (other, over) if beside is speed else (over, other)
         fitted = design(omega, beta, scales) @ list(static.coefficients.values()) * scales["thrust_scale"]
         name = f"{number(float(other[0]))} {'rpm' if beside is speed else 'deg'}"
-        shared = {"legendgroup": name, "hovertemplate": f"%{{y:{style.SHOWN}}} N at {name}, %{{x:{style.SHOWN}}}"}
-        add_line(fig, over, fitted, name, shade, 1.6, **shared)
-        add_points(fig, at[own], thrust[own], name, shade, showlegend=False, **shared)
+        shared = {"told": f"%{{y:{style.SHOWN}}} N at {name}, %{{x:{style.SHOWN}}}"}
+        fig.line(over, fitted, name, shade, 1.6, **shared)
+        fig.points(at[own], thrust[own], name, shade, group=name, **shared)
     page.figure(fig, "Lines: fitted; points: measured.")
     if static.not_identifiable:
         page.note(

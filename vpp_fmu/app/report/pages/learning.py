@@ -6,7 +6,7 @@ import numpy as np
 
 from identification.tune.learn import LearnedLaw
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_line, figure
+from vpp_fmu.app.report.canvas import figure
 from vpp_fmu.app.report.figures import closed_loop
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
@@ -100,7 +100,7 @@ class LearnResult(Result):
         colours = style.colours(NAMES.values())
         for name, flight in found.flights.items():
             share = 100.0 * np.arange(1, len(flight.errors) + 1) / len(flight.errors)
-            add_line(fig, share, np.sort(flight.errors), NAMES[name], colours[NAMES[name]])
+            fig.line(share, np.sort(flight.errors), NAMES[name], colours[NAMES[name]])
         page.figure(fig, "Integral of the squared normalised thrust error of each plant, in order.")
         runs = {NAMES[name]: run for name, run in found.example.items()}
         title = "A flight of the identified plant with held-out set-points"

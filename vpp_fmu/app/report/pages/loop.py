@@ -5,11 +5,10 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from plotly import graph_objects as go
 
 from identification.assessment.prediction import Prediction
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_envelope, add_line, panels, places, thinning
+from vpp_fmu.app.report.canvas import Figure, panels, places, thinning
 from vpp_fmu.app.report.figures import closed_loop, measured_against_predicted, two_records
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
@@ -41,9 +40,12 @@ class LoopResult(Result):
     ):
         """`limits` as of `vpp_fmu.response.steps`; `twin`: outputs of a twin beside the loop, and their units."""
         super().__init__(record)
-        self.source = title.removesuffix(".")
         self.record = Record({**record.columns, **twin[0]}, record.source) if twin else record
-        self._limits, self._twin = limits, twin
+        self._title, self._limits, self._twin = title.removesuffix("."), limits, twin
+
+    @property
+    def source(self) -> str:
+        return self._title
 
     @property
     def steps(self) -> list[Step]:
@@ -146,7 +148,11 @@ class CompareResult(Result):
     def __init__(self, found: Comparison, first: str, second: str):
         """`first`, `second`: their files."""
         super().__init__(found)
-        self._names, self.source = (first, second), f"{second} beside {first}, at the times of the latter"
+        self._names = first, second
+
+    @property
+    def source(self) -> str:
+        return f"{self._names[1]} beside {self._names[0]}, at the times of the latter"
 
     def _said(self) -> dict[str, str]:
         """The difference of each column in words."""
@@ -271,21 +277,21 @@ def add_adaptive(
     page.figure(adapted_parameters(time, outputs, own), caption)
 
 
-def residual_in_band(time: np.ndarray, twin: Mapping[str, np.ndarray]) -> go.Figure:
+def residual_in_band(time: np.ndarray, twin: Mapping[str, np.ndarray]) -> Figure:
     """Measured thrust less the twin's [N] over time [s], with the 95 % band; (n,) by the twin's outputs."""
     kept = places([twin["residual"], twin["band"], twin["alarm"]])
     alarms = time[np.diff(twin["alarm"], prepend=0.0) > 0.5]
     said = f"alarm at {', '.join(f'{at:.1f}' for at in alarms[:5])} s" if len(alarms) else "no alarm"
     fig = panels(f"Twin: {said}, {twin['changes'][-1]:.0f} changes followed", ["residual [N]"], [240])
     half = twin["band"][kept]
-    add_envelope(fig, time[kept], -half, half, "95 % of readings expected", style.BAND, 0)
-    add_line(fig, time[kept], twin["residual"][kept], "rig − twin", style.MEASURED, 1, 0)
+    fig.envelope(time[kept], -half, half, "95 % of readings expected", style.BAND, 0)
+    fig.line(time[kept], twin["residual"][kept], "rig − twin", style.MEASURED, 1, 0)
     for at in alarms:
-        fig.add_vline(x=float(at), line={"color": style.BEFORE, "width": 1.6, "dash": "dash"})
+        fig.level("x", float(at), style.BEFORE)
     return fig
 
 
-def adapted_parameters(time: np.ndarray, twin: Mapping[str, np.ndarray], units: Mapping[str, str]) -> go.Figure:
+def adapted_parameters(time: np.ndarray, twin: Mapping[str, np.ndarray], units: Mapping[str, str]) -> Figure:
     """Each adapted parameter over time [s] with +-2 standard deviations; `units` by its name."""
     names = [name.removeprefix(ADAPTED) for name in twin if name.startswith(ADAPTED)]
     kept = places([twin[part + name] for name in names for part in (ADAPTED, STD)])
@@ -293,6 +299,6 @@ def adapted_parameters(time: np.ndarray, twin: Mapping[str, np.ndarray], units: 
     for panel, name in enumerate(names):
         value, std = twin[ADAPTED + name][kept], twin[STD + name][kept]
         band = value - 2.0 * std, value + 2.0 * std
-        add_envelope(fig, time[kept], *band, "± 2 standard deviations", style.BAND, panel)
-        add_line(fig, time[kept], value, words(name), style.AFTER, 1.6, panel, "adapted")
+        fig.envelope(time[kept], *band, "± 2 standard deviations", style.BAND, panel)
+        fig.line(time[kept], value, words(name), style.AFTER, 1.6, panel, "adapted")
     return fig

@@ -7,7 +7,7 @@ from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.locate import RATE, cross_spectrum
 from identification.fit.noise import Noise, blocks
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_band, add_line, figure, panels
+from vpp_fmu.app.report.canvas import figure, panels
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.digits import chance, number
 from vpp_fmu.record import Record
@@ -53,15 +53,14 @@ def add_correlations(page: Page, found: Diagnosis) -> None:
     now = f", after the effects at {last:.0f} %" if len(errors) > 1 else ""
     what = "itself" if worst == "itself" else f"the {worst}"
     title = f"The residual correlates with {what} at {first:.0f} % of the lags{now}; chance gives 5 %"
-    fig = panels(title, [f"{name} [-]" for name in rows], [110] * len(rows))
+    fig = panels(title, [f"{name} [-]" for name in rows], [110] * len(rows), "lag [s]")
     colours = style.colours(errors)
     for panel, (row, lines) in enumerate(rows.items()):
         for name, values in lines.items():
             shown, group = (f"{name}, {row}", name) if panel else (name, None)
-            add_line(fig, lags, np.round(values, 4), shown, colours[name], 1.6, panel, group)
-        add_band(fig, panel, band, f"± {band:.2g}: no evidence")
-        fig.layout.shapes[panel].showlegend = panel == 0
-    fig.update_xaxes(title_text="lag [s]", hoverformat=".2f")
+            fig.line(lags, np.round(values, 4), shown, colours[name], 1.6, panel, group)
+        fig.band(panel, band, f"± {band:.2g}: no evidence", shown=panel == 0)
+    fig.axes["x"]["format"] = ".2f"
     page.figure(fig, f"Correlation of the open-loop thrust residual with earlier values, means over {1000 * RATE:.0f} ms.")
 
 
@@ -79,12 +78,12 @@ def add_spectrum(page: Page, found: Diagnosis) -> None:
     how = "Cross-spectrum of both records' residuals" if repeat is not None else "Spectrum of the residual, noise included"
     noise = _noise_density(found.noise, centres, float(np.median(np.diff(blocks(record, found.noise.block).time))))
     fig = figure(title, 420, "frequency [Hz]", "power density [N²/Hz]")
-    hover = {"hovertemplate": "%{y:.2e} N²/Hz at %{x:.2f} Hz"}
-    add_line(fig, centres, noise, "noise of one reading", style.MEASURED, 1.6, dash="dash", **hover)
+    hover = {"told": "%{y:.2e} N²/Hz at %{x:.2f} Hz"}
+    fig.line(centres, noise, "noise of one reading", style.MEASURED, 1.6, dash="dash", **hover)
     colours = style.colours(power)
     for name, values in power.items():
-        add_line(fig, centres, values, name, colours[name], mode="lines+markers", **hover)
-    fig.update_layout(xaxis_type="log", yaxis_type="log")
+        fig.line(centres, values, name, colours[name], size=6, **hover)
+    fig.axes["x"]["kind"] = fig.axes["y0"]["kind"] = "log"
     page.figure(fig, f"{how}, averaged over bins; gaps: no positive power.")
 
 

@@ -13,7 +13,7 @@ from hil.run import profile_start
 from hil.selftest import SelfTest
 from hil.timing import PERCENTILES, Timing
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_line, figure, thinning
+from vpp_fmu.app.report.canvas import figure, thinning
 from vpp_fmu.app.report.figures import stacked, two_records
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.loop import add_adaptive, add_loops, headline, step_tiles
@@ -23,10 +23,6 @@ from vpp_fmu.response import smoothed
 
 WITHIN = f"the thrust's mean over {SPAN:g} s stays within 5 % of the step"
 """When a step counts as settled: with noise 2 % is too narrow."""
-
-
-POINTS = {"mode": "lines+markers", "marker": {"size": 6}}
-"""Of a line through few measured points."""
 
 
 def run_page(found: Outcome) -> Page:
@@ -218,7 +214,7 @@ def _add_cell(page: Page, cell: LoadCell) -> None:
     title = f"The load cell is straight within {number(max(map(abs, cell.residuals)))} N"
     fig = figure(title, 340, "force of the weights, thrust positive [N]", "line − weight [mN]")
     for rows, name, colour in ((slice(0, top + 1), "rising", style.AFTER), (slice(top, None), "falling", style.BEFORE)):
-        add_line(fig, cell.forces[rows], residuals[rows], name, colour, **POINTS)
+        fig.line(cell.forces[rows], residuals[rows], name, colour, size=6)
     page.figure(fig, "What the straight line says above what hung there. Rising and falling apart: friction.")
 
 
@@ -228,5 +224,5 @@ def _add_pitch_table(page: Page, found: PitchTable) -> None:
     title = f"The pitch goes from {low:g} to {high:g} deg, with {found.play:.2f} deg of play"
     fig = figure(title, 380, "pulse [us]", "blade pitch [deg]")
     for pitches, name, colour in ((found.up, "rising pulses", style.AFTER), (found.down, "falling pulses", style.BEFORE)):
-        add_line(fig, pulses, pitches, name, colour, **POINTS)
+        fig.line(pulses, pitches, name, colour, size=6)
     page.figure(fig, "As read off at 75 % of the radius. The table takes the mean of both, the middle of the play.")

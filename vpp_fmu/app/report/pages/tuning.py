@@ -20,7 +20,7 @@ from identification.tune.summary import (
 from identification.tune.tune import JUDGED, Tuned, Tuning
 from identification.tune.verdict import UNITS
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_level, add_line, panels
+from vpp_fmu.app.report.canvas import panels
 from vpp_fmu.app.report.figures import closed_loop as loop_figure
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
@@ -166,15 +166,15 @@ def _add_margins(page: Page, found: Tuning, tuned: Tuned) -> None:
     own = labels(found, tuned)
     worst = {w: max((m.sensitivity for m in tuned.margins[w]), default=np.nan) for w in tuned.gains}
     title = f"Largest sensitivity: {', '.join(f'{own[w]} {s:.3g}' for w, s in worst.items())}"
-    fig = panels(title, ["phase [deg]", "delay [ms]", "sensitivity [-]"], [130] * 3)
+    fig = panels(title, ["phase [deg]", "delay [ms]", "sensitivity [-]"], [130] * 3, "thrust at the operating point [N]")
     colours = style.colours(names.values())
     for panel, (quantity, scale) in enumerate((("phase", 1.0), ("delay", 1e3), ("sensitivity", 1.0))):
         for which, name in names.items():
             thrust, margins = [p.thrust for p in tuned.points[which]], [getattr(m, quantity) for m in tuned.margins[which]]
             values = np.array([np.nan if value is None else scale * value for value in margins])
-            add_line(fig, thrust, values, name, colours[name], 1.6, panel, name if panel else None, mode="lines+markers")
-    add_level(fig, 2, found.task.sensitivity)
-    fig.update_xaxes(title_text="thrust at the operating point [N]", hoverformat=".3~g")
+            fig.line(thrust, values, name, colours[name], 1.6, panel, name if panel else None, size=6)
+    fig.level("y2", found.task.sensitivity)
+    fig.axes["x"]["format"] = ".3~g"
     page.figure(fig, "Operating points at which the loop settles, on levels of thrust up and down. Dashed: the limit.")
 
 
