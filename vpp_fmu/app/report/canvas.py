@@ -6,7 +6,6 @@ plotly's own script takes 4.8 MB in every page, 2.0 MB packed. In a notebook the
 import base64
 import html
 import json
-import math
 import textwrap
 from collections.abc import Iterable, Sequence
 from importlib.resources import files
@@ -68,10 +67,11 @@ class Figure:
         self.shapes: list[dict[str, Any]] = []
 
     def line(self, x, y, name: str, colour: str, width: float = 1.8, panel: int = 0, group: str = "", **more) -> None:
-        """A line in a panel, from 0. With a `group` it has no legend entry and is shown with the line of that name. `more`:
+        """A line in a panel, from 0. Lines of one name, or of a `group`, have one legend entry. `more`:
         `dash` (dot, dash, dashdot), `held` (until the next value), `size` of a marker at each value, `text` of each value,
         `told` (at the pointer: a text with values such as %{y:.3f}), `mute` (nothing is told)."""
-        own = {"name": name, "key": group or name, "shown": not group, "colour": colour, "wide": width, **more}
+        shown = bool(name) and not group and all(mark["key"] != name for mark in self.marks)
+        own = {"name": name, "key": group or name, "shown": shown, "colour": colour, "wide": width, **more}
         self.marks.append({"axis": f"y{panel}", "x": x, "y": y, **own})
 
     def points(self, x, y, name: str, colour: str, size: float = 6, panel: int = 0, group: str = "", **more) -> None:
@@ -81,20 +81,42 @@ class Figure:
 
     def envelope(self, x, low, high, name: str, colour: str, panel: int = 0) -> None:
         """A coloured band from `low` to `high`, all (n,); only the first of a name is in the legend."""
-        group = name if any(mark["name"] == name for mark in self.marks) else ""
+        first = all(mark["key"] != name for mark in self.marks)
         self.line(x, low, "", colour, 0, panel, name, mute=True)
-        self.line(x, high, name, colour, 0, panel, group, mute=True, fill=colour)
+        self.line(x, high, name, colour, 0, panel, name, mute=True, fill=colour)
+        self.marks[-1]["shown"] = first
 
-    def band(self, panel: int, half_width: float, name: str, shown: bool = True) -> None:
+    def band(self, panel: int, half_width: float, name: str) -> None:
         """A band around zero under the lines of a panel. Its dotted edges are above them: a dense residual hides the rest."""
-        own = {"fill": style.NOISE, "colour": style.MEASURED, "wide": 1, "dash": "dot"}
-        self.shapes.append(
-            {"axis": f"y{panel}", "name": name, "key": name, "shown": shown, "ends": [-half_width, half_width], **own}
-        )
+        edge = {"colour": style.MEASURED, "wide": 1, "dash": "dot"}
+        self._across(f"y{panel}", [-half_width, half_width], name, fill=style.NOISE, **edge)
 
-    def level(self, axis: str, at: float, colour: str = style.SET_POINT) -> None:
-        """A dashed line across the panels at a value of an axis."""
-        self.shapes.append({"axis": axis, "ends": [at], "colour": colour, "wide": 1.4, "dash": "dash"})
+    def level(self, axis: str, at: float, name: str, colour: str = style.SET_POINT) -> None:
+        """A line across the panels at a value of an axis."""
+        self._across(axis, [float(at)], name, colour=colour, wide=1.2, dash="dashdot")
+
+    def _across(self, axis: str, ends: list[float], name: str, **more) -> None:
+        shown = all(shape["key"] != name for shape in self.shapes)
+        self.shapes.append({"axis": axis, "ends": ends, "name": name, "key": name, "shown": shown, **more})
+
+    @property
+    def samples(self) -> int:
+        """Samples of the longest line."""
+        return max(len(mark["x"]) for mark in self.marks)
+
+    def _thinned(self) -> list[dict[str, Any]]:
+        """The marks with at most MOST samples. Lines over the same x keep the same ones, as the pointer reads one time."""
+        same: dict[bytes, list[Any]] = {}
+        for mark in self.marks:
+            if len(mark["x"]) > MOST:
+                same.setdefault(np.asarray(mark["x"], float).tobytes(), []).append(mark["y"])
+        kept = {x: places(lines) for x, lines in same.items()}
+
+        def thinned(mark: dict[str, Any]) -> dict[str, Any]:
+            at = kept[np.asarray(mark["x"], float).tobytes()]
+            return mark | {side: np.asarray(mark[side], float)[at] for side in "xy"}
+
+        return [mark if len(mark["x"]) <= MOST else thinned(mark) for mark in self.marks]
 
     def drawing(self, arrays: Arrays) -> str:
         """JSON for `draw`, with those of its `arrays` that are not yet in the page. ValueError for a colour that may be
@@ -106,7 +128,7 @@ class Figure:
         spec = {
             "panels": panels,
             "axes": {name: axis | self._names(name) for name, axis in self.axes.items()},
-            "marks": [_encoded(mark, arrays) for mark in self.marks],
+            "marks": [_encoded(mark, arrays) for mark in self._thinned()],
             "shapes": [_encoded(shape, arrays) for shape in self.shapes],
             "legend": self.legend,
             "unified": self.unified,
@@ -138,7 +160,7 @@ class Figure:
                 given["domain"] = [below / total, (below + 0.9 * self.heights[int(name[1:])]) / total]
             fig.layout[_plotlys(name, "axis")] = given | ({"autorange": "reversed"} if axis.get("reversed") else {})
         fig.layout.xaxis.anchor = _plotlys(list(self.axes)[-1])
-        for mark in self.marks:
+        for mark in self._thinned():
             values = {side: [_escaped(v) if isinstance(v, str) else v for v in mark[side]] for side in "xy"}
             kinds = ["markers"] * ("size" in mark) + ["lines"] * bool(mark["wide"] or "size" not in mark)
             line = {
@@ -211,7 +233,6 @@ def places(lines: Iterable[np.ndarray], most: int = MOST) -> np.ndarray:
     """Indices (k,) of at most `most` samples to draw of lines over one time axis, each (n,).
 
     The record is cut into equal bins, as short as the number allows; each gives its lowest and highest sample of every line.
-    All lines keep the same samples, so that values under the pointer are of one time.
     """
     lines = [np.asarray(line, float) for line in lines]
     n = len(lines[0])
@@ -222,20 +243,6 @@ def places(lines: Iterable[np.ndarray], most: int = MOST) -> np.ndarray:
     while len(kept := _lowest(bounds, size)) > most and size < n:
         size += 1 + size // 8
     return kept
-
-
-def thinning(samples: int) -> str:
-    """A sentence for the caption of thinned lines; empty if all samples are drawn."""
-    if samples <= MOST:
-        return ""
-    return f"Drawn are at most {MOST} of the {samples} samples, the extremes of every line among them."
-
-
-def to_the_eye(values: np.ndarray) -> np.ndarray:
-    """Values rounded to some 1e-5 of their span, far less than a pixel, to keep the page small."""
-    seen = values[np.isfinite(values)]
-    span = float(np.ptp(seen)) if len(seen) else 0.0
-    return np.round(values, 5 - math.floor(math.log10(span))) if span > 0.0 else values
 
 
 def _lowest(lines: list[np.ndarray], size: int) -> np.ndarray:

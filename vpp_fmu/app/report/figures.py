@@ -6,7 +6,7 @@ import numpy as np
 
 from identification.fit.uncertainty import NORMAL_95
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import Figure, panels, places
+from vpp_fmu.app.report.canvas import Figure, panels
 from vpp_fmu.digits import number
 from vpp_fmu.record import QUANTITIES, Record
 
@@ -15,9 +15,6 @@ COMMANDS = {"omega_ref": "omega", "beta_ref": "beta"}
 
 Columns = Record | Mapping[str, np.ndarray]
 """Arrays (n,) by column name."""
-
-
-_LOOP = ("thrust_set", "thrust", "omega_ref", "omega", "beta_ref", "beta")
 
 
 def measured_against_predicted(
@@ -35,33 +32,29 @@ def measured_against_predicted(
     about the first prediction; 1.96 of it are drawn around the prediction and in the residual. `reading`: a column in place of
     thrust, in its own unit.
     """
-    unit = QUANTITIES[reading].unit
+    unit, time = QUANTITIES[reading].unit, record["time"]
     labels = [style.label(reading), f"residual [{unit}]", *map(style.label, COMMANDS.values())]
     fig = panels(title, labels, [260, 160, 110, 110])
-    time = np.asarray(record["time"])
     measured = np.asarray(record[reading] if reading in record else np.full(len(time), np.nan), float)
-    residuals = {name: measured - values for name, values in predictions.items()}
-    beside = [record[name] for both in COMMANDS.items() for name in both if name in record]
-    kept = places([measured, *predictions.values(), *residuals.values(), *beside])
-    time = time[kept]
     if band is not None:
-        reach, middle = NORMAL_95 * np.asarray(band)[kept], np.asarray(next(iter(predictions.values())))[kept]
+        middle = np.asarray(next(iter(predictions.values())))
         for panel, centre in ((0, middle), (1, 0.0 * middle)):
-            fig.envelope(time, centre - reach, centre + reach, "95 % of readings expected", style.BAND, panel)
-    fig.line(time, measured[kept], "measured", style.MEASURED, 1, 0)
+            low, high = centre - NORMAL_95 * band, centre + NORMAL_95 * band
+            fig.envelope(time, low, high, "95 % of readings expected", style.BAND, panel)
+    fig.line(time, measured, "measured", style.MEASURED, 1)
     if noise is not None:
         fig.band(1, 2 * noise, f"± 2 noise ({number(2 * noise)} {unit})")
     colours = style.colours(predictions)
-    for name, residual in residuals.items():
+    for name, predicted in predictions.items():
+        residual = measured - predicted
         seen = residual[np.isfinite(residual)]
         error = f"rmse {number(np.sqrt(np.mean(seen**2)))} {unit}" if len(seen) else "nothing measured beside it"
-        fig.line(time, np.asarray(predictions[name])[kept], f"{name}, {error}", colours[name], 1.6, 0)
-        fig.line(time, residual[kept], f"{name}, residual", colours[name], 1, 1, f"{name}, {error}")
+        fig.line(time, predicted, f"{name}, {error}", colours[name], 1.6)
+        fig.line(time, residual, f"{name}, residual", colours[name], 1, 1, f"{name}, {error}")
     for panel, (name, output) in enumerate(COMMANDS.items(), start=2):
         if output in record:
-            fig.line(time, np.asarray(record[output])[kept], output, style.MEASURED, 1, panel, "measured")
-        group = None if panel == 2 else "commands"
-        fig.line(time, np.asarray(record[name])[kept], "commands", style.SET_POINT, 1.4, panel, group, held=True, dash="dash")
+            fig.line(time, record[output], output, style.MEASURED, 1, panel, "measured")
+        fig.line(time, record[name], "commands", style.SET_POINT, 1.4, panel, held=True, dash="dash")
     return fig
 
 
@@ -74,35 +67,18 @@ def closed_loop(runs: Mapping[str, Columns], title: str, limits: Mapping[str, tu
     """
     fig = panels(title, [style.label(name) for name in ("thrust", "omega", "beta")], [260, 150, 150])
     colours = style.colours(runs)
-    drawn = []
+    for run in {np.asarray(run["thrust_set"]).tobytes(): run for run in runs.values()}.values():
+        fig.line(run["time"], run["thrust_set"], "set-point", style.SET_POINT, held=True, dash="dash")
     for name, run in runs.items():
-        kept = places([run[column] for column in _LOOP if column in run])
-        columns = {column: np.asarray(run[column])[kept] for column in ("time", *_LOOP) if column in run}
-        if not any(all(np.array_equal(run[column], other[column]) for column in ("time", "thrust_set")) for other in drawn):
-            group = "set-point" if drawn else None
-            held = {"dash": "dash", "held": True}
-            fig.line(columns["time"], columns["thrust_set"], "set-point", style.SET_POINT, 1.8, 0, group, **held)
-            drawn.append(run)
-        _add_run(fig, name, columns, colours[name])
-    first = next(iter(runs.values()))["time"]
-    ends = np.array([first[0], first[-1]], float)
-    for panel, column in ((1, "omega_ref"), (2, "beta_ref")):
-        for k, end in enumerate(dict.fromkeys((limits or {}).get(column, ()))):
-            group = None if panel == 1 and k == 0 else "limits"
-            fig.line(ends, np.full(2, end), "limits", style.SET_POINT, 1, panel, group, dash="dashdot")
+        fig.line(run["time"], run["thrust"], name, colours[name], 1.5)
+        for panel, (command, output) in enumerate(COMMANDS.items(), start=1):
+            fig.line(run["time"], run[command], f"{name}, commands", colours[name], 1.2, panel, held=True, dash="dot")
+            if output in run:
+                fig.line(run["time"], run[output], name, colours[name], 1.5, panel)
+    for panel, command in enumerate(COMMANDS, start=1):
+        for end in dict.fromkeys((limits or {}).get(command, ())):
+            fig.level(f"y{panel}", end, "limits")
     return fig
-
-
-def _add_run(fig: Figure, name: str, run: Mapping[str, np.ndarray], colour: str) -> None:
-    """The lines of one run in the panels thrust, speed, pitch."""
-    dotted = {"dash": "dot", "held": True}
-    time, commands = run["time"], f"{name}, commands"
-    fig.line(time, run["thrust"], name, colour, 1.5, 0)
-    fig.line(time, run["omega_ref"], commands, colour, 1.2, 1, **dotted)
-    fig.line(time, run["beta_ref"], f"{name}, pitch command", colour, 1.2, 2, commands, **dotted)
-    for panel, column, word in ((1, "omega", "speed"), (2, "beta", "pitch")):
-        if column in run:
-            fig.line(time, run[column], f"{name}, {word}", colour, 1.5, panel, name)
 
 
 def two_records(
@@ -117,34 +93,28 @@ def two_records(
     The difference, second less first, is at the common times of the first; the second is interpolated linearly.
     """
     fig = panels(title, [f"{quantity} [{unit}]", f"difference [{unit}]"], [260, 160])
-    (name_a, *a), (name_b, *b) = first, second
-    (time_a, a), (time_b, b) = ([np.asarray(values, float) for values in each] for each in (a, b))
+    (name_a, time_a, a), (name_b, time_b, b) = first, second
     colours = style.colours((name_a, name_b))
     common = (time_a >= time_b[0]) & (time_a <= time_b[-1])
     difference = np.where(common, np.interp(time_a, time_b, b) - a, np.nan)
-    kept_a, kept_b = places([a, difference]), places([b])
-    if np.array_equal(time_a, time_b):
-        kept_a = kept_b = places([a, b, difference])
     # Equal records hide each other, so the first is a wide line under the second.
-    fig.line(time_a[kept_a], a[kept_a], name_a, colours[name_a], 2.6, 0)
-    fig.line(time_b[kept_b], b[kept_b], name_b, colours[name_b], 1, 0)
-    fig.line(time_a[kept_a], difference[kept_a], f"{name_b} − {name_a}", style.MEASURED, 1, 1)
+    fig.line(time_a, a, name_a, colours[name_a], 2.6)
+    fig.line(time_b, b, name_b, colours[name_b], 1)
+    fig.line(time_a, difference, f"{name_b} − {name_a}", style.MEASURED, 1, 1)
     return fig
 
 
 def stacked(time: np.ndarray, rows: Mapping[str, Mapping[str, np.ndarray]], title: str) -> Figure:
-    """A panel for each of the `rows`, named by its axis label with unit: lines (n,) by name over the time [s], thinned.
+    """A panel for each of the `rows`, named by its axis label with unit: lines (n,) by name over the time [s].
 
     Lines with "command" in their name are held and dotted, "measured" ones thin; one name has one colour in all panels.
     """
     fig = panels(title, list(rows), [180] * len(rows))
-    kept = places([values for lines in rows.values() for values in lines.values()])
     names = dict.fromkeys(name for lines in rows.values() for name in lines)
-    colours, shown = style.colours(n for n in names if "command" not in n), set()
+    colours = style.colours(n for n in names if "command" not in n)
     for panel, lines in enumerate(rows.values()):
         for name, values in lines.items():
-            colour, width = colours.get(name, style.SET_POINT), 1.0 if name == "measured" else 1.8
             held = {"dash": "dot", "held": True} if "command" in name else {}
-            fig.line(time[kept], values[kept], name, colour, width, panel, name if name in shown else None, **held)
-            shown.add(name)
+            width = 1.0 if name == "measured" else 1.8
+            fig.line(time, values, name, colours.get(name, style.SET_POINT), width, panel, **held)
     return fig

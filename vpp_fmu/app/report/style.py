@@ -46,13 +46,9 @@ ROLES = {
     "measured": MEASURED,
     "rig": MEASURED,
     "before": BEFORE,
-    "initial": BEFORE,
     "start": BEFORE,
-    "base": BEFORE,
     "after": AFTER,
-    "final": AFTER,
     "fitted": AFTER,
-    "augmented": AFTER,
 }
 """Words in a line's name that determine its colour."""
 

@@ -7,7 +7,7 @@ import numpy as np
 from identification.fit.uncertainty import NORMAL_95
 from identification.power.allocation import COLUMNS, Allocation, allocated_controller, table
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import figure
+from vpp_fmu.app.report.canvas import panels
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
 from vpp_fmu.app.report.sentences import size
@@ -16,9 +16,6 @@ from vpp_fmu.files import OutputFolder
 from vpp_fmu.parameters import ParameterSet, to_json
 
 FORMAT = "vpp-allocation/1"
-
-LINES = 5
-"""Lines of equal thrust, and of equal power."""
 
 
 class AllocateResult(Result):
@@ -95,34 +92,13 @@ class AllocateResult(Result):
         verb = f"save {share} of the power" if found.saving >= 0.0 else f"take {share} more power"
         title = f"The pairs {verb} against the best fixed pitch, {found.fixed_beta:.3g} deg"
         half = NORMAL_95 * found.power_std
-        fig = figure(title, 440, "thrust [N]", "power [W]")
+        fig = panels(title, ["power [W]", "speed [rpm]", "pitch [deg]"], [260, 130, 130], "thrust [N]")
         fig.envelope(found.thrust, found.power - half, found.power + half, "95 % interval", style.NOISE)
         fixed = f"best fixed pitch, {found.fixed_beta:.3g} deg"
         fig.line(found.thrust, found.fixed, fixed, style.BEFORE, 1.6, dash="dash")
-        fig.line(found.thrust, found.power, "best pairs", style.AFTER, 2.2)
+        for panel, values in enumerate((found.power, found.omega, found.beta)):
+            fig.line(found.thrust, values, "best pairs", style.AFTER, 2.2, panel)
         page.figure(fig, "95 % interval: of the power's parameters; the choice of a map's terms is not part of it.")
-        speeds, pitches, thrust = found.surface.grid
-        few = slice(None, None, max(1, len(speeds) // 100))
-        watts = found.model.at(*np.meshgrid(speeds[few], pitches, indexing="ij"))
-        fig = figure(
-            "Pairs of equal thrust cross lines of equal power: the best ones lie on the line", 520, "speed [rpm]", "pitch [deg]"
-        )
-        values = []
-        for name, rows, most, unit, colour in (
-            ("thrust", thrust[few].T, found.thrust[-1], "N", style.MEASURED),
-            ("power", watts.T, found.power[-1], "W", style.LIGHT_BLUE),
-        ):
-            levels, group = np.linspace(0.0, float(most), LINES + 2)[1:-1], f"equal {name}"
-            values.append(f"{name} {', '.join(number(level, 3) for level in levels)} {unit}")
-            for k, level in enumerate(levels):
-                at = [
-                    np.interp(level, row, speeds[few], left=np.nan, right=np.nan) for row in np.maximum.accumulate(rows, axis=1)
-                ]
-                told = f"{name} {number(float(level), 3)} {unit}"
-                fig.line(at, pitches, group, colour, 1.2, group=group if k else None, told=told)
-        fig.line(found.omega, found.beta, "best pairs", style.BEFORE, 3.0)
-        caption = f"Thin lines: equal values, {'; '.join(values)}. Thick line: the pairs, from least to greatest thrust."
-        page.figure(fig, caption)
         bands = [f"{low:.3g} to {high:.3g}" for low, high in found.beta_band]
         cells = found.thrust, found.omega, found.beta, bands, found.power, NORMAL_95 * found.power_std, found.reserve
         rows = [tuple(map(number, row, (4, 5, 3, 4, 4, 2, 3))) for row in zip(*cells, strict=True)]

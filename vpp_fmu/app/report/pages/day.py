@@ -6,7 +6,7 @@ import numpy as np
 
 from vpp_fmu.app.day import GAINS, PRESENT, Day, Round
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import Figure, panels, thinning
+from vpp_fmu.app.report.canvas import Figure, panels
 from vpp_fmu.app.report.figures import closed_loop
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.loop import adapted_parameters
@@ -47,15 +47,10 @@ def day_page(day: Day) -> Page:
     page.table(("round", "hidden in the rig", "alarm", "diagnosis", "flies next"), rows, "What happened.")
     gains = [(n, day.settings[n], *(r.law.settings[n] for r in day.rounds)) for n in GAINS]
     page.table(("gain", "as it began", *(f"after round {r.number}" for r in day.rounds)), gains, "Gains that fly.")
-    page.section("What the twin made of its parameters")
-    for r in day.rounds:
-        figure = adapted_parameters(r.mission.record.time, r.mission.twin, r.mission.units)
-        page.figure(figure, f"Round {r.number}. {thinning(len(r.mission.record))}")
     page.section("The last mission")
-    page.figure(
-        closed_loop({"rig": last.mission.record}, f"The mission of round {last.number}, as it was flown"),
-        thinning(len(last.mission.record)),
-    )
+    mission = last.mission
+    page.figure(adapted_parameters(mission.record.time, mission.twin, mission.units), "What the twin made of its parameters.")
+    page.figure(closed_loop({"rig": mission.record}, f"The mission of round {last.number}, as it was flown"))
     return page
 
 

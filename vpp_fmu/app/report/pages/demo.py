@@ -4,7 +4,6 @@ from typing import Any
 
 from identification.demo import Demo
 from identification.thrust_steps import step_profile
-from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures import measured_against_predicted
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult, findings
@@ -82,7 +81,7 @@ class DemoResult(Result):
         )
         lines = {f"FMU {name}": thrust for name, thrust in done.thrust.items()}
         figure = measured_against_predicted(validation, lines, title, found.noise.floor)
-        page.figure(figure, f"validation.csv. {thinning(len(validation))}")
+        page.figure(figure, "validation.csv.")
         self._add_loops(page)
         self.diagnosis.fill_effects(page)
         if found.identification.static is not None:

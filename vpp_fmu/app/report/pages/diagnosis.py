@@ -13,7 +13,7 @@ from identification.fit.noise import blocks
 from identification.fit.problem import Prior
 from identification.fit.uncertainty import NORMAL_95
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import Figure, figure, thinning
+from vpp_fmu.app.report.canvas import Figure, figure
 from vpp_fmu.app.report.figures import measured_against_predicted
 from vpp_fmu.app.report.page import Link, Page
 from vpp_fmu.app.report.pages.effect import add_effects, add_learned, around
@@ -210,7 +210,6 @@ class DiagnoseResult(Result, Linearisable):
         add_spectrum(page, found)
         if found.verdict in UNEXPLAINED:
             add_correlations(page, found)
-            _add_lack(page, found)
             _add_alike(page, found)
 
 
@@ -365,7 +364,7 @@ def _whole(found: Diagnosis) -> tuple[Figure, str]:
     seen = "no fit saw" if found.unseen is not None else "was fitted"
     title = f"On a record that {seen} the thrust error is {error}; the noise alone is {number(found.noise.floor)} N"
     figure = measured_against_predicted(found.shown, lines, title, found.noise.floor)
-    return figure, f"{found.shown_name}.csv. {thinning(len(found.shown))}"
+    return figure, f"{found.shown_name}.csv."
 
 
 def _worst(found: Diagnosis) -> tuple[Figure, str]:
@@ -380,31 +379,6 @@ def _worst(found: Diagnosis) -> tuple[Figure, str]:
     part = {name: thrust[near] for name, thrust in lines.items()}
     figure = measured_against_predicted(record.part(near), part, title, found.noise.floor)
     return figure, f"{2.0 * ZOOM:g} s of {found.shown_name}.csv around the worst mean over {SMOOTHED:g} s."
-
-
-def _add_lack(page: Page, found: Diagnosis) -> None:
-    before, after = found.before, found.after
-    old, new = before.score, after.score
-    tests = [("score test on the commands and time", "-", old.gain, old.p, new.gain, new.p)]
-    for one, other in zip(before.bands, after.bands, strict=True):
-        tests.append((f"pure error, {one.low:g} to {one.high:g} Hz", "N²", one.power, one.p, other.power, other.p))
-    if before.speed or after.speed:
-        tests.append(("structured share of the speed residual", "-", before.speed, None, after.speed, None))
-    if before.transient_size or after.transient_size:
-        tests.append(("share of the thrust residual absent at rest", "-", before.moving, None, after.moving, None))
-    one, other = before.turning, after.turning
-    tests.append(("line at the rotor frequency", "N", one.size, one.p, other.size, other.p))
-    rows = [(what, unit, first, _chance(p), last, _chance(now)) for what, unit, first, p, last, now in tests]
-    columns = ("test", "unit", "before", "p", "after", "p ")
-    page.table(
-        columns,
-        rows,
-        "Tests of lack of fit: log-likelihood of the score test, pure error of repeated records by band, structured residuals.",
-    )
-
-
-def _chance(p: float | None) -> str:
-    return "" if p is None else chance(p)
 
 
 def _moving(section: str) -> str:

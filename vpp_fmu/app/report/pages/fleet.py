@@ -5,7 +5,6 @@ import io
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -16,11 +15,11 @@ from identification.diagnose.diagnose import Diagnosis
 from identification.fit.uncertainty import NORMAL_95
 from identification.static.static_map import TERMS, design
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import figure
+from vpp_fmu.app.report.canvas import Figure, panels
 from vpp_fmu.app.report.page import Link, Page
 from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult
 from vpp_fmu.app.report.result import Result
-from vpp_fmu.app.report.sentences import size, titled, words
+from vpp_fmu.app.report.sentences import titled, words
 from vpp_fmu.app.report.summary import summary
 from vpp_fmu.campaign import measured_on
 from vpp_fmu.digits import TABLE, number
@@ -239,8 +238,7 @@ class FleetResult(Result):
         if several := self._several():
             text = "Parameters that more than one campaign has, and the thrust of their maps at the same commands."
             page.section("Sizes", text)
-            for name, own in several.items():
-                _add_size(page, name, own)
+            page.figure(_sizes(several), "Bars are 95 % intervals.")
 
 
 def _farthest(name: str, own: Sequence[Entry]) -> str:
@@ -255,22 +253,15 @@ def _farthest(name: str, own: Sequence[Entry]) -> str:
     return f"{titled(name)}: {own[k].name} is {100.0 * far[k] / abs(middle):.1f} % {way} {of}"
 
 
-def _add_size(page: Page, name: str, having: Sequence[Entry]) -> None:
-    """A parameter over the dates, or over the campaigns if a date is unknown."""
-    unit = having[0].sizes[name][2]
-    dated = all(e.date for e in having) and len({e.date for e in having}) > 1
-    own = list(having)
-    values = [e.sizes[name][0] for e in own]
-    names = [e.name for e in own]
-    what = f"{titled(name)}: {number(min(values))} to {size(max(values), unit)}"
-    label = words(name) + ("" if unit == "1" else f" [{unit}]")
-    far = _farthest(name, own).partition(": ")[2]
-    at, across = names, "campaign"
-    if dated:
-        times = [datetime.fromisoformat(e.date).replace(tzinfo=None) for e in own]
-        at = [(time - times[0]).total_seconds() / 86400.0 for time in times]
-        across = f"days since {own[0].date[:10]} [d]"
-    fig = figure(f"{what} in {len(own)} campaigns{far and f'; {far}'}", 340, across, label, legend=False)
-    error = [NORMAL_95 * (e.sizes[name][1] or 0.0) for e in own]
-    fig.points(at, values, "", style.AFTER, 8, across="y", error=error, text=names, told="%{text}: %{y}")
-    page.figure(fig, "Bars are 95 % intervals.")
+def _sizes(several: Mapping[str, Sequence[Entry]]) -> Figure:
+    """A panel for each parameter with its 95 % intervals, over the campaigns by date."""
+    units = {name: own[0].sizes[name][2] for name, own in several.items()}
+    labels = [words(name) + ("" if unit == "1" else f" [{unit}]") for name, unit in units.items()]
+    far = [said for name, own in several.items() if (said := _farthest(name, own))]
+    title = f"{len(several)} parameters in several campaigns: {'; '.join(far) or 'none differs by more than its uncertainty'}"
+    fig = panels(title, labels, [150] * len(labels), "campaign, by date")
+    for panel, (name, own) in enumerate(several.items()):
+        values, errors = [e.sizes[name][0] for e in own], [NORMAL_95 * (e.sizes[name][1] or 0.0) for e in own]
+        fig.points([e.name for e in own], values, words(name), style.AFTER, 8, panel, across="y", error=errors)
+    fig.legend = False
+    return fig

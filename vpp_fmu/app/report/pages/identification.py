@@ -12,7 +12,7 @@ from identification.identify import Identification
 from identification.static.static_map import design
 from identification.steps.run import StepRun
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import Figure, figure, panels, places, thinning, to_the_eye
+from vpp_fmu.app.report.canvas import Figure, figure, panels
 from vpp_fmu.app.report.figures import measured_against_predicted
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Knowledge, Result, dated
@@ -27,9 +27,6 @@ TELLING = 0.2
 
 SETTLED, ROOM, BEFORE = 0.02, 1.5, 0.13
 """Share of a step within which a fit counts as settled; the drawn time as a multiple of that settling time, and before it."""
-
-POINTS = 240
-"""Points of a step's line."""
 
 
 class IdentifyResult(Result, Linearisable):
@@ -178,7 +175,7 @@ def _record_figure(found: Identification, name: str):
     share = found.coverage[name]
     within = "An unknown share of" if share is None else f"{100 * share:.1f} % of"
     coverage = f"{within} the readings of {name} are within the 95 % prediction band"
-    return figure, f"{coverage}, from parameters and residual. {thinning(len(p.record))}"
+    return figure, f"{coverage}, from parameters and residual."
 
 
 def _add_sections(page: Page, found: Identification) -> None:
@@ -260,12 +257,10 @@ def step_responses(runs: Sequence[StepRun], title: str, delayed: bool = False) -
     settled = [float(run.time[np.abs(run.normalised(delayed)[1] - 1.0) > SETTLED].max(initial=0.0)) for run in runs]
     after = ROOM * max(settled) or float(runs[0].time[-1])
     for place, name, colour in ((0, "measured", style.FAINT), (1, "fitted", style.AFTER)):
-        for k, run in enumerate(runs):
+        for run in runs:
             near = np.flatnonzero((run.time >= -BEFORE * after) & (run.time <= after))
-            near = near[places([run.normalised(delayed)[0][near]], most=POINTS)]
-            values = to_the_eye(run.normalised(delayed)[place][near])
-            panel, time = directions.index(run.direction), to_the_eye(run.time[near])
-            fig.line(time, values, name, colour, 1.0, panel, name if k else None, mute=True)
+            values = run.normalised(delayed)[place][near]
+            fig.line(run.time[near], values, name, colour, 1.0, directions.index(run.direction), mute=True)
     return fig
 
 
@@ -289,7 +284,7 @@ def add_map(page: Page, found: Identification) -> None:
         name = f"{number(float(other[0]))} {'rpm' if beside is speed else 'deg'}"
         shared = {"told": f"%{{y:{style.SHOWN}}} N at {name}, %{{x:{style.SHOWN}}}"}
         fig.line(over, fitted, name, shade, 1.6, **shared)
-        fig.points(at[own], thrust[own], name, shade, group=name, **shared)
+        fig.points(at[own], thrust[own], name, shade, **shared)
     page.figure(fig, "Lines: fitted; points: measured.")
     if static.not_identifiable:
         page.note(

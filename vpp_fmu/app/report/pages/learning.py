@@ -5,8 +5,6 @@ from typing import Any
 import numpy as np
 
 from identification.tune.learn import LearnedLaw
-from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import figure
 from vpp_fmu.app.report.figures import closed_loop
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
@@ -94,14 +92,6 @@ class LearnResult(Result):
         text += "uncertainty of the parameters. The PID was tuned on set-points of the same kind, unless gains were given. The "
         text += "comparison flies plants, set-points and noise that are not part of the search."
         page.section("The comparison", text)
-        verb = "less" if found.better > 0.5 else "more"
-        title = f"The learned law has {verb} error than the tuned PID on most of the held-out plants"
-        fig = figure(title, 340, "share of the plants with no more [%]", "squared error [s]")
-        colours = style.colours(NAMES.values())
-        for name, flight in found.flights.items():
-            share = 100.0 * np.arange(1, len(flight.errors) + 1) / len(flight.errors)
-            fig.line(share, np.sort(flight.errors), NAMES[name], colours[NAMES[name]])
-        page.figure(fig, "Integral of the squared normalised thrust error of each plant, in order.")
         runs = {NAMES[name]: run for name, run in found.example.items()}
         title = "A flight of the identified plant with held-out set-points"
         page.figure(closed_loop(runs, title), "Thrust is the plant's, not its reading.")

@@ -8,7 +8,7 @@ import numpy as np
 
 from identification.assessment.prediction import Prediction
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import Figure, panels, places, thinning
+from vpp_fmu.app.report.canvas import Figure, panels
 from vpp_fmu.app.report.figures import closed_loop, measured_against_predicted, two_records
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
@@ -131,7 +131,7 @@ class SimulateResult(Result):
         title = "Thrust, as the model predicts it"
         if self.rmse_thrust is not None:
             title = f"The model errs by {size(self.rmse_thrust, 'N')}"
-        page.figure(measured_against_predicted(p.record, {"model": p.thrust}, title), thinning(len(p.record)))
+        page.figure(measured_against_predicted(p.record, {"model": p.thrust}, title))
 
     def write(self, folder: OutputFolder) -> None:
         write_record(folder, "prediction.csv", self.record)
@@ -211,8 +211,7 @@ def add_loops(
     """Closed loops over one profile and their steps, by name; `limits` of the commands by name, drawn if known."""
     first = next(iter(judged.values()))
     title = title or (sentence(first[0]) if first else "Thrust under a constant set-point")
-    rows = max(len(loop) for loop in loops.values())
-    caption = f"Thrust with its set-point, speed and pitch with their commands. {thinning(rows)}"
+    caption = "Thrust with its set-point, speed and pitch with their commands."
     page.figure(closed_loop(loops, title, limits), caption)
     table = [(name, *row(step)) for name, steps in judged.items() for step in steps]
     page.table(STEP_COLUMNS, table, f"Every change of the set-point. Settled: {within} from then on.")
@@ -272,33 +271,29 @@ def add_adaptive(
 ) -> None:
     """Residual and parameters of an adaptive twin from its outputs (rows,) by name, with their units; `model`: whose thrust is
     subtracted, `caption`: of the parameters."""
-    page.figure(residual_in_band(time, outputs), f"Measured thrust less {model}. {thinning(len(time))}")
+    page.figure(residual_in_band(time, outputs), f"Measured thrust less {model}.")
     own = {name.removeprefix(ADAPTED): unit for name, unit in units.items() if name.startswith(ADAPTED)}
     page.figure(adapted_parameters(time, outputs, own), caption)
 
 
 def residual_in_band(time: np.ndarray, twin: Mapping[str, np.ndarray]) -> Figure:
     """Measured thrust less the twin's [N] over time [s], with the 95 % band; (n,) by the twin's outputs."""
-    kept = places([twin["residual"], twin["band"], twin["alarm"]])
     alarms = time[np.diff(twin["alarm"], prepend=0.0) > 0.5]
     said = f"alarm at {', '.join(f'{at:.1f}' for at in alarms[:5])} s" if len(alarms) else "no alarm"
     fig = panels(f"Twin: {said}, {twin['changes'][-1]:.0f} changes followed", ["residual [N]"], [240])
-    half = twin["band"][kept]
-    fig.envelope(time[kept], -half, half, "95 % of readings expected", style.BAND, 0)
-    fig.line(time[kept], twin["residual"][kept], "rig − twin", style.MEASURED, 1, 0)
+    fig.envelope(time, -twin["band"], twin["band"], "95 % of readings expected", style.BAND)
+    fig.line(time, twin["residual"], "rig − twin", style.MEASURED, 1)
     for at in alarms:
-        fig.level("x", float(at), style.BEFORE)
+        fig.level("x", at, "alarm", style.BEFORE)
     return fig
 
 
 def adapted_parameters(time: np.ndarray, twin: Mapping[str, np.ndarray], units: Mapping[str, str]) -> Figure:
     """Each adapted parameter over time [s] with +-2 standard deviations; `units` by its name."""
     names = [name.removeprefix(ADAPTED) for name in twin if name.startswith(ADAPTED)]
-    kept = places([twin[part + name] for name in names for part in (ADAPTED, STD)])
     fig = panels("Adapted parameters", [f"{words(name)} [{units[name]}]" for name in names], [150] * len(names))
     for panel, name in enumerate(names):
-        value, std = twin[ADAPTED + name][kept], twin[STD + name][kept]
-        band = value - 2.0 * std, value + 2.0 * std
-        fig.envelope(time[kept], *band, "± 2 standard deviations", style.BAND, panel)
-        fig.line(time[kept], value, words(name), style.AFTER, 1.6, panel, "adapted")
+        value, reach = twin[ADAPTED + name], 2.0 * twin[STD + name]
+        fig.envelope(time, value - reach, value + reach, "± 2 standard deviations", style.BAND, panel)
+        fig.line(time, value, words(name), style.AFTER, 1.6, panel, "adapted")
     return fig

@@ -6,7 +6,6 @@ import numpy as np
 
 from identification.plan.excitation import PAPERS_HOLD
 from identification.plan.plan import Plan
-from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures import stacked
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
@@ -106,7 +105,7 @@ class PlanResult(Result):
         title += f"{found.thrust.min():.3g} and {found.thrust.max():.3g} N"
         lines = {"speed [rpm]": {"speed command": columns["omega_ref"]}, "pitch [deg]": {"pitch command": columns["beta_ref"]}}
         lines["predicted thrust [N]"] = {"thrust": found.thrust}
-        page.figure(stacked(columns["time"], lines, title), f"plan.csv. {thinning(len(found.commands))}")
+        page.figure(stacked(columns["time"], lines, title), "plan.csv.")
 
 
 def _add_forecast(page: Page, found: Plan) -> None:

@@ -55,11 +55,10 @@ def add_correlations(page: Page, found: Diagnosis) -> None:
     title = f"The residual correlates with {what} at {first:.0f} % of the lags{now}; chance gives 5 %"
     fig = panels(title, [f"{name} [-]" for name in rows], [110] * len(rows), "lag [s]")
     colours = style.colours(errors)
-    for panel, (row, lines) in enumerate(rows.items()):
+    for panel, lines in enumerate(rows.values()):
         for name, values in lines.items():
-            shown, group = (f"{name}, {row}", name) if panel else (name, None)
-            fig.line(lags, np.round(values, 4), shown, colours[name], 1.6, panel, group)
-        fig.band(panel, band, f"± {band:.2g}: no evidence", shown=panel == 0)
+            fig.line(lags, values, name, colours[name], 1.6, panel)
+        fig.band(panel, band, f"± {band:.2g}: no evidence")
     fig.axes["x"]["format"] = ".2f"
     page.figure(fig, f"Correlation of the open-loop thrust residual with earlier values, means over {1000 * RATE:.0f} ms.")
 

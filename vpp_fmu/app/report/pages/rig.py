@@ -1,10 +1,10 @@
 """The pages of the rig: a run with its loop, twin, timing and events; self-test, replay and calibration."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hil.calibrate import LoadCell, Measured, PitchTable
+from hil.calibrate import Measured
 from hil.calibration import Calibration
 from hil.columns import LEARNED
 from hil.outcome import SPAN, Outcome, difference, energy_words, judged_steps, said
@@ -13,7 +13,7 @@ from hil.run import profile_start
 from hil.selftest import SelfTest
 from hil.timing import PERCENTILES, Timing
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import figure, thinning
+from vpp_fmu.app.report.canvas import figure
 from vpp_fmu.app.report.figures import stacked, two_records
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.loop import add_adaptive, add_loops, headline, step_tiles
@@ -94,7 +94,7 @@ def _add_difference(page: Page, first: tuple[str, Record], second: tuple[str, Re
     title = f"{name_b} and {name_a} differ by {number(float(rms))} N rms, {signed(mean)} N on average"
     fig = two_records((name_a, a.time, a["thrust"]), (name_b, b.time, b["thrust"]), title, "thrust", "N")
     largest = float(np.max(np.abs(smoothed(between, SPAN)["thrust"])))
-    page.figure(fig, f"Smoothed over 0.1 s the difference is {number(largest)} N at most. {thinning(len(a))}")
+    page.figure(fig, f"Smoothed over 0.1 s the difference is {number(largest)} N at most.")
 
 
 def _add_timing(page: Page, found: Timing, granted: str) -> None:
@@ -175,7 +175,7 @@ def campaign_page(content: Mapping, summary: str, records: Mapping[str, Record])
     for name, record in records.items():
         lines = {"omega_ref": "command", "beta_ref": "command", "thrust": "measured"}
         rows = {style.label(signal): {kind: record[signal]} for signal, kind in lines.items()}
-        page.figure(stacked(record.time, rows, f"Commands and thrust of {name}"), thinning(len(record)))
+        page.figure(stacked(record.time, rows, f"Commands and thrust of {name}"))
     return page
 
 
@@ -191,10 +191,19 @@ def calibration_page(before: Calibration, found: Calibration, measured: Measured
         page.tiles([("residuals", f"{number(max(map(abs, cell.residuals)))} N", f"hysteresis {number(cell.hysteresis)} N")])
         rows += [("force per count [mN]", 1e3 * before.newton_per_count, 1e3 * cell.newton_per_count, f"{change:+.2f} %")]
         rows += [("zero [counts]", before.zero, cell.zero, f"{cell.zero - before.zero:+.1f}")]
-        _add_cell(page, cell)
+        top, off = int(np.argmax(np.abs(cell.forces))), 1e3 * np.array(cell.residuals)
+        rows_of = np.arange(len(off))
+        ways = {"rising": np.where(rows_of <= top, off, np.nan), "falling": np.where(rows_of >= top, off, np.nan)}
+        title = f"The load cell is straight within {number(max(map(abs, cell.residuals)))} N"
+        fig = figure(title, 340, "force of the weights, thrust positive [N]", "line − weight [mN]")
+        text = "What the straight line says above what hung there. Rising and falling apart: friction."
+        _add_ways(page, fig, cell.forces, ways, text)
     if pitch:
         page.tiles([("play of the pitch", f"{pitch.play:.2f} deg", "at most, from one side against the other")])
-        _add_pitch_table(page, pitch)
+        title = f"The pitch goes from {min(pitch.pitches):g} to {max(pitch.pitches):g} deg, with {pitch.play:.2f} deg of play"
+        text = "As read off at 75 % of the radius. The table takes the mean of both, the middle of the play."
+        pulses, ways = [1e6 * pulse for pulse in pitch.pulses], {"rising pulses": pitch.up, "falling pulses": pitch.down}
+        _add_ways(page, figure(title, 340, "pulse [us]", "blade pitch [deg]"), pulses, ways, text)
     if throttle:
         page.tiles([("the motor starts at", f"{1e6 * throttle[0]:g} us", f"idle pulse {1e6 * found.esc_idle:g} us")])
         change = 1e6 * (found.esc_idle - before.esc_idle)
@@ -207,22 +216,11 @@ def calibration_page(before: Calibration, found: Calibration, measured: Measured
     return page
 
 
-def _add_cell(page: Page, cell: LoadCell) -> None:
-    """The load cell's residuals, with rising and with falling weights."""
-    top = int(np.argmax(np.abs(cell.forces)))
-    residuals = [1e3 * value for value in cell.residuals]
-    title = f"The load cell is straight within {number(max(map(abs, cell.residuals)))} N"
-    fig = figure(title, 340, "force of the weights, thrust positive [N]", "line − weight [mN]")
-    for rows, name, colour in ((slice(0, top + 1), "rising", style.AFTER), (slice(top, None), "falling", style.BEFORE)):
-        fig.line(cell.forces[rows], residuals[rows], name, colour, size=6)
-    page.figure(fig, "What the straight line says above what hung there. Rising and falling apart: friction.")
-
-
-def _add_pitch_table(page: Page, found: PitchTable) -> None:
-    """Pitch over the pulses, for rising and falling pulses."""
-    low, high, pulses = min(found.pitches), max(found.pitches), [1e6 * pulse for pulse in found.pulses]
-    title = f"The pitch goes from {low:g} to {high:g} deg, with {found.play:.2f} deg of play"
-    fig = figure(title, 380, "pulse [us]", "blade pitch [deg]")
-    for pitches, name, colour in ((found.up, "rising pulses", style.AFTER), (found.down, "falling pulses", style.BEFORE)):
-        fig.line(pulses, pitches, name, colour, size=6)
-    page.figure(fig, "As read off at 75 % of the radius. The table takes the mean of both, the middle of the play.")
+def _add_ways(
+    page: Page, at: Sequence[float], ways: Mapping[str, tuple], title: str, labels: tuple[str, str], caption: str
+) -> None:
+    """Values by name, rising and falling, over `at`; NaN: not measured on this way."""
+    fig = figure(title, 340, *labels)
+    for (name, values), colour in zip(ways.items(), (style.AFTER, style.BEFORE), strict=True):
+        fig.line(at, values, name, colour, size=6)
+    page.figure(fig, caption)

@@ -101,9 +101,6 @@ class TuneResult(Result):
     def source(self) -> str:
         return self.found.task.parameters.label
 
-    def tiles(self) -> list[tuple[str, str, str]]:
-        return [each for each in self.key_figures() if each[0].startswith(("step", "cost", "phase"))]
-
     def fill(self, page: Page) -> None:
         found, task = self.found, self.found.task
         assumed = ", ".join(f"{name} = {task.parameters.values[name]:g}" for name in task.assumed)
@@ -120,7 +117,6 @@ class TuneResult(Result):
             f"the operating points {task.sensitivity:g}, and the settling and ringing of each step under the initial gains."
             + (f" Assumed for the design: {assumed}." if assumed else ""),
         )
-        page.table(("figure", "value", "note"), self.key_figures(), "All figures of this tuning.")
 
 
 def _names(found: Tuning, tuned: Tuned) -> dict[str, str]:
@@ -137,25 +133,17 @@ def _add_controller(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
     page.table(("gain, normalised", *names.values()), rows, "Gains and their cost on the nominal plant.")
     for which, verdict in tuned.verdicts.items():
         page.note(f"{which.capitalize()} gains: {verdict.words()}.")
-        page.table(("step", "settling", "overshoot", "ringing"), change_rows(verdict), _judged_by(found, tuned, which))
-        if rows := margin_rows(verdict):
-            page.table(
-                ("margin", "before → after"), rows, f"The smallest over all operating points, {found.task.reference} → {which}."
-            )
+        page.table(
+            ("step", "settling", "overshoot", "ringing"),
+            change_rows(verdict),
+            f"Each step without noise, {found.task.reference} → {which}.",
+        )
     runs = {names[which]: objective.run(gains) for which, gains in tuned.gains.items()}
     title = f"{NAMES[name].capitalize()}: cost {number(start)} before the search, {number(cost)} after"
     own = objective.settings
     limits = {f"{n}_ref": (own[f"{n}_min"], own[f"{n}_max"]) for n in ("omega", "beta")}
     page.figure(loop_figure(runs, title, limits), f"{found.task.profile.source}. Thrust is the plant's, not its reading.")
     _add_margins(page, found, tuned)
-
-
-def _judged_by(found: Tuning, tuned: Tuned, which: str) -> str:
-    return (
-        f"Each step without noise, {found.task.reference} → {which}. Worse: settles later by more than a sample, "
-        f"{1e3 * tuned.objective.course.dt:.3g} ms; overshoot or ringing up to the limit of {100.0 * found.task.overshoot:g} % "
-        "counts as none."
-    )
 
 
 def _add_margins(page: Page, found: Tuning, tuned: Tuned) -> None:
@@ -172,10 +160,10 @@ def _add_margins(page: Page, found: Tuning, tuned: Tuned) -> None:
         for which, name in names.items():
             thrust, margins = [p.thrust for p in tuned.points[which]], [getattr(m, quantity) for m in tuned.margins[which]]
             values = np.array([np.nan if value is None else scale * value for value in margins])
-            fig.line(thrust, values, name, colours[name], 1.6, panel, name if panel else None, size=6)
-    fig.level("y2", found.task.sensitivity)
+            fig.line(thrust, values, name, colours[name], 1.6, panel, size=6)
+    fig.level("y2", found.task.sensitivity, "limit")
     fig.axes["x"]["format"] = ".3~g"
-    page.figure(fig, "Operating points at which the loop settles, on levels of thrust up and down. Dashed: the limit.")
+    page.figure(fig, "Operating points at which the loop settles, on levels of thrust up and down.")
 
 
 def _add_comparison(page: Page, found: Tuning) -> None:
