@@ -54,12 +54,12 @@ class Figure:
     """A figure with its message as the `title`, and panels from top to bottom, each (label, height in pixels).
 
     `x`: label of the x axis. `unified`: the values of all lines at the pointer are shown, else those of the nearest point.
-    `axes`: properties by name, "x", "y0", "y1", ...: title, kind (linear, log), range, reversed, zero (must be visible), step
-    (least distance of ticks), and format (d3's) of a value under the pointer. Axes of texts are categories.
+    `axes`: properties by name, "x", "y0", "y1", ...: title, kind (linear, log), range, reversed, step (least distance
+    of ticks), and format (d3's) of a value under the pointer. Axes of texts are categories.
     """
 
-    def __init__(self, title: str, panels: Sequence[tuple[str, int]], x: str, unified: bool = False, legend: bool = True):
-        self.title, self.unified, self.legend = title, unified, legend
+    def __init__(self, title: str, panels: Sequence[tuple[str, int]], x: str, unified: bool = False):
+        self.title, self.unified = title, unified
         labels = {"x": x, **{f"y{k}": label for k, (label, _) in enumerate(panels)}}
         self.axes: dict[str, dict[str, Any]] = {name: {"title": label, "kind": "linear"} for name, label in labels.items()}
         self.heights = [height for _, height in panels]
@@ -68,8 +68,8 @@ class Figure:
 
     def line(self, x, y, name: str, colour: str, width: float = 1.8, panel: int = 0, group: str = "", **more) -> None:
         """A line in a panel, from 0. Lines of one name, or of a `group`, have one legend entry. `more`:
-        `dash` (dot, dash, dashdot), `held` (until the next value), `size` of a marker at each value, `text` of each value,
-        `told` (at the pointer: a text with values such as %{y:.3f}), `mute` (nothing is told)."""
+        `dash` (dot, dash, dashdot), `held` (until the next value), `size` of a marker at each value, `mute` (no value is
+        shown at the pointer)."""
         shown = bool(name) and not group and all(mark["key"] != name for mark in self.marks)
         own = {"name": name, "key": group or name, "shown": shown, "colour": colour, "wide": width, **more}
         self.marks.append({"axis": f"y{panel}", "x": x, "y": y, **own})
@@ -130,7 +130,6 @@ class Figure:
             "axes": {name: axis | self._names(name) for name, axis in self.axes.items()},
             "marks": [_encoded(mark, arrays) for mark in self._thinned()],
             "shapes": [_encoded(shape, arrays) for shape in self.shapes],
-            "legend": self.legend,
             "unified": self.unified,
             "arrays": arrays.new(),
         }
@@ -146,7 +145,7 @@ class Figure:
         """The same figure for a notebook."""
         total = sum(self.heights)
         title = "<br>".join(map(_escaped, textwrap.wrap(self.title, _WIDEST)))
-        fig = go.Figure(layout={"template": "plotly_white", "height": total + _AROUND, "showlegend": self.legend})
+        fig = go.Figure(layout={"template": "plotly_white", "height": total + _AROUND})
         fig.update_layout(title={"text": title, "x": 0.0}, legend={"orientation": "h", "y": 1.0, "yanchor": "bottom"})
         fig.update_layout(hovermode="x unified" if self.unified else "closest")
         for name, axis in self.axes.items():
@@ -180,9 +179,7 @@ class Figure:
                 yaxis=_plotlys(mark["axis"]),
                 legendgroup=mark["key"],
                 showlegend=mark["shown"],
-                hovertemplate=mark.get("told"),
                 hoverinfo="skip" if mark.get("mute") else None,
-                text=mark.get("text"),
             )
         for shape in self.shapes:
             across = {"xref": "paper", "x0": 0, "x1": 1, "yref": _plotlys(shape["axis"])}
@@ -217,9 +214,9 @@ def _escaped(text: str) -> str:
     return html.escape(text, quote=False).replace("\n", "<br>")
 
 
-def figure(title: str, height: int, x: str, y: str, legend: bool = True) -> Figure:
+def figure(title: str, height: int, x: str, y: str = "") -> Figure:
     """A figure of one panel with axis labels."""
-    return Figure(title, [(y, height)], x, legend=legend)
+    return Figure(title, [(y, height)], x)
 
 
 def panels(title: str, labels: Iterable[str], heights: Iterable[int], x: str = style.LABELS["time"]) -> Figure:

@@ -14,7 +14,7 @@ function draw(name, spec) {
   const figure = { host, spec, hidden: new Set(), zoom: {}, width: 0 };
   figures.push(figure);
   const keys = make("div", "keys", host);
-  if (spec.legend) for (const entry of [...spec.marks, ...spec.shapes]) if (entry.shown) legendEntry(figure, keys, entry);
+  for (const entry of [...spec.marks, ...spec.shapes]) if (entry.shown) legendEntry(figure, keys, entry);
   figure.place = make("div", "sheet", host);
   figure.note = make("div", "tip", host);
   new ResizeObserver(() => paint(figure)).observe(host);
@@ -193,11 +193,10 @@ function axisOf(figure, name) {
     if (mark.size) round = true;
   }
   for (const shape of figure.spec.shapes) if (shape.axis === name) shape.ends.forEach(hold);
-  if (given.zero) hold(0);
   if (!(low <= high)) [low, high] = [0, 1];
   if (low === high) [low, high] = [low - (Math.abs(low) * 0.1 || 0.5), high + (Math.abs(high) * 0.1 || 0.5)];
   const air = (high - low) * (side === "y" ? 0.06 : round ? 0.025 : 0);
-  return new Axis(given, [given.zero && low === 0 ? 0 : low - air, high + air]);
+  return new Axis(given, [low - air, high + air]);
 }
 
 // ------------------------------------------------------------------------------------------------------------------ layout
@@ -488,7 +487,7 @@ function tell(figure, placed, panel, x, y, guide) {
           at = mark.x[k];
           lines.push([`${panel.axes.x.kind === "category" ? at : digits(at, panel.axes.x.format)}${unit(panel.axes.x)}`]);
         }
-        lines.push([`${mark.name}: ${mark.told ? filled(mark.told, mark, k) : digits(mark.y[k], each.axes.y.format) + unit(each.axes.y)}`, mark.colour]);
+        lines.push([`${mark.name}: ${digits(mark.y[k], each.axes.y.format)}${unit(each.axes.y)}`, mark.colour]);
       }
     if (lines.length) guide.setAttribute("d", `M${x} ${placed[0].y0}V${placed[placed.length - 1].y1}`);
   } else {
@@ -496,14 +495,13 @@ function tell(figure, placed, panel, x, y, guide) {
     for (const mark of seen(figure, panel))
       placedAt(mark, panel).forEach(([px, py], k) => {
         const far = Math.hypot(px - x, py - y);
-        if (far < best) [best, found] = [far, [mark, { x: mark.x[k], y: mark.y[k], k }]];
+        if (far < best) [best, found] = [far, [mark, k]];
       });
     if (!found) return;
-    const [mark, values] = found;
+    const [mark, k] = found;
     if (mark.name) lines.push([mark.name, mark.colour]);
     const named = (axis, value) => (axis.kind === "category" ? value : digits(value, axis.format) + unit(axis));
-    const text = mark.told ? filled(mark.told, mark, values.k, values) : `${named(panel.axes.y, values.y)} at ${named(panel.axes.x, values.x)}`;
-    text.split("\n").forEach((line) => lines.push([line]));
+    `${named(panel.axes.y, mark.y[k])} at ${named(panel.axes.x, mark.x[k])}`.split("\n").forEach((line) => lines.push([line]));
   }
   if (!lines.length) return;
   figure.note.replaceChildren();
@@ -537,12 +535,4 @@ function nearest(mark, panel, x) {
 function unit(axis) {
   const found = /\[([^\]]+)\]$/.exec(axis.title);
   return found && found[1] !== "-" ? ` ${found[1]}` : "";
-}
-
-// A template such as "%{y:.3f} N", filled with the values of a point
-function filled(template, mark, k, values = { x: mark.x[k], y: mark.y[k] }) {
-  return template.replace(/%\{(\w+)(?::([^}]*))?\}/g, (_, key, format) => {
-    const value = key === "text" ? mark.text[k] : values[key];
-    return format && typeof value === "number" ? digits(value, format) : typeof value === "number" ? digits(value, ".4~r") : value;
-  });
 }

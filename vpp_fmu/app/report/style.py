@@ -67,8 +67,6 @@ LABELS = {
 """Axis labels of the columns of a record."""
 
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
-SHOWN = ".4~r"
-"""d3 format of a measured quantity under the pointer: four significant digits."""
 
 
 def ink(colour: str) -> str:

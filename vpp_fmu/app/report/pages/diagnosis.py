@@ -44,8 +44,6 @@ ZOOM, SMOOTHED = 3.0, 0.2
 WORSE = 1.5
 """Ratio of the unseen record's error to that of held-out parts, from which other conditions are suspected."""
 
-MOST_TILES = 6
-
 TRUSTED = 0.8
 """Share of the error beyond the noise that two or more effects must explain before their names are trusted."""
 
@@ -144,11 +142,6 @@ class DiagnoseResult(Result, Linearisable):
 
     def key_figures(self) -> list[tuple[str, str, str]]:
         return [*self._sizes(), *self._errors()]
-
-    def tiles(self) -> list[tuple[str, str, str]]:
-        """At most six key figures for the page: the errors, and the first sizes of the effects."""
-        errors = self._errors()
-        return [*self._sizes()[: MOST_TILES - len(errors)], *errors]
 
     def to_dict(self) -> dict[str, Any]:
         return summary(self.found)
@@ -438,11 +431,10 @@ def _add_shift(page: Page, found: Diagnosis) -> None:
     change, widths = (after - before) / scale, reach / scale
     fig = figure(title, 130 + 44 * len(rows), "change from the start [%]")
     fig.points(0.0 * scale, rows, "start", style.BEFORE, 16, bar=True)
-    hover = f"%{{x:+{style.SHOWN}}} %"
-    fig.points(change, rows, "fitted, 95 % interval", style.AFTER, 9, across="x", error=widths, told=hover)
+    fig.points(change, rows, "fitted, 95 % interval", style.AFTER, 9, across="x", error=widths)
     # Every change and the typical interval are shown: one unidentifiable parameter does not set the range.
     most = np.nanmax(np.abs(change), initial=0.5) + np.nanmedian([0.0, *widths[np.isfinite(widths)]])
-    fig.axes["x"]["range"] = [-1.1 * most, 1.1 * most]
+    fig.axes["x"] |= {"range": [-1.1 * most, 1.1 * most], "format": "+.4~r"}
     fig.axes["y0"]["reversed"] = True
     page.figure(
         fig, "Start: the best fit without the effects; fitted: with them, 95 % intervals. Lags in the order of the latter."

@@ -122,8 +122,8 @@ def _add_in_time(page: Page, found: Diagnosis, effect: str, channel: str, change
 
 
 def add_learned(page: Page, found: Diagnosis) -> None:
-    """Add the curve, the laws and the rivals."""
-    learned, stds = found.learned, found.std
+    """Add the curve and the rivals."""
+    learned = found.learned
     term, curve = learned.term, learned.curve
     page.note(f"A term outside the library {sentence(term)}. It is in the FMU, and in {FILE} for --effects-from.")
     if curve.lead.shape == "curve":
@@ -139,12 +139,6 @@ def add_learned(page: Page, found: Diagnosis) -> None:
             at, f, NORMAL_95 * std, lines, data(found), title, (driver.words, driver.unit), (port.words, port.unit)
         )
         page.figure(fig, "Band: 95 % at each knot. Below: histogram of the fitted records. Constant beyond both ends.")
-    own = [(p, term.effect.full(p.name)) for p in term.effect.parameters if p.name in term.values]
-    rows = [
-        (p.name, p.unit, "fitted" if n in term.fit.free else "fixed", term.values[p.name], number(stds.get(n), 2))
-        for p, n in own
-    ]
-    page.table(("parameter", "unit", "how", "value", "std"), rows, f"Parameters of {term.effect.name}.")
     if learned.rivals:
         others = ", ".join(dict.fromkeys(rival_words(t) for t in learned.rivals))
         page.note(f"These records hardly distinguish it from: {others}. The commands of next_experiment.csv do.")

@@ -262,6 +262,5 @@ def _sizes(several: Mapping[str, Sequence[Entry]]) -> Figure:
     fig = panels(title, labels, [150] * len(labels), "campaign, by date")
     for panel, (name, own) in enumerate(several.items()):
         values, errors = [e.sizes[name][0] for e in own], [NORMAL_95 * (e.sizes[name][1] or 0.0) for e in own]
-        fig.points([e.name for e in own], values, words(name), style.AFTER, 8, panel, across="y", error=errors)
-    fig.legend = False
+        fig.points([e.name for e in own], values, words(name), style.AFTER, 8, panel, "sizes", across="y", error=errors)
     return fig

@@ -282,9 +282,8 @@ def add_map(page: Page, found: Identification) -> None:
         omega, beta = (other, over) if beside is speed else (over, other)
         fitted = design(omega, beta, scales) @ list(static.coefficients.values()) * scales["thrust_scale"]
         name = f"{number(float(other[0]))} {'rpm' if beside is speed else 'deg'}"
-        shared = {"told": f"%{{y:{style.SHOWN}}} N at {name}, %{{x:{style.SHOWN}}}"}
-        fig.line(over, fitted, name, shade, 1.6, **shared)
-        fig.points(at[own], thrust[own], name, shade, **shared)
+        fig.line(over, fitted, name, shade, 1.6)
+        fig.points(at[own], thrust[own], name, shade)
     page.figure(fig, "Lines: fitted; points: measured.")
     if static.not_identifiable:
         page.note(

@@ -77,12 +77,12 @@ def add_spectrum(page: Page, found: Diagnosis) -> None:
     how = "Cross-spectrum of both records' residuals" if repeat is not None else "Spectrum of the residual, noise included"
     noise = _noise_density(found.noise, centres, float(np.median(np.diff(blocks(record, found.noise.block).time))))
     fig = figure(title, 420, "frequency [Hz]", "power density [N²/Hz]")
-    hover = {"told": "%{y:.2e} N²/Hz at %{x:.2f} Hz"}
-    fig.line(centres, noise, "noise of one reading", style.MEASURED, 1.6, dash="dash", **hover)
+    fig.line(centres, noise, "noise of one reading", style.MEASURED, 1.6, dash="dash")
     colours = style.colours(power)
     for name, values in power.items():
-        fig.line(centres, values, name, colours[name], size=6, **hover)
-    fig.axes["x"]["kind"] = fig.axes["y0"]["kind"] = "log"
+        fig.line(centres, values, name, colours[name], size=6)
+    fig.axes["x"] |= {"kind": "log", "format": ".2f"}
+    fig.axes["y0"] |= {"kind": "log", "format": ".2e"}
     page.figure(fig, f"{how}, averaged over bins; gaps: no positive power.")
 
 

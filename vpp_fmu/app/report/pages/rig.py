@@ -71,13 +71,11 @@ def selftest_page(found: SelfTest, content: Mapping, seconds: float) -> Page:
 
 def replay_page(found: Replay, text: str) -> Page:
     """Each command as recorded and as replayed, under a `text`."""
-    page, time = Page("Replay", text), found.record.time
-    for name, quantity in (("omega_ref", "speed command"), ("beta_ref", "pitch command")):
-        unit = QUANTITIES[name].unit
-        title = f"The replayed {quantity} differs by at most {found.largest[name]:.3g} {unit}"
-        pair = ("recorded", time, found.recorded[name]), ("replayed", time, found.record[name])
-        fig = two_records(*pair, title, quantity, unit)
-        page.figure(fig, f"Of every row, {quantity} as recorded and as replayed.")
+    page = Page("Replay", text)
+    names = {"omega_ref": "speed [rpm]", "beta_ref": "pitch [deg]"}
+    rows = {label: {"recorded": found.recorded[name], "replayed": found.record[name]} for name, label in names.items()}
+    apart = " and ".join(f"{found.largest[name]:.3g} {QUANTITIES[name].unit}" for name in names)
+    page.figure(stacked(found.record.time, rows, f"The replayed commands differ by at most {apart}"))
     return page
 
 
