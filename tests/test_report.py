@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from vpp_fmu.app.report.canvas import Arrays
 from vpp_fmu.app.report.figures import measured_against_predicted
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult
@@ -173,4 +172,4 @@ def test_a_colour_that_may_be_invisible_on_dark_is_refused():
     fig = prediction()
     fig.marks[0]["colour"] = "#123456"
     with pytest.raises(ValueError, match="#123456 is in no scheme"):
-        fig.drawing(Arrays())
+        fig.drawing({})

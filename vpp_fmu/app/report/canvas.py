@@ -29,27 +29,6 @@ _GAP, _AROUND = 22, 118
 """Pixels between two panels, and above and below them in a notebook."""
 
 
-class Arrays:
-    """Numbers as base64 of 32-bit floats, seven digits. Each array is stored once per page, since figures share their times."""
-
-    def __init__(self):
-        self._places: dict[str, int] = {}
-        self._new: list[str] = []
-
-    def add(self, values) -> int:
-        """Index of an array."""
-        packed = base64.b64encode(np.asarray(values, np.float32).tobytes()).decode()
-        if packed not in self._places:
-            self._places[packed] = len(self._places)
-            self._new.append(packed)
-        return self._places[packed]
-
-    def new(self) -> list[str]:
-        """Arrays added since the last call."""
-        new, self._new = self._new, []
-        return new
-
-
 class Figure:
     """A figure with its message as the `title`, and panels from top to bottom, each (label, height in pixels).
 
@@ -118,10 +97,10 @@ class Figure:
 
         return [mark if len(mark["x"]) <= MOST else thinned(mark) for mark in self.marks]
 
-    def drawing(self, arrays: Arrays) -> str:
-        """JSON for `draw`, with those of its `arrays` that are not yet in the page. ValueError for a colour that may be
-        invisible on dark."""
-        panels, top = [], 8
+    def drawing(self, arrays: dict[str, int]) -> str:
+        """JSON for `draw`. `arrays`: places of the page's arrays, each stored once, since figures share times; those of this
+        figure are added. ValueError for a colour that may be invisible on dark."""
+        panels, top, known = [], 8, len(arrays)
         for k, tall in enumerate(self.heights):
             panels.append({"y": f"y{k}", "y0": top, "tall": tall})
             top += tall + _GAP
@@ -131,7 +110,7 @@ class Figure:
             "marks": [_encoded(mark, arrays) for mark in self._thinned()],
             "shapes": [_encoded(shape, arrays) for shape in self.shapes],
             "unified": self.unified,
-            "arrays": arrays.new(),
+            "arrays": list(arrays)[known:],
         }
         # "</script>" in a label would end the script.
         return json.dumps(spec, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
@@ -194,14 +173,17 @@ class Figure:
         return fig
 
 
-def _encoded(mark: dict[str, Any], arrays: Arrays) -> dict[str, Any]:
+def _encoded(mark: dict[str, Any], arrays: dict[str, int]) -> dict[str, Any]:
     """A mark or shape for `draw`: colours of the page, and places of its arrays."""
     inked = {key: style.ink(mark[key]) for key in ("colour", "fill") if key in mark}
     return mark | inked | {key: _placed(mark[key], arrays) for key in ("x", "y", "error") if key in mark}
 
 
-def _placed(values, arrays: Arrays) -> list[str] | int:
-    return list(values) if any(isinstance(value, str) for value in values) else arrays.add(np.array(values, float))
+def _placed(values, arrays: dict[str, int]) -> list[str] | int:
+    """Texts, or the place of numbers: base64 of 32-bit floats, seven digits."""
+    if any(isinstance(value, str) for value in values):
+        return list(values)
+    return arrays.setdefault(base64.b64encode(np.array(values, np.float32).tobytes()).decode(), len(arrays))
 
 
 def _plotlys(axis: str, kind: str = "") -> str:

@@ -7,7 +7,7 @@ from importlib.metadata import version
 from importlib.resources import files
 from textwrap import dedent
 
-from vpp_fmu.app.report.canvas import MOST, SCRIPT, Arrays, Figure
+from vpp_fmu.app.report.canvas import MOST, SCRIPT, Figure
 from vpp_fmu.app.report.style import FONT, SCHEME
 from vpp_fmu.date import now
 from vpp_fmu.digits import TABLE, number
@@ -78,7 +78,7 @@ class Page:
         self._parts: list[str] = []
         self._sections: list[str] = []
         self.figures: list[Figure] = []
-        self._arrays = Arrays()
+        self._arrays: dict[str, int] = {}
         self._tables = 0
 
     def tiles(self, tiles: Sequence[tuple[str, object, str]]) -> None:

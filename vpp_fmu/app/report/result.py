@@ -41,9 +41,16 @@ class Result(ABC):
     writes: ClassVar[tuple[str, ...]] = ("report.html",)
     title = ""
 
-    def __init__(self, found: Any, parameters: ParameterSet | None = None, file: str | os.PathLike[str] | None = None):
+    def __init__(
+        self,
+        found: Any,
+        parameters: ParameterSet | None = None,
+        file: str | os.PathLike[str] | None = None,
+        source: str = "",
+    ):
         """`parameters`: those of the plant in its files; `file`: that they were read from, if any."""
         self.found, self._parameters, self._file = found, parameters, file
+        self._source = source or (parameters.label if parameters else "")
 
     @abstractmethod
     def headline(self) -> str:
@@ -63,7 +70,8 @@ class Result(ABC):
 
     @property
     def source(self) -> str:
-        return self._parameters.label if self._parameters else ""
+        """The measurement and its date, above the report."""
+        return self._source
 
     def tiles(self) -> list[tuple[str, str, str]]:
         """Key figures on top of the report."""

@@ -33,7 +33,7 @@ class CheckResult(Result):
         found: tuple[Finding, ...],
         logger: Logger | None,
     ):
-        super().__init__(found)
+        super().__init__(found, source=campaign.label)
         self.campaign, self.files, self.held, self.missing, self.logger = campaign, files, held, missing, logger
 
     @property
@@ -96,10 +96,6 @@ class CheckResult(Result):
     @property
     def title(self) -> str:
         return f"Check of {self.campaign.folder.name}"
-
-    @property
-    def source(self) -> str:
-        return self.campaign.label
 
     def fill(self, page: Page) -> None:
         for line in (*self.campaign.rig.lines(), *self.findings):

@@ -28,7 +28,7 @@ class DemoResult(Result):
 
     def __init__(self, found: Demo, seconds: float):
         self.diagnosis = DiagnoseResult(found.diagnosis)
-        super().__init__(found, self.diagnosis.parameters)
+        super().__init__(found, self.diagnosis.parameters, source=self.diagnosis.source)
         self.loops, self._seconds = {name: LoopResult(loop, "") for name, loop in found.loops.items()}, seconds
 
     def headline(self) -> str:
@@ -62,10 +62,6 @@ class DemoResult(Result):
         for name, loop in done.loops.items():
             write_record(folder, f"run_{name.replace(' ', '_')}.csv", loop)
         super().write(folder)
-
-    @property
-    def source(self) -> str:
-        return self.diagnosis.source
 
     def tiles(self) -> list[tuple[str, str, str]]:
         return _through_fmus(self.found, self.diagnosis.tiles())

@@ -38,7 +38,7 @@ class IdentifyResult(Result, Linearisable):
     found: Identification
 
     def __init__(self, found: Identification):
-        super().__init__(found, found.parameters)
+        super().__init__(found, found.parameters, source=found.campaign.label)
 
     @property
     def parameters(self) -> ParameterSet:
@@ -98,10 +98,6 @@ class IdentifyResult(Result, Linearisable):
         folder.write("parameters.json", to_json(dated(self.parameters)))
         folder.write("parameters.ssv", to_ssv(self.parameters, "parameters"))
         super().write(folder)
-
-    @property
-    def source(self) -> str:
-        return self.found.campaign.label
 
     def fill(self, page: Page) -> None:
         found = self.found

@@ -39,13 +39,9 @@ class LoopResult(Result):
         twin: tuple[Mapping[str, np.ndarray], Mapping[str, str]] | None = None,
     ):
         """`limits` as of `vpp_fmu.response.steps`; `twin`: outputs of a twin beside the loop, and their units."""
-        super().__init__(record)
+        super().__init__(record, source=title.removesuffix("."))
         self.record = Record({**record.columns, **twin[0]}, record.source) if twin else record
-        self._title, self._limits, self._twin = title.removesuffix("."), limits, twin
-
-    @property
-    def source(self) -> str:
-        return self._title
+        self._limits, self._twin = limits, twin
 
     @property
     def steps(self) -> list[Step]:
@@ -147,12 +143,8 @@ class CompareResult(Result):
 
     def __init__(self, found: Comparison, first: str, second: str):
         """`first`, `second`: their files."""
-        super().__init__(found)
+        super().__init__(found, source=f"{second} beside {first}, at the times of the latter")
         self._names = first, second
-
-    @property
-    def source(self) -> str:
-        return f"{self._names[1]} beside {self._names[0]}, at the times of the latter"
 
     def _said(self) -> dict[str, str]:
         """The difference of each column in words."""

@@ -97,10 +97,6 @@ class TuneResult(Result):
         write_record(folder, "profile.csv", self.found.task.profile)
         super().write(folder)
 
-    @property
-    def source(self) -> str:
-        return self.found.task.parameters.label
-
     def fill(self, page: Page) -> None:
         found, task = self.found, self.found.task
         assumed = ", ".join(f"{name} = {task.parameters.values[name]:g}" for name in task.assumed)
