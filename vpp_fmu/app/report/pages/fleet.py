@@ -258,7 +258,7 @@ def _sizes(several: Mapping[str, Sequence[Entry]]) -> Figure:
     units = {name: own[0].sizes[name][2] for name, own in several.items()}
     labels = [words(name) + ("" if unit == "1" else f" [{unit}]") for name, unit in units.items()]
     far = [said for name, own in several.items() if (said := _farthest(name, own))]
-    title = f"{len(several)} parameters in several campaigns: {'; '.join(far) or 'none differs by more than its uncertainty'}"
+    title = "; ".join(far) or "No parameter differs between the campaigns by more than its uncertainty"
     fig = panels(title, labels, [150] * len(labels), "campaign, by date")
     for panel, (name, own) in enumerate(several.items()):
         values, errors = [e.sizes[name][0] for e in own], [NORMAL_95 * (e.sizes[name][1] or 0.0) for e in own]
