@@ -128,11 +128,8 @@ class Figure:
         fig.update_layout(title={"text": title, "x": 0.0}, legend={"orientation": "h", "y": 1.0, "yanchor": "bottom"})
         fig.update_layout(hovermode="x unified" if self.unified else "closest")
         for name, axis in self.axes.items():
-            given = {
-                "title": {"text": _escaped(axis["title"])},
-                "type": (axis | self._names(name))["kind"],
-                "range": axis.get("range"),
-            }
+            kind = (axis | self._names(name))["kind"]
+            given = {"title": {"text": _escaped(axis["title"])}, "type": kind, "range": axis.get("range")}
             if name != "x":
                 below = sum(self.heights[int(name[1:]) + 1 :])
                 given["domain"] = [below / total, (below + 0.9 * self.heights[int(name[1:])]) / total]
@@ -141,12 +138,8 @@ class Figure:
         for mark in self._thinned():
             values = {side: [_escaped(v) if isinstance(v, str) else v for v in mark[side]] for side in "xy"}
             kinds = ["markers"] * ("size" in mark) + ["lines"] * bool(mark["wide"] or "size" not in mark)
-            line = {
-                "color": mark["colour"],
-                "width": mark["wide"],
-                "dash": mark.get("dash"),
-                "shape": "hv" if mark.get("held") else None,
-            }
+            line = {"color": mark["colour"], "width": mark["wide"], "dash": mark.get("dash")}
+            line |= {"shape": "hv"} if mark.get("held") else {}
             fig.add_scatter(
                 **values,
                 **({f"error_{mark['across']}": {"array": mark["error"]}} if "across" in mark else {}),
@@ -161,15 +154,13 @@ class Figure:
                 hoverinfo="skip" if mark.get("mute") else None,
             )
         for shape in self.shapes:
-            across = {"xref": "paper", "x0": 0, "x1": 1, "yref": _plotlys(shape["axis"])}
-            ends = dict(zip(("y0", "y1"), (shape["ends"][0], shape["ends"][-1]), strict=True))
-            if shape["axis"] == "x":
-                across, ends = (
-                    {"yref": "paper", "y0": 0, "y1": 1, "xref": "x"},
-                    {key.replace("y", "x"): end for key, end in ends.items()},
-                )
+            low, high = shape["ends"][0], shape["ends"][-1]
             line = {"color": shape["colour"], "width": shape["wide"], "dash": shape["dash"]}
-            fig.add_shape(type="rect", **across, **ends, line=line, fillcolor=shape.get("fill"))
+            if shape["axis"] == "x":
+                fig.add_vline(x=low, line=line)
+            else:
+                across = {"xref": "paper", "x0": 0, "x1": 1, "yref": _plotlys(shape["axis"]), "y0": low, "y1": high}
+                fig.add_shape(type="rect", **across, line=line, fillcolor=shape.get("fill"))
         return fig
 
 
@@ -208,18 +199,16 @@ def panels(title: str, labels: Iterable[str], heights: Iterable[int], x: str = s
     return fig
 
 
-def places(lines: Iterable[np.ndarray], most: int = MOST) -> np.ndarray:
-    """Indices (k,) of at most `most` samples to draw of lines over one time axis, each (n,).
+def places(lines: Iterable[np.ndarray]) -> np.ndarray:
+    """Indices (k,) of at most MOST samples to draw of longer lines over one time axis, each (n,).
 
     The record is cut into equal bins, as short as the number allows; each gives its lowest and highest sample of every line.
     """
     lines = [np.asarray(line, float) for line in lines]
     n = len(lines[0])
-    if n <= most:
-        return np.arange(n)
     bounds = [np.where(np.isnan(line), np.inf, sign * line) for line in lines for sign in (1, -1)]
-    size = 2 * n // most
-    while len(kept := _lowest(bounds, size)) > most and size < n:
+    size = 2 * n // MOST
+    while len(kept := _lowest(bounds, size)) > MOST and size < n:
         size += 1 + size // 8
     return kept
 

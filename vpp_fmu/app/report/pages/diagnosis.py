@@ -429,7 +429,7 @@ def _add_shift(page: Page, found: Diagnosis) -> None:
     ends = [interval(a - r, a + r) if np.isfinite(r) else "interval unknown" for a, r in zip(after, reach, strict=True)]
     rows = [f"{name}  {number(b)} → {number(a)}\n{end}" for name, b, a, end in zip(names, before, after, ends, strict=True)]
     change, widths = (after - before) / scale, reach / scale
-    fig = figure(title, 130 + 44 * len(rows), "change from the start [%]")
+    fig = figure(title, 44 * len(rows), "change from the start [%]")
     fig.points(0.0 * scale, rows, "start", style.BEFORE, 16, bar=True)
     fig.points(change, rows, "fitted, 95 % interval", style.AFTER, 9, across="x", error=widths)
     # Every change and the typical interval are shown: one unidentifiable parameter does not set the range.

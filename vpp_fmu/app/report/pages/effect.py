@@ -83,7 +83,7 @@ def _add_at_rest(page: Page, found: Diagnosis, effects: Sequence[str], channel: 
     if off < AT_REST * np.ptp(stairs):
         return False
     title = f"{titled(' and '.join(effects))}: at rest the {word} deviates by up to {number(off, 3)} {unit} from its command"
-    fig = figure(title, 440, f"{word} commanded [{unit}]", f"{word} reached [{unit}]")
+    fig = figure(title, 320, f"{word} commanded [{unit}]", f"{word} reached [{unit}]")
     fig.line(up[[0, -1]], up[[0, -1]], "as commanded", style.SET_POINT, 1.4, dash="dot", mute=True)
     colours = style.colours(reached)
     for name, values in reached.items():

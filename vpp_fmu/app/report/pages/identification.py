@@ -269,7 +269,7 @@ def add_map(page: Page, found: Identification) -> None:
     (label, at), (_, beside) = along if np.ptp(pitch) > 0.0 or np.ptp(speed) == 0.0 else along[::-1]
     over = np.linspace(at.min(), at.max(), 61)
     quality = "" if static.r2_adjusted is None else f" (adjusted R² {static.r2_adjusted:.4f})"
-    fig = figure(f"A cubic fits {used.sum()} steady points to {number(static.rmse)} N{quality}", 520, label, "thrust [N]")
+    fig = figure(f"A cubic fits {used.sum()} steady points to {number(static.rmse)} N{quality}", 400, label, "thrust [N]")
     levels = np.unique(beside)
     for level, shade in zip(levels, style.shades(len(levels)), strict=True):
         # Each line is at the mean measured speed, which may differ from the command.

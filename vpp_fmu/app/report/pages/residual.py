@@ -76,7 +76,7 @@ def add_spectrum(page: Page, found: Diagnosis) -> None:
     title = f"Lack of fit below 10 Hz: {number(before.size, 2)} N rms (p {chance(before.p, '= ')}){now}"
     how = "Cross-spectrum of both records' residuals" if repeat is not None else "Spectrum of the residual, noise included"
     noise = _noise_density(found.noise, centres, float(np.median(np.diff(blocks(record, found.noise.block).time))))
-    fig = figure(title, 420, "frequency [Hz]", "power density [N²/Hz]")
+    fig = figure(title, 300, "frequency [Hz]", "power density [N²/Hz]")
     fig.line(centres, noise, "noise of one reading", style.MEASURED, 1.6, dash="dash")
     colours = style.colours(power)
     for name, values in power.items():

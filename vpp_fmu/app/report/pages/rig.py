@@ -1,6 +1,6 @@
 """The pages of the rig: a run with its loop, twin, timing and events; self-test, replay and calibration."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -190,18 +190,18 @@ def calibration_page(before: Calibration, found: Calibration, measured: Measured
         rows += [("force per count [mN]", 1e3 * before.newton_per_count, 1e3 * cell.newton_per_count, f"{change:+.2f} %")]
         rows += [("zero [counts]", before.zero, cell.zero, f"{cell.zero - before.zero:+.1f}")]
         top, off = int(np.argmax(np.abs(cell.forces))), 1e3 * np.array(cell.residuals)
-        rows_of = np.arange(len(off))
-        ways = {"rising": np.where(rows_of <= top, off, np.nan), "falling": np.where(rows_of >= top, off, np.nan)}
         title = f"The load cell is straight within {number(max(map(abs, cell.residuals)))} N"
-        fig = figure(title, 340, "force of the weights, thrust positive [N]", "line − weight [mN]")
-        text = "What the straight line says above what hung there. Rising and falling apart: friction."
-        _add_ways(page, fig, cell.forces, ways, text)
+        fig = figure(title, 230, "force of the weights, thrust positive [N]", "line − weight [mN]")
+        fig.line(cell.forces[: top + 1], off[: top + 1], "rising", style.AFTER, size=6)
+        fig.line(cell.forces[top:], off[top:], "falling", style.BEFORE, size=6)
+        page.figure(fig, "What the straight line says above what hung there. Rising and falling apart: friction.")
     if pitch:
         page.tiles([("play of the pitch", f"{pitch.play:.2f} deg", "at most, from one side against the other")])
         title = f"The pitch goes from {min(pitch.pitches):g} to {max(pitch.pitches):g} deg, with {pitch.play:.2f} deg of play"
-        text = "As read off at 75 % of the radius. The table takes the mean of both, the middle of the play."
-        pulses, ways = [1e6 * pulse for pulse in pitch.pulses], {"rising pulses": pitch.up, "falling pulses": pitch.down}
-        _add_ways(page, figure(title, 340, "pulse [us]", "blade pitch [deg]"), pulses, ways, text)
+        fig, pulses = figure(title, 230, "pulse [us]", "blade pitch [deg]"), [1e6 * pulse for pulse in pitch.pulses]
+        fig.line(pulses, pitch.up, "rising pulses", style.AFTER, size=6)
+        fig.line(pulses, pitch.down, "falling pulses", style.BEFORE, size=6)
+        page.figure(fig, "As read off at 75 % of the radius. The table takes the mean of both, the middle of the play.")
     if throttle:
         page.tiles([("the motor starts at", f"{1e6 * throttle[0]:g} us", f"idle pulse {1e6 * found.esc_idle:g} us")])
         change = 1e6 * (found.esc_idle - before.esc_idle)
@@ -212,13 +212,3 @@ def calibration_page(before: Calibration, found: Calibration, measured: Measured
     known = [(name, entry["who"], entry["when"]) for name, entry in sources if isinstance(entry, dict) and "who" in entry]
     page.table(("section", "who", "when"), known, "Who measured what.")
     return page
-
-
-def _add_ways(
-    page: Page, at: Sequence[float], ways: Mapping[str, tuple], title: str, labels: tuple[str, str], caption: str
-) -> None:
-    """Values by name, rising and falling, over `at`; NaN: not measured on this way."""
-    fig = figure(title, 340, *labels)
-    for (name, values), colour in zip(ways.items(), (style.AFTER, style.BEFORE), strict=True):
-        fig.line(at, values, name, colour, size=6)
-    page.figure(fig, caption)
