@@ -97,6 +97,9 @@ class TuneResult(Result):
         write_record(folder, "profile.csv", self.found.task.profile)
         super().write(folder)
 
+    def tiles(self) -> list[tuple[str, str, str]]:
+        return [each for each in self.key_figures() if "gains" not in each[0]]  # the notes have those
+
     def fill(self, page: Page) -> None:
         found, task = self.found, self.found.task
         assumed = ", ".join(f"{name} = {task.parameters.values[name]:g}" for name in task.assumed)
