@@ -85,17 +85,13 @@ class Figure:
 
     def _thinned(self) -> list[dict[str, Any]]:
         """The marks with at most MOST samples. Lines over the same x keep the same ones, as the pointer reads one time."""
-        same: dict[bytes, list[Any]] = {}
-        for mark in self.marks:
-            if len(mark["x"]) > MOST:
-                same.setdefault(np.asarray(mark["x"], float).tobytes(), []).append(mark["y"])
-        kept = {x: places(lines) for x, lines in same.items()}
-
-        def thinned(mark: dict[str, Any]) -> dict[str, Any]:
-            at = kept[np.asarray(mark["x"], float).tobytes()]
-            return mark | {side: np.asarray(mark[side], float)[at] for side in "xy"}
-
-        return [mark if len(mark["x"]) <= MOST else thinned(mark) for mark in self.marks]
+        keys = [np.asarray(mark["x"], float).tobytes() if len(mark["x"]) > MOST else b"" for mark in self.marks]
+        same = {key: [mark["y"] for mark, own in zip(self.marks, keys, strict=True) if own == key] for key in {*keys} - {b""}}
+        kept = {key: places(lines) for key, lines in same.items()}
+        return [
+            mark | {side: np.asarray(mark[side], float)[kept[key]] for side in "xy"} if key else mark
+            for mark, key in zip(self.marks, keys, strict=True)
+        ]
 
     def drawing(self, arrays: dict[str, int]) -> str:
         """JSON for `draw`. `arrays`: places of the page's arrays, each stored once, since figures share times; those of this

@@ -20,7 +20,7 @@ from vpp_fmu.app.report.pages.effect import add_effects, add_learned, around
 from vpp_fmu.app.report.pages.identification import add_quality, quality_tile
 from vpp_fmu.app.report.pages.residual import add_correlations, add_spectrum
 from vpp_fmu.app.report.result import Knowledge, Result
-from vpp_fmu.app.report.sentences import change, clause, labelled, limited, sentence, size, thrust_error, titled, words
+from vpp_fmu.app.report.sentences import change, clause, limited, sentence, size, thrust_error, titled, words
 from vpp_fmu.app.report.summary import LEFT_OUT, NEXT, artefact, summary, why_not, why_not_term, write_diagnosis
 from vpp_fmu.digits import chance, interval, number, with_uncertainty
 from vpp_fmu.files import OutputFolder
@@ -423,7 +423,8 @@ def _add_shift(page: Page, found: Diagnosis) -> None:
     before, after = (np.array(list(values.values())) for values in (before, after))
     reach = NORMAL_95 * np.array([shift[n]["std"] or np.nan for n in names], float)
     k = int(np.argmax(np.abs(before - after) / np.maximum(np.abs(after), 1e-9)))
-    names = labelled(names, found.final.problem.model.parameters)
+    units = {p.name: p.unit for p in found.final.problem.model.parameters}
+    names = [f"{words(name)} [{units[name]}]".removesuffix(" [1]") for name in names]
     title = f"Without the effect {names[k]} is biased to {number(before[k])}; with it, it is {number(after[k])}"
     scale = np.where(before == 0.0, np.nan, np.abs(before)) / 100.0
     ends = [interval(a - r, a + r) if np.isfinite(r) else "interval unknown" for a, r in zip(after, reach, strict=True)]

@@ -10,9 +10,8 @@ from identification.fit.uncertainty import NORMAL_95, Uncertainty
 from identification.gate.finding import ERROR, Finding
 from identification.identify import Identification
 from identification.static.static_map import design
-from identification.steps.run import StepRun
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import Figure, figure, panels
+from vpp_fmu.app.report.canvas import figure, panels
 from vpp_fmu.app.report.figures import measured_against_predicted
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Knowledge, Result, dated
@@ -184,16 +183,26 @@ def _add_sections(page: Page, found: Identification) -> None:
 
 
 def _add_steps(page: Page, found: Identification) -> None:
+    """Normalised thrust over the time from the step, of the used runs of each channel; a panel per direction."""
     steps = found.steps
     page.section("The step responses")
     for channel, word in (("omega", "speed"), ("beta", "pitch")):
-        runs = [run for run in steps.runs if run.channel == channel]
-        if kept := sum(not run.reason for run in runs):
-            slow, fast = (steps.start.get(f"tau_{channel}_{k}") for k in (1, 2))
-            lags = "" if slow is None else f": lags of {number(slow)} and {number(fast)} s on average"
-            title = f"{kept} of {len(runs)} steps of {word} are used{lags}"
-            figure = step_responses([run for run in runs if not run.reason], title, steps.delayed(channel))
-            page.figure(figure, "Thrust as a share of the step; fitted: two lags through the static map.")
+        every = [run for run in steps.runs if run.channel == channel]
+        if not (runs := [run for run in every if not run.reason]):
+            continue
+        slow, fast = (steps.start.get(f"tau_{channel}_{k}") for k in (1, 2))
+        lags = "" if slow is None else f": lags of {number(slow)} and {number(fast)} s on average"
+        ways = list(dict.fromkeys(run.direction for run in runs))
+        labels = [f"thrust, steps {way} [share of step]" for way in ways]
+        fig = panels(f"{len(runs)} of {len(every)} steps of {word} are used{lags}", labels, [260] * len(ways))
+        shares = [run.normalised(steps.delayed(channel)) for run in runs]
+        settled = [run.time[np.abs(fit - 1.0) > SETTLED].max(initial=0.0) for run, (_, fit) in zip(runs, shares, strict=True)]
+        after = ROOM * max(settled) or runs[0].time[-1]
+        for place, name, colour in ((0, "measured", style.FAINT), (1, "fitted", style.AFTER)):
+            for run, share in zip(runs, shares, strict=True):
+                near = (run.time >= -BEFORE * after) & (run.time <= after)
+                fig.line(run.time[near], share[place][near], name, colour, 1.0, ways.index(run.direction), mute=True)
+        page.figure(fig, "Thrust as a share of the step; fitted: two lags through the static map.")
     rows = [(run.source.rsplit("/", 1)[-1], run.reason) for run in steps.outliers]
     if rows:
         page.table(("run", "reason"), rows, "Step responses that are not used.")
@@ -244,20 +253,6 @@ def _weakest(uncertainty: Uncertainty) -> str:
     i, j = np.unravel_index(np.argmax(np.abs(np.triu(correlation, 1))), correlation.shape)
     pair = f"{titled(uncertainty.names[i])} and {words(uncertainty.names[j])} are correlated most strongly"
     return f"{pair}: {correlation[i, j]:.2f}. {weakest}; condition number {number(condition, 3)}."
-
-
-def step_responses(runs: Sequence[StepRun], title: str, delayed: bool = False) -> Figure:
-    """Normalised thrust over the time from the step, of runs (at least one) of one channel; a panel per direction."""
-    directions = list(dict.fromkeys(run.direction for run in runs))
-    fig = panels(title, [f"thrust, steps {way} [share of step]" for way in directions], [260] * len(directions))
-    settled = [float(run.time[np.abs(run.normalised(delayed)[1] - 1.0) > SETTLED].max(initial=0.0)) for run in runs]
-    after = ROOM * max(settled) or float(runs[0].time[-1])
-    for place, name, colour in ((0, "measured", style.FAINT), (1, "fitted", style.AFTER)):
-        for run in runs:
-            near = np.flatnonzero((run.time >= -BEFORE * after) & (run.time <= after))
-            values = run.normalised(delayed)[place][near]
-            fig.line(run.time[near], values, name, colour, 1.0, directions.index(run.direction), mute=True)
-    return fig
 
 
 def add_map(page: Page, found: Identification) -> None:
