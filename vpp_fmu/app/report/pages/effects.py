@@ -27,6 +27,9 @@ LOW = 0.85
 LATE = 4.0 * HOLD
 """s"""
 
+SEEN, FADED = 0.1, 0.03
+"""Minimum share of the drawn range by which the lines must differ; share of the largest change at which the picture ends."""
+
 
 def effects_page(effects: list[Effect], library: tuple[Effect, ...]) -> Page:
     """A section for each effect, in the order of the chain."""
@@ -60,18 +63,35 @@ def _add_parameters(page: Page, effect: Effect) -> None:
 
 
 def _add_response(page: Page, effect: Effect, library, record: Record) -> None:
-    """The output that it changes most, relative to the visible change, over the hold in which it changes most."""
+    """The output that it changes most, relative to the visible change, over the hold that shows the change best."""
     model, others = plant([effect.name], library), np.where(record.time < LATE, 1.0, LOW)
     commands = {u.name: np.full(len(record), 2.0 * STEP) if u.clock else u.nominal * others for u in model.inputs}
     values = [{effect.full(name): value for name, value in own.items()} for own in (effect.off, effect.probe)]
     off, on = (Simulator(model).simulate(each, commands | dict(record.columns), record.steps) for each in values)
     moved = np.sqrt(np.mean((on - off) ** 2, axis=0))
     k = int(np.argmax(moved / SHOWS)) if moved[0] < SHOWS[0] else 0
-    change, output = np.abs(on[:, k] - off[:, k]), model.outputs[k]
-    hold = int(np.argmax(change)) // round(HOLD / STEP)
-    rows = slice(max(0, hold * round(HOLD / STEP) - 2), (hold + 1) * round(HOLD / STEP))
+    hold = _best(off[:, k], on[:, k], SHOWS[k])
+    rows, output = _rows(hold), model.outputs[k]
+    change = np.abs(on[rows, k] - off[rows, k])
+    until = int(np.flatnonzero(change > FADED * change.max())[-1])
+    rows = slice(rows.start, rows.start + min(len(change), max(len(change) // 6, until + len(change) // 10)))
     title = f"At its probe it changes {output.description} by {number(float(change.max()))} {output.unit} at most"
     pair = ((name, record.time[rows], each[rows, k]) for name, each in (("without", off), (words(effect.name), on)))
     before, after = (f"{omega:g} rpm, {beta:g} deg" for omega, beta in (COMMANDS[max(0, hold - 1)], COMMANDS[hold]))
     now = f"; from {HOLD * hold:g} s on {after}" if after != before else ""
     page.figure(two_records(*pair, title, output.description, output.unit), f"Commands: {before}{now}.")
+
+
+def _rows(hold: int) -> slice:
+    """Rows of a hold, and some before its start."""
+    rows = round(HOLD / STEP)
+    return slice(max(0, hold * rows - rows // 20), (hold + 1) * rows)
+
+
+def _best(off: np.ndarray, on: np.ndarray, least: float) -> int:
+    """The hold that shows the change best: one with a move of the commands, if the change is visible beside the response.
+    `least`: range that is drawn at least."""
+    spans = [_rows(k) for k in range(len(COMMANDS))]
+    shares = [np.max(np.abs(on[at] - off[at])) / max(np.ptp([on[at], off[at]]), least) for at in spans]
+    best = max((k for k in range(1, len(COMMANDS)) if COMMANDS[k] != COMMANDS[k - 1]), key=shares.__getitem__)
+    return best if shares[best] > SEEN else int(np.argmax(shares))
