@@ -63,7 +63,7 @@ def by_round(rounds: Sequence[Round], noise: float) -> Figure:
     fig = panels(title, ["rms error of thrust [N]", "integral of (error / scale)² [s]"], [260, 260], "round [-]")
     fig.points(numbers, [r.before for r in rounds], "present model, unseen mission", style.BEFORE, 11)
     fig.points(numbers, [r.after for r in rounds], "next model, fitted", style.AFTER, 11)
-    fig.band(0, noise, "noise of a reading")
+    fig.level("y0", noise, "noise of a reading")
     colours = {PRESENT: style.BEFORE, "model-based": style.AFTER, "learned": "#cc79a7"}
     for name in dict.fromkeys(name for r in rounds for name in r.costs):
         at = [(r.number, cost) for r in rounds for cost in r.costs.get(name, ())]
