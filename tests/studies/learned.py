@@ -22,9 +22,8 @@ from identification.diagnose.learned.description import sentence
 from identification.diagnose.learned.laws import curve_of
 from identification.diagnose.learned.refit import Term
 from identification.diagnose.search.fits import Fit
-from vpp_fmu.app.report.figures.parameters import learned_curve
 from vpp_fmu.app.report.page import Page
-from vpp_fmu.app.report.pages.effect import data, law
+from vpp_fmu.app.report.pages.effect import data, law, learned_curve
 from vpp_fmu.export import Experiment, native_fmu, python_fmu
 from vpp_fmu.fmu import Fmu, FmuInstance, problems
 from vpp_fmu.invariants import reference
