@@ -378,7 +378,9 @@ def _texts() -> list[Format]:
         ),
         Format("two marks in a number", text(lines=_without(100, "0.99,29.0.1,1,2900,3,22")), said=("damaged (line 102)",)),
         Format(
-            "power-up garbage before the names", text(mark=b"\xf8\xff\0\x9612.5,3.1\n3,4100.0\n"), said=("damaged (line 1)",)
+            "power-up garbage before the names",
+            text(mark=b"\xf8\xff\0\x9612.5,3.1\n3,4100.0\n"),
+            said=("lines before the table 2",),
         ),
         Format('"1,234.56"', text(quote=True, cells={n: lambda v: f"{v:,.6f}" for n in ("omega", "omega_ref")}), rest=1e-6),
         Format("1'234.56", text(cells={"omega": lambda v: f"{v:,.6f}".replace(",", "'")}), rest=1e-6),

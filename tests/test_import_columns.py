@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from import_logs import HEADERS, T, named, stand, table
 
-from identification.logs.delimited import named_values
+from identification.logs.delimited import without_names
 from identification.logs.mapping import propose, read_sections
 from identification.logs.raw_table import RawTable, plain, split_unit
 from identification.logs.units import QUANTITIES, factor_of
@@ -337,7 +337,7 @@ def test_timestamps_of_the_arduino_serial_monitor_are_the_time(tmp_path, printed
 
 def test_a_long_name_without_a_value_is_tried_once():
     """Each of its 60 parts could be split in two ways, so that a search over all splits would not end."""
-    assert named_values([(1, "_".join(60 * "a") + " b"), (2, "1 2")]) == ([], [])
+    assert without_names([(1, "_".join(60 * "a") + " b"), (2, "1 2")]) == []
 
 
 def test_one_run_is_taken_of_a_log_whose_time_starts_again(tmp_path, log, printed, refused):

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,8 +47,8 @@ FASTER = 1.0
 class Taken:
     """A log in a record's units: each quantity of the plan (n,), with `time` and `clock` if the log has a time.
 
-    `said`: corrections in words. `speed_map`: source of the speed command, None if the log has the command; `here`: its fit to
-    this log. `stalls`: of a stand's logger.
+    `said`: corrections in words. `speed_map`: source of the speed command, None if the log has the command. `stalls`: of a
+    stand's logger.
     """
 
     columns: Mapping[str, np.ndarray]
@@ -56,7 +56,6 @@ class Taken:
     said: tuple[str, ...]
     source: str
     speed_map: SpeedMap | None = None
-    here: Mapping[str, float] = field(default_factory=dict)
     stalls: Stalls | None = None
 
     @property
@@ -124,8 +123,7 @@ def take_in(
     usable = True if stalls is None else ~stalls.stalled
     columns, notes, found = _commanded(table, plan, columns, clock, kind, speed_map, usable)
     columns, _ = within_ranges(columns, words, table.source)
-    speed_map, here = (found.map, found.here) if found else (speed_map, {})
-    return Taken(columns, clock, (*said, *notes), table.source, speed_map, here, stalls)
+    return Taken(columns, clock, (*said, *notes), table.source, found, stalls)
 
 
 def values_of(table: RawTable, quantity: str, column: Column) -> np.ndarray:
@@ -309,9 +307,9 @@ def _commanded(table: RawTable, plan: Plan, columns: dict, clock: Clock | None, 
         _check_signal(table, plan, signal, span)
         volts = _filled(columns["voltage"]) if "voltage" in columns else None
         time = None if clock is None or clock.step > FASTER else columns["time"]
-        found = map_of_signal(table.source, speed_map, span, time, signal, columns.get("omega"), volts, usable)
-        said.append(f"speed map: {found.origin}")
-        columns["omega_ref"] = found.map.omega_ref(signal)
+        found, origin = map_of_signal(table.source, speed_map, span, time, signal, columns.get("omega"), volts, usable)
+        said.append(f"speed map: {origin}")
+        columns["omega_ref"] = found.omega_ref(signal)
     elif "signal" in columns:
         del columns["signal"]
     for name, value in plan.fixed.items():

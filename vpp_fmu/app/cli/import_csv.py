@@ -88,9 +88,7 @@ def add_reading(parser) -> None:
 
 
 def run(options):
-    section = saved_section(options)
-    table = read_table(options, section.get("read", {}))
-    lines = said_of_table(table)
+    section, table, lines = opened(options)
     if options.propose is not None:
         return _propose(table, options, lines)
     plan = planned(options, section, table, lines)
@@ -98,23 +96,32 @@ def run(options):
         plan = _of_measured_speed(plan)
     known = known_map(options, plan)
     taken = take_in(table, plan, options.kind, known, options.force, options.run_number)
+    return put(options, table, plan, taken, known, lines, [])
+
+
+def put(
+    options, table: RawTable, plan: Plan, taken: Taken, known: SpeedMap | None, lines: list[str], corrections: list[str]
+) -> Answer:
+    """Write the file of the campaign, the mapping, and the signal's map if it is not the `known` one or not there yet."""
     place, section = Path(options.output), plan.section(Path(options.log).name)
     sections = read_sections(place / FILE) if (place / FILE).exists() else {}
-    folder, put, said = placed(place, options.kind, taken, options.replace, options.mend)
+    folder, record, said = placed(place, options.kind, taken, options.replace, options.mend)
     folder.write(FILE, to_toml({**sections, options.kind: section}))
-    if taken.speed_map is not None and not (place / SPEED_MAP).exists():
-        folder.write(SPEED_MAP, taken.speed_map.to_json())
-    lines += [*said_of_columns(table, plan, taken), *taken.said, *said]
+    if taken.speed_map is not None and not (known and (place / SPEED_MAP).exists()):
+        folder.write(SPEED_MAP, (known or taken.speed_map).to_json())
+    lines += [*said_of_columns(table, plan, taken), *taken.said, *corrections, *said]
     content = {"format": FORMAT, options.kind: section}
-    return Answer(headline(folder, options.kind, put.columns, options.log), content, lines, written=written(options, folder))
+    return Answer(headline(folder, options.kind, record.columns, options.log), content, lines, written=written(options, folder))
 
 
-def said_of_table(table: RawTable) -> list[str]:
-    """How the table was read, and what was left out, in words."""
+def opened(options) -> tuple[dict, RawTable, list[str]]:
+    """(content of the import.toml among --map, the log, how it was read and what was left out, in words). BadInput."""
+    section = saved_section(options)
+    table = read_table(options, section.get("read", {}))
     lines = [f"{Path(table.source).name}: {table.how_read}; {len(table)} rows, {len(table.columns)} columns"]
     if table.left_out:
         lines.append(f"left out: {', '.join(f'{reason} {count}' for reason, count in table.left_out.items())}")
-    return lines
+    return section, table, lines
 
 
 def known_map(options, plan: Plan) -> SpeedMap | None:
