@@ -517,7 +517,7 @@ def _refused() -> list[Format]:
         Format(
             "two units in one column",
             text(cells={"thrust": lambda v: f"{v:.3f} N" if round(1e3 * v) % 2 else f"{1e3 * v:.0f} mN"}),
-            refused="whose cells are no numbers",
+            refused="no column of it",
         ),
         Format(
             "one value a row",
@@ -525,7 +525,7 @@ def _refused() -> list[Format]:
                 lambda t: {"time": np.repeat(t["time"], 4), "value": np.stack([t[n] for n in LONG], 1).ravel()},
                 text({"time": "_time", "value": "_value"}, title=lambda row: f"{row},_field", lines=_long),
             ),
-            refused="pivot the table by _field",
+            refused="no column of it",
         ),
         Format("no such column", text(PLAIN), ("--map", "thrust=Fx:N"), refused="column Fx"),
         Format(

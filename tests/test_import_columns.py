@@ -558,11 +558,11 @@ def test_columns_of_two_sides_are_never_mixed(tmp_path, log, imported):
     np.testing.assert_array_equal(record["omega"], given["RPM"])
 
 
-@pytest.mark.parametrize("axis", ["x", "z"])
-def test_of_three_forces_the_one_that_varies_most_is_the_thrust(log, imported, axis):
-    rng = np.random.default_rng(1)
-    forces = {f"Force {a.upper()} [N]": T["thrust"] if a == axis else rng.normal(9.0, 0.05, 400) for a in "xyz"}
-    check(imported(log(named("time", "omega_ref", "omega", **forces)), "--fixed", "beta_ref=2:deg"), "thrust")
+def test_one_of_three_forces_must_be_chosen(tmp_path, log, imported, refused):
+    forces = {f"Force {a.upper()} [N]": T["thrust"] if a == "x" else np.full(400, 9.0) for a in "xyz"}
+    path = log(named("time", "omega_ref", "omega", **forces))
+    assert "Force X [N], Force Y [N], Force Z [N], and one speed" in refused(path, "-o", tmp_path / "out")
+    check(imported(path, "--map", "thrust=Force X:N"), "thrust")
 
 
 @pytest.mark.parametrize("header", ["eRPM[0]", "eRPM(/100)[0]"])
@@ -582,21 +582,6 @@ def test_an_electrical_speed_in_hundreds_is_mapped_by_the_commands_of_the_messag
 def test_an_electrical_speed_in_hundreds_beside_a_command_is_refused(tmp_path, log, refused):
     path = log(named("time", "omega_ref", "thrust", eRPM=0.07 * T["omega"]))
     assert "electrical speed, by its name" in refused(path, "-o", tmp_path / "out")
-
-
-@pytest.mark.parametrize("header", ["RCOU.C2", "CH6(us)", "output[1]"])
-def test_a_command_that_thrust_follows_is_the_pitch_or_must_be_mapped(tmp_path, log, imported, printed, refused, header):
-    """Beside it: a step counter, a temperature and the command again, which say nothing of the thrust."""
-    rng = np.random.default_rng(4)
-    more = {"step": np.arange(400) // 25, "temp [degC]": np.round(rng.normal(35.0, 0.1, 400)), "RPM set": T["omega_ref"]}
-    path = log(named(*WITHOUT_PITCH, **more, **{header: PULSES}))
-    err = refused(path, "-o", tmp_path / "out")
-    assert f"{header}, an unused command from {PULSES.min():g} to {PULSES.max():g} that thrust follows" in err
-    found = imported(path, "--map", f"beta_ref={header}:us@1000=-5,2000=10")
-    np.testing.assert_allclose(found["beta_ref"], 0.015 * PULSES - 20.0, atol=1e-9)
-    steady = 12.0 * (T["omega"] / 6000.0) ** 2 + rng.normal(0.0, 0.05, 400)
-    path = log(named(*WITHOUT_PITCH, **more, **{header: PULSES, "Fz [N]": steady}))
-    printed(path, "-o", tmp_path / "steady")  # the pitch is fixed, and the servo turns something else
 
 
 def test_messages_in_rows_of_their_own_are_refused(tmp_path, log, imported, refused):
@@ -626,11 +611,3 @@ def test_channels_with_clocks_of_their_own_are_imported_if_the_clocks_agree(tmp_
         assert "time: found several, of which X_Value.5 differs" in refused(tmp_path / "log.lvm", "-o", tmp_path / "out")
         return
     check(imported(tmp_path / "log.lvm"), "time", *names)
-
-
-def test_a_clock_of_another_name_is_offered_as_the_time(tmp_path, log, refused):
-    rest = named("omega_ref", "omega", "thrust")
-    path = log({"count": np.arange(400.0), "ms_today": 50587250.0 + 1e3 * T["time"]} | rest)
-    assert "Try: --map time=ms_today:ms" in refused(path, "--fixed", "beta_ref=2:deg", "-o", tmp_path / "out")
-    empty = log({"X_Value": np.full(400, np.nan)} | rest)
-    assert "Try: --map time=COLUMN:UNIT, or time=row:4ms" in refused(empty, "-o", tmp_path / "out")

@@ -11,11 +11,10 @@ from planted_faults import SIZES
 
 from identification.logs.clock import guessed_unit, mended
 from identification.logs.mapping import read_sections
-from identification.logs.sampling import between, said_of_rows
 from identification.logs.speed_choice import likelihood_gain
 from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import read_campaign, read_static, read_steps
-from vpp_fmu.record import Record, read_record
+from vpp_fmu.record import read_record
 
 FIRST_WORDS = ("import", "csv")
 WORDS = ("--map", "time=time:s", "omega_ref=omega_ref:rpm", "beta_ref=beta_ref:deg", "thrust=thrust:N")
@@ -240,23 +239,6 @@ def test_steady_points_may_have_measured_speed_and_pitch_alone(tmp_path, printed
 
 
 # Messages about the rows
-
-
-def recorded(columns):
-    """A record of a log's signal, in the place of a speed, and thrust."""
-    held = {"time": columns["Time (s)"], "omega_ref": 5.0 * columns["ESC (us)"], "beta_ref": 0.0 * columns["Time (s)"]}
-    return Record(held | {"thrust": columns["Thrust (gf)"]}, "x")
-
-
-def test_rows_that_are_averages_are_detected_from_the_commands():
-    fine = stand(rows=30000, step=0.01, hold=2.003)
-    record = recorded({n: np.array([part.mean() for part in np.array_split(c, 2400)]) for n, c in fine.items()})
-    through, moves = between(record)
-    assert through > 0.8 * moves
-    assert any(line.startswith("averages: in ") for line in said_of_rows(record))
-    record = recorded({n: c[::12] for n, c in fine.items()})
-    assert between(record)[0] == 0
-    assert said_of_rows(record) == said_of_rows(recorded(stand())) == []
 
 
 def test_frozen_and_clipped_channels_are_reported_at_import(tmp_path, printed):

@@ -9,11 +9,11 @@ import numpy as np
 from identification.gate.files import speed_ratio, speed_unit
 from identification.logs.clock import Clock, read_clock
 from identification.logs.commands import map_of_signal
-from identification.logs.mapping import ROWS, Column, Plan, clock_like, in_other_unit, moving_angle, text_instead
+from identification.logs.mapping import ROWS, Column, Plan, in_other_unit, moving_angle
 from identification.logs.raw_table import RawTable
 from identification.logs.sampling import Stalls
 from identification.logs.speed_map import RANGES, SignalRange, SpeedMap
-from identification.logs.units import QUANTITIES, SIGNALS, factor_of, is_rate, scale_of, signal_unit
+from identification.logs.units import QUANTITIES, SIGNALS, factor_of, scale_of, signal_unit
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import QUANTITIES as RANGE
@@ -31,10 +31,6 @@ SAME_SPEED = 0.2
 
 APART = 0.05
 """Share of a quantity's readings in rows with thrust, below which they are messages of their own."""
-
-SCATTER, EXPLAINED, MOST_MOVES = 0.05, 0.5, 0.1
-"""Residual of thrust at fixed pitch as a share of its range, from which a further command is searched; the share of its
-variance that such a command explains; the largest share of rows in which a command moves."""
 
 ABSURD = 0.01
 """Share of a measured column's rows beyond its limits, up to which the cells are disturbed ones: a wrong unit spoils most."""
@@ -109,9 +105,6 @@ def take_in(
                 )
             del columns[name]
             said.append(f"{name}: no value in any row, left out")
-    unknown = clock and not {"beta_ref", "beta"} & {*columns, *plan.fixed} and not _no_angle(table, plan)
-    if unknown and (other := _other_command(table, plan, columns, rows)):
-        raise BadInput(table.source, "beta_ref", *other)
     words = {name: f"{name}, column {column.name} in {column.unit}" for name, column in plan.columns.items()}
     columns, notes = within_ranges(columns, words, table.source)
     said += notes
@@ -179,39 +172,6 @@ def _calibrated(name: str, unit: str, low: float, high: float) -> str:
     return f"--map {points}, A and B the pitch there in deg, or --fixed beta_ref=8:deg if the pitch is fixed"
 
 
-def _other_command(
-    table: RawTable, plan: Plan, columns: Mapping[str, np.ndarray], rows: np.ndarray
-) -> tuple[str, str, str] | None:
-    """(found, expected, hint) if an unused column moves as a command does and explains thrust that speed does not; else None.
-
-    Thrust at fixed pitch is a quadratic in speed. A pitch x adds the terms x, x w^2 and x^2 w^2.
-    """
-    speed = columns.get("omega", columns.get("omega_ref"))
-    seen = np.isfinite(speed) & np.isfinite(columns["thrust"]) if speed is not None else np.zeros(1, bool)
-    if seen.sum() < 100:
-        return None
-    w, thrust = speed[seen] / max(1.0, float(np.abs(speed[seen]).max())), columns["thrust"][seen]
-
-    def residual(*terms):
-        a = np.column_stack([np.ones_like(w), w, w**2, *terms])
-        return float(np.std(thrust - a @ np.linalg.lstsq(a, thrust, rcond=1e-9)[0]))
-
-    alone = residual()
-    if alone < SCATTER * np.ptp(thrust):
-        return None
-    taken = {part for column in plan.columns.values() for part in table.parts(column.name) if column.name != ROWS}
-    free = (n for n, cells in table.columns.items() if n not in taken and cells.dtype.kind == "f")
-    for name in (n for n in free if not is_rate(table.unit(n) or "")):
-        x = _last_value(table.numbers(name))[rows][seen]
-        if not np.isfinite(x).all() or not 3 <= np.sum(np.diff(x) != 0.0) <= MOST_MOVES * len(x):
-            continue
-        u = (x - x.min()) / np.ptp(x)
-        if residual(u, u * w**2, (u * w) ** 2) ** 2 < (1.0 - EXPLAINED) * alone**2:
-            found = f"{name}, an unused command from {x.min():g} to {x.max():g} that thrust follows, and no pitch"
-            return found, "a command of pitch", _calibrated(name, table.unit(name) or "", x.min(), x.max())
-    return None
-
-
 def _last_value(column: np.ndarray, first: bool = False) -> np.ndarray:
     """The column (n,) with each empty cell filled by the last value before it; before the first NaN, or the `first`."""
     filled = np.isfinite(column)
@@ -229,13 +189,6 @@ def _check_rows(columns: Mapping[str, np.ndarray], source: str) -> None:
         raise BadInput(source, "rows", found, allowed, f"a table joined at the rows of thrust{without}")
 
 
-def contradictions(table: RawTable, plan: Plan) -> list[str]:
-    """Reasons to refuse a plan, one per line: a speed that looks electrical, a pitch that is not an angle."""
-    speeds = {q: values_of(table, q, c) for q, c in plan.columns.items() if q in ("omega", "omega_ref")}
-    found = {"omega": electrical(plan.columns, speeds), "beta_ref": _no_angle(table, plan)}
-    return [f"{name}: found {each[0]}, expected {each[1]}. Try: {each[2]}" for name, each in found.items() if each]
-
-
 def _check(table: RawTable, plan: Plan, kind: str) -> None:
     if "thrust" not in plan.columns:
         if other := in_other_unit(table, "thrust", {c.name for c in plan.columns.values()}):
@@ -243,13 +196,10 @@ def _check(table: RawTable, plan: Plan, kind: str) -> None:
             found = f"{name}, thrust by its name, from {low:g} to {high:g} {unit}".rstrip()
             hint = f"--map 'thrust={name}:{unit}@A=0,B=10' with the numbers A and B that mean 0 and 10 N"
             raise BadInput(table.source, "thrust", found, "a force", hint)
-        if instead := text_instead(table, "thrust"):
-            raise BadInput(table.source, "thrust", instead[0], "a column of numbers", instead[1])
         found = f"no column of it among {_names(table)}"
         raise BadInput(table.source, "thrust", found, "a column of thrust", "--map thrust=COLUMN:UNIT")
     if "time" not in plan.columns and kind != "static":
-        name, unit = clock_like(table) or ("COLUMN", "UNIT")
-        hint = f"--map time={name}:{unit}, or time=row:4ms for rows that are 4 ms apart"
+        hint = "--map time=COLUMN:UNIT, or time=row:4ms for rows that are 4 ms apart"
         raise BadInput(table.source, "time", f"no column of it among {_names(table)}", "a column of time", hint)
     known = {"omega_ref", "signal"} & {*plan.columns, *plan.fixed} or (kind == "static" and "omega" in plan.columns)
     if not known:

@@ -1,4 +1,4 @@
-"""Rows of a log that are no samples at import: averages, readings that repeat, rows behind stalls of the logger."""
+"""Cells of a log that are no measurements: readings that repeat, rows behind stalls of the logger."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,19 +13,6 @@ from identification.logs.clock import gaps
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.record import Record, digit_of
 from vpp_fmu.rig import infer_rig
-
-HELD = 3
-"""Minimum rows of a command's hold before and after a move that is counted."""
-
-MOSTLY = 0.7
-"""Minimum share of a command's rows in holds: with fewer, intermediate values are not due to averaging."""
-
-PASSES = 0.3
-"""Share of moves with exactly one intermediate value, above which rows are averages. A sampled step has none, a slew-limited
-one has rows in proportion to its size, and an averaged one nearly always has one."""
-
-FEWEST_MOVES = 4
-"""Minimum number of moves for the share."""
 
 REPEATED, BY_CHANCE = 0.2, 4.0
 """Minimum share of readings that equal the one before, in half of a record's PARTS, for repeats; and its minimum ratio to the
@@ -106,34 +93,6 @@ def read_once(record: Record) -> tuple[Record, list[str]]:
     every = record.period * len(seen) / max(1, len(seen) - int(again.sum()))
     count = f"{int(again.sum())} of {len(seen)} cells repeat the reading before, a new one comes every {1e3 * every:.3g} ms"
     return record.with_columns(thrust=emptied), [f"thrust: {count}: repeats are emptied"]
-
-
-def said_of_rows(record: Record) -> list[str]:
-    """Report rows that are averages."""
-    averaged, moves = between(record)
-    if moves < FEWEST_MOVES or averaged <= PASSES * moves:
-        return []
-    count = f"in {averaged} of {moves} moves between held commands one row lies in between"
-    row = f"{1e3 * record.period:.3g} ms"
-    return [f"averages: {count}: rows are means over {row}, not samples; estimated lags are wrong by as much"]
-
-
-def between(record: Record) -> tuple[int, int]:
-    """(moves with exactly one intermediate value, all moves) of commands between holds of HELD rows or more."""
-    averaged = moves = 0
-    for name in ("omega_ref", "beta_ref"):
-        command = record[name]
-        first = np.flatnonzero(np.append(True, command[1:] != command[:-1]))
-        length = np.diff(np.append(first, len(command)))
-        held = length >= HELD
-        if length[held].sum() < MOSTLY * len(command):
-            continue  # a ramp, or a measured speed as the command
-        moves += int(np.sum(held[:-1] & held[1:]))
-        single = held[:-2] & (length[1:-1] == 1) & held[2:]
-        before, at, after = (command[first[k : len(first) - 2 + k]] for k in range(3))
-        inside = single & ((before - at) * (at - after) > 0.0)
-        averaged, moves = averaged + int(inside.sum()), moves + int(inside.sum())
-    return averaged, moves
 
 
 def screened(record: Record) -> tuple[Record, list[str]]:

@@ -22,7 +22,7 @@ from identification.logs.commands import FILE as SPEED_MAP
 from identification.logs.commands import map_beside
 from identification.logs.containers import read_container
 from identification.logs.delimited import DELIMITERS, read_delimited
-from identification.logs.intake import Taken, contradictions, signal_range, take_in
+from identification.logs.intake import Taken, signal_range, take_in
 from identification.logs.mapping import (
     FILE,
     FORMAT,
@@ -201,7 +201,10 @@ def _propose(table: RawTable, options, lines: list[str]) -> Answer:
         lines.append(f"  {quantity:10} <- {column.name:{width}} {note:12} {column.sure}")
     lines += [*said, *_unused(table, columns)]
     lines += [f"as options: {plan.words()}"] if columns else []
-    lines += contradictions(table, plan)
+    try:
+        take_in(table, plan, options.kind, known_map(options, plan), options.force, options.run_number)
+    except BadInput as error:
+        lines.append(f"the import would refuse it: {error}")
     content, place = {"format": FORMAT, options.kind: plan.section(Path(options.log).name)}, []
     if options.propose:
         folder, name = OutputFolder(Path(options.propose).parent), Path(options.propose).name
