@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.gate.files import speed_ratio, speed_unit
+from identification.gate.sensors import multiples
 from identification.logs.clock import Clock, read_clock
 from identification.logs.commands import map_of_signal
 from identification.logs.mapping import ROWS, Column, Plan, in_other_unit, moving_angle
@@ -117,6 +118,22 @@ def take_in(
     columns, notes, found = _commanded(table, plan, columns, clock, kind, speed_map, usable)
     columns, _ = within_ranges(columns, words, table.source)
     return Taken(columns, clock, (*said, *notes), table.source, found, stalls)
+
+
+def take_measured(table: RawTable, plan: Plan, kind: str, **options) -> Taken:
+    """A log with the measured speed as its command, interpolated over time where the speed is missing, late or a multiple of
+    the log's own command. `options`: as of `take_in`."""
+    try:
+        taken = take_in(table, plan, kind, **options)
+        wrong = False if taken.points else multiples(taken.record())[0]
+    except BadInput:  # no command to compare with
+        columns = {**{q: c for q, c in plan.columns.items() if q != "signal"}, "omega_ref": plan.columns["omega"]}
+        taken, wrong = take_in(table, replace(plan, columns=columns), kind, **options), False
+    speed, rows = taken.columns["omega"], taken.columns.get("time", np.arange(len(taken.columns["omega"])))
+    there = np.isfinite(speed) & ~np.asarray(wrong) & (True if taken.stalls is None else ~taken.stalls.stalled)
+    columns = {**taken.columns, "omega_ref": np.interp(rows, rows[there], speed[there])}
+    said = (*taken.said, "omega_ref: the measured speed, interpolated where it is missing, late or a multiple")
+    return replace(taken, columns=columns, said=said, speed_map=None)
 
 
 def values_of(table: RawTable, quantity: str, column: Column) -> np.ndarray:

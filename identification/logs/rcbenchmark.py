@@ -18,10 +18,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.gate.sensors import multiples
 from identification.gate.zero import tare
-from identification.logs.intake import Taken, take_in
-from identification.logs.mapping import Plan
+from identification.logs.intake import Taken
 from identification.logs.raw_table import RawTable, split_unit
 from identification.logs.sampling import REMEMBERED
 from vpp_fmu.digits import number, signed
@@ -49,23 +47,6 @@ def preset(table: RawTable, words: Iterable[str], backwards: bool) -> list[str]:
         columns["thrust"] = f"{thrust}:-1 {unit}"
     own = {word.partition("=")[0] for word in words}
     return [*words, *(f"{quantity}={column}" for quantity, column in columns.items() if quantity not in own)]
-
-
-def by_measured_speed(table: RawTable, plan: Plan, kind: str, **options) -> Taken:
-    """A log with the measured speed as its command, interpolated over time where the speed is missing, late or a multiple.
-    `options`: as of `take_in`."""
-    try:
-        taken = take_in(table, plan, kind, **options)
-        wrong = multiples(taken.record())[0]
-    except BadInput:  # no map of the signal to compare with
-        columns = {**plan.columns, "omega_ref": plan.columns["omega"]}
-        taken = take_in(table, replace(plan, columns={q: c for q, c in columns.items() if q != "signal"}), kind, **options)
-        wrong = np.zeros(len(taken.columns["time"]), bool)
-    time, speed = taken.columns["time"], taken.columns["omega"]
-    there = np.isfinite(speed) & ~taken.stalls.stalled & ~wrong
-    columns = {**taken.columns, "omega_ref": np.interp(time, time[there], speed[there])}
-    said = (*taken.said, "omega_ref: the measured speed, interpolated where it is missing, late or a multiple")
-    return replace(taken, columns=columns, said=said, speed_map=None)
 
 
 def cleaned(taken: Taken, keep_stalls: bool) -> tuple[Taken, list[str]]:

@@ -22,7 +22,7 @@ from identification.logs.commands import FILE as SPEED_MAP
 from identification.logs.commands import map_beside
 from identification.logs.containers import read_container
 from identification.logs.delimited import DELIMITERS, read_delimited
-from identification.logs.intake import Taken, signal_range, take_in
+from identification.logs.intake import Taken, signal_range, take_in, take_measured
 from identification.logs.mapping import (
     FILE,
     FORMAT,
@@ -92,11 +92,17 @@ def run(options):
     if options.propose is not None:
         return _propose(table, options, lines)
     plan = planned(options, section, table, lines)
-    if options.speed_from == "measured":
-        plan = _of_measured_speed(plan)
-    known = known_map(options, plan)
-    taken = take_in(table, plan, options.kind, known, options.force, options.run_number)
+    known, taken = taken_in(options, table, plan)
     return put(options, table, plan, taken, known, lines, [])
+
+
+def taken_in(options, table: RawTable, plan: Plan, **more) -> tuple[SpeedMap | None, Taken]:
+    """(the known map of a signal, the log) by the options; `more`: further ones of `take_in`. BadInput."""
+    more |= {"force": options.force, "run": options.run_number}
+    if options.speed_from == "measured":
+        return None, take_measured(table, plan, options.kind, **more)
+    known = known_map(options, plan)
+    return known, take_in(table, plan, options.kind, known, **more)
 
 
 def put(
@@ -105,6 +111,8 @@ def put(
     """Write the file of the campaign, the mapping, and the signal's map if it is not the `known` one or not there yet."""
     place, section = Path(options.output), plan.section(Path(options.log).name)
     sections = read_sections(place / FILE) if (place / FILE).exists() else {}
+    if options.speed_from == "measured":
+        taken = replace(taken, columns={name: column for name, column in taken.columns.items() if name != "omega"})
     folder, record, said = placed(place, options.kind, taken, options.replace, options.mend)
     folder.write(FILE, to_toml({**sections, options.kind: section}))
     if taken.speed_map is not None and not (known and (place / SPEED_MAP).exists()):
@@ -183,13 +191,6 @@ def planned(options, section: dict, table: RawTable, lines: list[str]) -> Plan:
     return Plan(columns, fixed, table.read)
 
 
-def _of_measured_speed(plan: Plan) -> Plan:
-    """The plan with the measured speed as its command."""
-    columns = {q: c for q, c in plan.columns.items() if q not in ("omega_ref", "omega", "signal")}
-    fixed = {name: value for name, value in plan.fixed.items() if name != "omega_ref"}
-    return replace(plan, columns={"omega_ref": plan.columns["omega"], **columns}, fixed=fixed)
-
-
 def _propose(table: RawTable, options, lines: list[str]) -> Answer:
     fixed = parse_fixed(options.fixed)
     others, said = chosen(table, options.rotor, ())
@@ -202,7 +203,7 @@ def _propose(table: RawTable, options, lines: list[str]) -> Answer:
     lines += [*said, *_unused(table, columns)]
     lines += [f"as options: {plan.words()}"] if columns else []
     try:
-        take_in(table, plan, options.kind, known_map(options, plan), options.force, options.run_number)
+        taken_in(options, table, plan)
     except BadInput as error:
         lines.append(f"the import would refuse it: {error}")
     content, place = {"format": FORMAT, options.kind: plan.section(Path(options.log).name)}, []

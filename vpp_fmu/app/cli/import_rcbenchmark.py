@@ -3,12 +3,10 @@
 The ESC's signal becomes omega_ref by a map, which the logs of a folder share. Cells behind stalls of the logger and repeated
 readings are left empty, the mean thrust at rest is taken off, and rows of averages become static.csv."""
 
-from dataclasses import replace
-
-from identification.logs.intake import clock_of, take_in
-from identification.logs.rcbenchmark import by_measured_speed, cleaned, preset
+from identification.logs.intake import clock_of
+from identification.logs.rcbenchmark import cleaned, preset
 from identification.logs.sampling import SAMPLED
-from vpp_fmu.app.cli.import_csv import add_reading, known_map, opened, planned, put
+from vpp_fmu.app.cli.import_csv import add_reading, opened, planned, put, taken_in
 from vpp_fmu.app.cli.import_place import add_kind
 from vpp_fmu.digits import number
 
@@ -32,13 +30,6 @@ def run(options):
         text = "so steady points and no record" if options.kind == "static" else "lags from them are wrong by as much"
         lines.append(f"averages: rows lie {number(1e3 * step)} ms apart, not 8 to 12 ms: {text}")
     options.kind = options.kind or "record"
-    given = {"force": options.force, "run": options.run_number, "stand": True}
-    if options.speed_from == "measured":
-        known, taken = None, by_measured_speed(table, plan, options.kind, **given)
-    else:
-        known = known_map(options, plan)
-        taken = take_in(table, plan, options.kind, known, **given)
+    known, taken = taken_in(options, table, plan, stand=True)
     taken, said = cleaned(taken, options.keep_stalls)
-    if options.speed_from == "measured":
-        taken = replace(taken, columns={n: c for n, c in taken.columns.items() if n != "omega"})
     return put(options, table, plan, taken, known, lines, said)
