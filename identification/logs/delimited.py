@@ -128,7 +128,7 @@ def _decoded(path: str | os.PathLike, data: bytes, wanted: str | None) -> tuple[
     errors = "replace" if not wanted and encoding in ("utf-8", "cp1252") else "strict"
     try:
         return data.decode(encoding, errors).removeprefix("\ufeff"), encoding
-    except UnicodeError as error:
+    except (UnicodeError, LookupError) as error:
         raise BadInput(path, "encoding", f"bytes that are no {encoding}", "the encoding it was written in") from error
 
 

@@ -176,17 +176,21 @@ def _no_angle(table: RawTable, plan: Plan) -> tuple[str, str, str] | None:
         name, unit, low, high = angle
         found = f"{name}, an angle that moves from {low:g} to {high:g} {unit}, and no pitch"
         return found, "a command of pitch", f"--map 'beta_ref={name}:{unit}', or --fixed beta_ref=8:deg if the pitch is fixed"
-    if (other := in_other_unit(table, "beta", {c.name for c in plan.columns.values()})) is None:
+    return _uncalibrated(table, plan, "beta", "pitch")
+
+
+def _uncalibrated(table: RawTable, plan: Plan, quantity: str, word: str) -> tuple[str, str, str] | None:
+    """(found, expected, hint) if an unused column is the quantity by its name, in no unit of it; else None."""
+    if (other := in_other_unit(table, quantity, {c.name for c in plan.columns.values()})) is None:
         return None
     name, unit, low, high = other
-    found = f"{name}, pitch by its name, from {low:g} to {high:g} {unit}".rstrip()
-    return found, "a pitch in deg", _calibrated(name, unit, low, high if high > low else low + 1.0)
-
-
-def _calibrated(name: str, unit: str, low: float, high: float) -> str:
-    """How to state the pitch of a column by two points, or a fixed one."""
-    points = f"'beta_ref={name}:{unit}@{low:g}=A,{high:g}=B'"
-    return f"--map {points}, A and B the pitch there in deg, or --fixed beta_ref=8:deg if the pitch is fixed"
+    found = f"{name}, {word} by its name, from {low:g} to {high:g} {unit}".rstrip()
+    if quantity == "thrust":
+        hint = f"--map 'thrust={name}:{unit}@A=0,B=10' with the numbers A and B that mean 0 and 10 N"
+        return found, "a force", hint
+    points = f"'beta_ref={name}:{unit}@{low:g}=A,{high if high > low else low + 1.0:g}=B'"
+    hint = f"--map {points}, A and B the pitch there in deg, or --fixed beta_ref=8:deg if the pitch is fixed"
+    return found, "a pitch in deg", hint
 
 
 def _last_value(column: np.ndarray, first: bool = False) -> np.ndarray:
@@ -208,11 +212,8 @@ def _check_rows(columns: Mapping[str, np.ndarray], source: str) -> None:
 
 def _check(table: RawTable, plan: Plan, kind: str) -> None:
     if "thrust" not in plan.columns:
-        if other := in_other_unit(table, "thrust", {c.name for c in plan.columns.values()}):
-            name, unit, low, high = other
-            found = f"{name}, thrust by its name, from {low:g} to {high:g} {unit}".rstrip()
-            hint = f"--map 'thrust={name}:{unit}@A=0,B=10' with the numbers A and B that mean 0 and 10 N"
-            raise BadInput(table.source, "thrust", found, "a force", hint)
+        if other := _uncalibrated(table, plan, "thrust", "thrust"):
+            raise BadInput(table.source, "thrust", *other)
         found = f"no column of it among {_names(table)}"
         raise BadInput(table.source, "thrust", found, "a column of thrust", "--map thrust=COLUMN:UNIT")
     if "time" not in plan.columns and kind != "static":

@@ -10,8 +10,6 @@ The mapping is saved in import.toml beside the record, and --map import.toml use
 
 Names: time omega_ref beta_ref omega thrust beta voltage current torque power signal run thrust_std samples."""
 
-import codecs
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,12 +24,10 @@ from identification.logs.intake import Taken, signal_range, take_in, take_measur
 from identification.logs.mapping import (
     FILE,
     FORMAT,
-    Column,
     Plan,
     completed,
     parse_fixed,
     parse_pairs,
-    propose,
     read_sections,
     section_of,
     to_toml,
@@ -90,7 +86,7 @@ def add_reading(parser) -> None:
 def run(options):
     section, table, lines = opened(options)
     if options.propose is not None:
-        return _propose(table, options, lines)
+        return _propose(options, section, table, lines)
     plan = planned(options, section, table, lines)
     known, taken = taken_in(options, table, plan)
     return put(options, table, plan, taken, known, lines, [])
@@ -154,13 +150,6 @@ def saved_section(options) -> dict:
 
 def read_table(options, read: dict) -> RawTable:
     """The log; `read`: options that read it, of an import.toml. BadInput."""
-    if options.encoding is not None:
-        try:
-            codecs.lookup(options.encoding)
-        except LookupError as error:
-            raise BadInput(
-                "command line", "--encoding", options.encoding, "an encoding's name such as utf-16 or cp1252"
-            ) from error
     decimal = {"point": ".", "comma": ","}.get(options.decimal)
     own = {"encoding": options.encoding, "delimiter": options.delimiter, "decimal": decimal}
     given = {**{name: text for name, text in read.items() if name in own}, **{n: t for n, t in own.items() if t is not None}}
@@ -191,21 +180,14 @@ def planned(options, section: dict, table: RawTable, lines: list[str]) -> Plan:
     return Plan(columns, fixed, table.read)
 
 
-def _propose(table: RawTable, options, lines: list[str]) -> Answer:
-    fixed = parse_fixed(options.fixed)
-    others, said = chosen(table, options.rotor, ())
-    columns = propose(table, others)
-    plan = Plan(columns, fixed, table.read)
-    width = max((len(c.name) for c in columns.values()), default=0)
-    for quantity, column in columns.items():
-        note = f"in {column.unit}" if column.unit else ""
-        lines.append(f"  {quantity:10} <- {column.name:{width}} {note:12} {column.sure}")
-    lines += [*said, *_unused(table, columns)]
-    lines += [f"as options: {plan.words()}"] if columns else []
+def _propose(options, section: dict, table: RawTable, lines: list[str]) -> Answer:
+    options.yes = True
+    plan = planned(options, section, table, lines)
     try:
-        taken_in(options, table, plan)
+        (_, taken), refusal = taken_in(options, table, plan), []
     except BadInput as error:
-        lines.append(f"the import would refuse it: {error}")
+        taken, refusal = None, [f"the import would refuse it: {error}"]
+    lines += [*said_of_columns(table, plan, taken), f"as options: {plan.words()}", *refusal]
     content, place = {"format": FORMAT, options.kind: plan.section(Path(options.log).name)}, []
     if options.propose:
         folder, name = OutputFolder(Path(options.propose).parent), Path(options.propose).name
@@ -213,22 +195,15 @@ def _propose(table: RawTable, options, lines: list[str]) -> Answer:
             raise BadInput(options.propose, "file", "an existing file", "a new file", "--replace")
         folder.write(name, to_toml({options.kind: plan.section(Path(options.log).name)}))
         place = [f"saved in {options.propose}"]
-    text = f"The header of {Path(options.log).name} proposes {len(columns)} of {len(table.columns)} columns."
+    text = f"The header of {Path(options.log).name} proposes {len(plan.columns)} of {len(table.columns)} columns."
     return Answer(text, content, lines, written=place)
 
 
-def _unused(table: RawTable, columns: Mapping[str, Column]) -> list[str]:
-    """A line with the unused columns; none if all are used."""
-    taken = {part for column in columns.values() for part in table.parts(column.name)}
-    unused = [name for name in table.columns if name not in taken]
-    return [f"not used: {', '.join(unused)}"] if unused else []
-
-
-def said_of_columns(table: RawTable, plan: Plan, taken: Taken) -> list[str]:
+def said_of_columns(table: RawTable, plan: Plan, taken: Taken | None) -> list[str]:
     """Each column of the record, its source and range, in words, and the columns that are not used."""
     lines = []
     for quantity, column in plan.columns.items():
-        values, unit = taken.columns.get(quantity), QUANTITIES[quantity].unit
+        values, unit = taken and taken.columns.get(quantity), QUANTITIES[quantity].unit
         span = ""
         if values is not None and np.isfinite(values).any():
             empty = int((~np.isfinite(values)).sum())
@@ -237,4 +212,6 @@ def said_of_columns(table: RawTable, plan: Plan, taken: Taken) -> list[str]:
         how = f" ({column.sure})" if column.sure else ""
         lines.append(f"{quantity} <- {column.name}{f' in {column.unit}' if column.unit else ''}{how}{span}")
     lines += [f"{name} = {number(value)} {QUANTITIES[name].unit}, fixed" for name, value in plan.fixed.items()]
-    return lines + _unused(table, plan.columns)
+    used = {part for column in plan.columns.values() for part in table.parts(column.name)}
+    unused = [name for name in table.columns if name not in used]
+    return [*lines, f"not used: {', '.join(unused)}"] if unused else lines
