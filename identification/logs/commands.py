@@ -72,6 +72,7 @@ def map_of_signal(
     here = fit_quality(points, found)
     if here["points"]:
         text += f"; here rms {here['rms']:.3g} rpm, at most {here['largest']:.3g} rpm at signal {here['largest_at']:.6g}"
+        text += " (--speed-from measured takes the measured speed)"
         text += said_of_gross(here)
     if known and found is not known:
         text += f"; here the rotor turns from signal {found.turns_from:.6g} on, there from {known.turns_from:.6g}"

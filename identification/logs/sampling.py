@@ -37,11 +37,10 @@ SAMPLED = 0.04
 @dataclass(frozen=True, eq=False)
 class Stalls:
     """Cells of a stand's log that are no measurements, masks (n,): `late` rows, right after a stall of the logger; `stalled`
-    rows, whose readings it affects; `repeated` cells of thrust, of the `filled` ones. `said`: a message on repeats, if any."""
+    rows, whose readings it affects; `repeated` cells of thrust. `said`: a message on repeats, if any."""
 
     late: np.ndarray
     stalled: np.ndarray
-    filled: np.ndarray
     repeated: np.ndarray
     said: tuple[str, ...]
 
@@ -52,8 +51,7 @@ class Stalls:
         late[gaps(time) + 1] = np.median(np.diff(time)) < SAMPLED
         stalled = np.convolve(late, np.ones(REMEMBERED, bool))[: len(time)] > 0
         once, said = read_once(Record({"time": time, "thrust": thrust}, ""))
-        filled = np.isfinite(thrust)
-        return cls(late, stalled, filled, filled & ~np.isfinite(once["thrust"]), tuple(said))
+        return cls(late, stalled, np.isfinite(thrust) & ~np.isfinite(once["thrust"]), tuple(said))
 
     def emptied(self, columns: Mapping[str, np.ndarray], keep: bool = False) -> dict[str, np.ndarray]:
         """Columns (n,) without these cells; `keep`: only without repeats. A late voltage is that of the row before."""
@@ -95,7 +93,7 @@ def read_once(record: Record) -> tuple[Record, list[str]]:
     return record.with_columns(thrust=emptied), [f"thrust: {count}: repeats are emptied"]
 
 
-def screened(record: Record) -> tuple[Record, list[str]]:
-    """(the record without the readings that the quality gate excludes; its findings and the size of its rotor, in words)."""
+def screened(record: Record) -> list[str]:
+    """The findings of the quality gate on a record, and the size of its rotor, in words."""
     found = look(Campaign(Path("."), None, (), record, None, None, rig=infer_rig([record], None, {})))
-    return found.campaign.open_loop, [*(f.text for f in found.findings), *said_of_size(files_of(found.campaign, {}))]
+    return [*(f.text for f in found.findings), *said_of_size(files_of(found.campaign, {}))]

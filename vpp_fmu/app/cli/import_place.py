@@ -11,7 +11,6 @@ from identification.logger_fit import mended
 from identification.logs.intake import Taken
 from identification.logs.kinds import KINDS, repeat_of, runs_of, static_of
 from identification.logs.sampling import read_once, screened
-from identification.logs.speed_choice import said_of_speed
 from vpp_fmu.app.report.sentences import size
 from vpp_fmu.campaign import write_static, write_steps
 from vpp_fmu.digits import number
@@ -87,10 +86,7 @@ def _record(place: Path, kind: str, taken: Taken, mend: bool) -> tuple[Record, l
     if kind == "repeat" and (first := there(place, "open_loop")):
         record, remarks = repeat_of(record, read_record(first, holes=("thrust",)))
         said += remarks
-    kept, found = screened(record)
-    if taken.speed_map is not None:
-        said += said_of_speed(kept)
-    return record, [*said, *found]
+    return record, [*said, *screened(record)]
 
 
 def there(folder: Path, kind: str) -> Path | None:
