@@ -265,9 +265,7 @@ def _texts() -> list[Format]:
                 text(bare | {"note": "note"}, under=[[*units, "-"]], cells={"note": lambda v: ""}),
             ),
         ),
-        Format(
-            "units, then remarks", text(bare, under=[units, ["raw", "from the program", "-", "filtered", "a cell", "supply"]])
-        ),
+        Format("units, then remarks", text(bare, under=[units, ["raw", "set", "-", "filtered", "a cell", "supply"]])),
         Format("numpy's savetxt", text(PLAIN, delimiter=" ", title=lambda row: f"# {row}", digits=".18e"), OWN, file="log.txt"),
         Format("comments of three kinds", text(head=["# stand 3", "% by hand", "// no wind"], lines=_without(50, "# knock"))),
         Format("a preamble", text(head=["Logger,V2.1", "Serial: 17", "", "Operator,Smith, J."])),
