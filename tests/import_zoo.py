@@ -417,27 +417,6 @@ def _texts() -> list[Format]:
             ],
         ),
         Format(
-            "Hz, kg, mV",
-            text(
-                {**TOLD, "omega": "speed (Hz)", "omega_ref": "speed cmd (Hz)", "thrust": "Fz (kg)", "voltage": "Vbat (mV)"},
-                factors={"omega": 1 / 60, "omega_ref": 1 / 60, "thrust": 1 / G, "voltage": 1e3},
-            ),
-        ),
-        Format(
-            "1/min, lbf",
-            text(
-                {**TOLD, "omega": "n [1/min]", "omega_ref": "n_soll [min-1]", "thrust": "Thrust (lbf)"},
-                factors={"thrust": 1 / 4.4482216152605},
-            ),
-        ),
-        Format(
-            "rev/s, ozf",
-            text(
-                {**TOLD, "omega": "speed (rev/s)", "omega_ref": "speed cmd (rev/s)", "thrust": "thrust (ozf)"},
-                factors={"omega": 1 / 60, "omega_ref": 1 / 60, "thrust": 16 / 4.4482216152605},
-            ),
-        ),
-        Format(
             "thrust downwards",
             text({**TOLD, "thrust": "Fz (gf)"}, factors={"thrust": -1e3 / G}),
             ("--map", "time=1:s", "omega_ref=2:rpm", "beta_ref=3:deg", "omega=4:rpm", "thrust=5:-1 gf", "voltage=6:V"),
