@@ -452,20 +452,6 @@ def test_a_log_of_eight_rows_a_second_is_of_averages(tmp_path, printed):
     assert read_record(tmp_path / "forced" / "open_loop.csv").period == pytest.approx(0.125, rel=0.02)
 
 
-def test_logs_in_one_folder_share_the_first_ones_map(tmp_path, printed, refused):
-    write(tmp_path / "monday.csv", truth())
-    t = truth((0, 500, 1200, 1700, 300), seed=2)
-    write(tmp_path / "tuesday.csv", t | {"optical": 1.02 * t["optical"]})
-    printed(tmp_path / "monday.csv", "-o", tmp_path / "stand", "--as", "open_loop")
-    assert "taken over from monday.csv" in printed(tmp_path / "tuesday.csv", "-o", tmp_path / "stand", "--as", "validation")
-    commands = [set(read_record(tmp_path / "stand" / f"{kind}.csv")["omega_ref"]) for kind in ("open_loop", "validation")]
-    saved = read_speed_map(tmp_path / "stand" / "speed_map.json")
-    assert float(f"{saved.omega_ref(np.array([1200.0]))[0]:.9g}") in commands[1]
-    said = refused(tmp_path / "tuesday.csv", "-o", tmp_path / "stand", "--as", "open_loop")
-    assert "open_loop.csv: file: found the file of another log" in said
-    printed(tmp_path / "monday.csv", "-o", tmp_path / "stand", "--as", "open_loop")
-
-
 def test_a_map_of_another_log_reaches_down_to_where_this_one_turns(tmp_path, printed):
     write(tmp_path / "monday.csv", truth())
     write(tmp_path / "tuesday.csv", truth((0, 500, 1200, 100, 300), seed=2))
