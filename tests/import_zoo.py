@@ -380,7 +380,7 @@ def _texts() -> list[Format]:
         Format(
             "power-up garbage before the names",
             text(mark=b"\xf8\xff\0\x9612.5,3.1\n3,4100.0\n"),
-            said=("lines before the table 2",),
+            said=("lines before the table 2", "text in utf-8"),
         ),
         Format('"1,234.56"', text(quote=True, cells={n: lambda v: f"{v:,.6f}" for n in ("omega", "omega_ref")}), rest=1e-6),
         Format("1'234.56", text(cells={"omega": lambda v: f"{v:,.6f}".replace(",", "'")}), rest=1e-6),
@@ -527,6 +527,7 @@ def _refused() -> list[Format]:
             refused="line 102: found the names again",
         ),
         Format("bytes", raw(bytes(range(256)) * 20), refused="no text"),
+        Format("half a character", raw("t,n\n1,2\n".encode("utf-16")[:-1]), refused="bytes that are no utf-16"),
         Format("empty", raw(b""), refused="comments"),
         Format("prose", raw(b"On the first day the rotor broke.\nOn the second day too.\n"), file="log.txt", refused="line"),
         Format("half a Parquet file", raw(b"PAR1" + bytes(100)), file="log.parquet", refused="Parquet"),

@@ -15,9 +15,9 @@ from identification.logs.speed_map import (
     RANGES,
     SpeedMap,
     SteadyPoints,
-    fit_quality,
     fit_speed_map,
     read_speed_map,
+    said_of_fit,
     steady_points,
     turning_from,
 )
@@ -338,8 +338,9 @@ def test_a_part_of_doubled_or_halved_speed_does_not_change_the_map(wrong, factor
     found, expected = (fit_speed_map(p, RANGES["DShot"], NOMINAL, "log.csv") for p in (spoiled, others))
     np.testing.assert_allclose(found.coefficients, expected.coefficients, rtol=1e-9)
     assert found.points == 11
-    assert fit_quality(spoiled, found)["points_off"] == 1
-    assert fit_quality(spoiled, found)["largest"] < 50.0
+    said = said_of_fit(spoiled, found)
+    assert "; 1 more are off by a factor and left out" in said
+    assert float(said.split("at most ")[1].split(" rpm")[0]) < 50.0
 
 
 def test_a_map_that_the_parts_do_not_fit_is_refused():

@@ -9,10 +9,9 @@ from identification.logs.speed_map import (
     SignalRange,
     SpeedMap,
     SteadyPoints,
-    fit_quality,
     fit_speed_map,
     read_speed_map,
-    said_of_gross,
+    said_of_fit,
     steady_points,
 )
 from vpp_fmu.errors import BadInput
@@ -69,11 +68,7 @@ def map_of_signal(
     else:
         found = fit_speed_map(points, span, float(np.median(volts[turning])), Path(source).name)
         text = f"fitted to {found.points} steady parts"
-    here = fit_quality(points, found)
-    if here["points"]:
-        text += f"; here rms {here['rms']:.3g} rpm, at most {here['largest']:.3g} rpm at signal {here['largest_at']:.6g}"
-        text += " (--speed-from measured takes the measured speed)"
-        text += said_of_gross(here)
+    text += said_of_fit(points, found)
     if known and found is not known:
         text += f"; here the rotor turns from signal {found.turns_from:.6g} on, there from {known.turns_from:.6g}"
     if beyond := int(np.sum(signal > found.fitted_to)):

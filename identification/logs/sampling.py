@@ -9,7 +9,6 @@ import numpy as np
 from identification.gate.files import files_of, said_of_size
 from identification.gate.gate import look
 from identification.gate.sensors import runs_of_equals
-from identification.logs.clock import gaps
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.record import Record, digit_of
 from vpp_fmu.rig import infer_rig
@@ -30,6 +29,9 @@ FEWEST_REPEATS = 100
 REMEMBERED = 7
 """Rows after a stall in which speed and thrust still settle: 0.3, 0.12, 0.06, 0.03, 0.015, 0.007 of a step remains."""
 
+GAP = 4.0
+"""A step longer than this many median steps is a stall."""
+
 SAMPLED = 0.04
 """Longest median interval [s] of a stand's samples, which it takes every 8 to 12 ms; rows 125 ms apart are averages."""
 
@@ -47,8 +49,8 @@ class Stalls:
     @classmethod
     def of(cls, time: np.ndarray, thrust: np.ndarray) -> "Stalls":
         """Those of a log, each (n,)."""
-        late = np.zeros(len(time), bool)
-        late[gaps(time) + 1] = np.median(np.diff(time)) < SAMPLED
+        step = np.diff(time)
+        late = np.append(False, step > GAP * np.median(step)) & (np.median(step) < SAMPLED)
         stalled = np.convolve(late, np.ones(REMEMBERED, bool))[: len(time)] > 0
         once, said = read_once(Record({"time": time, "thrust": thrust}, ""))
         return cls(late, stalled, np.isfinite(thrust) & ~np.isfinite(once["thrust"]), tuple(said))
