@@ -493,9 +493,11 @@ def test_thrust_that_was_logged_backwards_is_turned_by_the_option_that_the_findi
     path = write(tmp_path / "log.csv", t | {"thrust": -t["thrust"]})
     assert "import rcbenchmark --backwards" in printed(path, "-o", tmp_path / "first")
     assert "thrust_sign" not in printed(path, "--backwards", "-o", tmp_path / "again")
+    printed(path, "--map", tmp_path / "again" / "import.toml", "-o", tmp_path / "saved")
     printed(write(tmp_path / "right.csv", t), "-o", tmp_path / "right")
-    found, right = (read_record(tmp_path / name / "record.csv", holes=("thrust",))["thrust"] for name in ("again", "right"))
-    np.testing.assert_allclose(found, right, atol=1e-9)
+    read = {n: read_record(tmp_path / n / "record.csv", holes=("thrust",))["thrust"] for n in ("again", "saved", "right")}
+    np.testing.assert_allclose(read["again"], read["right"], atol=1e-9)
+    np.testing.assert_array_equal(read["saved"], read["again"])
 
 
 # The real logs

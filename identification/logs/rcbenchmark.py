@@ -13,7 +13,7 @@ Properties of the logger, from two logs of 80 to 120 rows a second (notes/identi
 Nothing is resampled: rows keep their uneven times.
 """
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -32,9 +32,12 @@ PWM_FROM = 900.0
 """Smallest signal of a log without its unit, from which it is PWM in us and not DShot."""
 
 
-def preset(table: RawTable, words: Iterable[str], backwards: bool) -> list[str]:
-    """The columns that each log has, as further words of --map beside a user's. The kind of a signal without a unit is that of
-    its values; `backwards`: thrust has the opposite sign. BadInput for another header than that of the stand's program."""
+def preset(table: RawTable, words: Iterable[str], backwards: bool, saved: Collection[str] = ()) -> list[str]:
+    """The columns that each log has, as further words of --map beside a user's and those `saved` in an import.toml.
+
+    The kind of a signal without a unit is that of its values; `backwards`: thrust has the opposite sign. BadInput for another
+    header than that of the stand's program.
+    """
     header = {split_unit(name)[0].lower(): name for name in table.columns}
     if missing := [name for name in NEEDED.values() if name.lower() not in header]:
         found = f"only {', '.join(table.columns)}"[:200]
@@ -45,7 +48,7 @@ def preset(table: RawTable, words: Iterable[str], backwards: bool) -> list[str]:
         columns["signal"] = f"{signal}:us"
     if backwards and (unit := table.unit(thrust)):
         columns["thrust"] = f"{thrust}:-1 {unit}"
-    own = {word.partition("=")[0] for word in words}
+    own = {*saved, *(word.partition("=")[0] for word in words)}
     return [*words, *(f"{quantity}={column}" for quantity, column in columns.items() if quantity not in own)]
 
 

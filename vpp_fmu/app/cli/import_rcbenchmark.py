@@ -22,7 +22,7 @@ def configure(parser):
 
 def run(options):
     section, table, lines = opened(options)
-    options.map = preset(table, options.map, options.backwards)
+    options.map = preset(table, options.map, options.backwards, section.get("columns", ()))
     plan = planned(options, section, table, lines)
     step = clock_of(table, plan, "record", options.run_number).step
     if step > SAMPLED:
