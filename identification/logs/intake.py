@@ -90,7 +90,8 @@ def take_in(
     columns = {"time": clock.time} if clock else {}
     for quantity, column in plan.columns.items():
         if quantity != "time":
-            columns[quantity] = values_of(table, quantity, column)[rows]
+            factor, offset = scale_of(QUANTITIES[quantity], column.unit)
+            columns[quantity] = table.numbers(column.name)[rows] * factor + offset
     if clock and len(clock.restarts) <= 1:
         _check_rows(columns, table.source)
     if not force and (contradiction := electrical(plan.columns, columns)):
@@ -134,12 +135,6 @@ def take_measured(table: RawTable, plan: Plan, kind: str, **options) -> Taken:
     columns = {**taken.columns, "omega_ref": np.interp(rows, rows[there], speed[there])}
     said = (*taken.said, "omega_ref: the measured speed, interpolated where it is missing, late or a multiple")
     return replace(taken, columns=columns, said=said, speed_map=None)
-
-
-def values_of(table: RawTable, quantity: str, column: Column) -> np.ndarray:
-    """A column (n,) in the record's unit. BadInput for a cell that is not a number."""
-    factor, offset = scale_of(QUANTITIES[quantity], column.unit)
-    return table.numbers(column.name) * factor + offset
 
 
 def electrical(plan: Mapping[str, Column], columns: Mapping[str, np.ndarray]) -> tuple[str, str, str] | None:
@@ -320,7 +315,7 @@ def _check_signal(table: RawTable, plan: Plan, signal: np.ndarray, span: SignalR
 
 
 def within_ranges(
-    columns: Mapping[str, np.ndarray], fields: Mapping[str, str], source: str, hint: str = "another unit with --map"
+    columns: Mapping[str, np.ndarray], fields: Mapping[str, str], source: str
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """(columns (n,) without measured cells beyond a record's limits, messages). BadInput for a command beyond them, or for more
     cells than a share ABSURD, usually because of a wrong unit. `fields`: by name, the column in words."""
@@ -335,7 +330,7 @@ def within_ranges(
         allowed = f"{quantity.minimum:g} to {quantity.maximum:g} {quantity.unit}"
         if name in COMMANDS or count > ABSURD * len(values):
             found = f"{worst:.6g} {quantity.unit}, {count} of {len(values)} rows beyond the range"
-            raise BadInput(source, fields.get(name, name), found, allowed, f"{hint} {name}=COLUMN:UNIT")
+            raise BadInput(source, fields.get(name, name), found, allowed, f"another unit with --map {name}=COLUMN:UNIT")
         kept[name] = np.where(outside, np.nan, values)
         said.append(f"{name}: {count} cells beyond {allowed}, up to {worst:.4g}, are emptied")
     return kept, said

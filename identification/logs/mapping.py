@@ -218,8 +218,9 @@ def propose(table: RawTable, without: Collection[str] = ()) -> dict[str, Column]
     for place, name in enumerate(table.columns):
         if name not in without and (found := proposed(table, name)):
             quantity, score, column = found
-            moving = moves(table, name)
-            if (column.sure == GUESS and not moving) or (quantity == "time" and not _filled(table, name)):
+            seen = _seen(table, name) if table.columns[name].dtype.kind == "f" else None
+            moving = seen is None or bool(len(seen) and np.ptp(seen))  # of two speed sensors, that which is connected
+            if (column.sure == GUESS and not moving) or (quantity == "time" and seen is not None and not len(seen)):
                 continue
             key = (moving, score, -place)
             if quantity not in best or key > best[quantity][0]:
@@ -379,11 +380,6 @@ def _attitude(table: RawTable, name: str) -> bool:
     return stems[_ATTITUDE.sub("#", name.casefold())] > 1
 
 
-def _filled(table: RawTable, name: str) -> bool:
-    """Whether a column has a value."""
-    return table.columns[name].dtype.kind != "f" or bool(np.isfinite(table.columns[name]).any())
-
-
 def _score(tokens: list[str], words: list[str], quantity: str) -> float:
     """Score of a name's words for a quantity: 2 if all match, 1 if some do, less for words late in the list."""
     supply = quantity in ("voltage", "current")  # "current in" is the supply's, "motor current" may be of a phase
@@ -438,11 +434,6 @@ def _numeric(table: RawTable, name: str) -> bool:
     texts = [plain(cell, table.decimal) for cell in table.columns[name].tolist()[:1000]]
     filled = [text for text in texts if text]
     return 2 * sum(bool(_NUMBER.fullmatch(text)) for text in filled) > len(filled)
-
-
-def moves(table: RawTable, name: str) -> bool:
-    """Whether the numbers of a column vary: of two speed sensors, selects the connected one."""
-    return table.columns[name].dtype.kind != "f" or bool(np.ptp(_seen(table, name)) if _filled(table, name) else False)
 
 
 def to_toml(sections: Mapping[str, Mapping]) -> str:
