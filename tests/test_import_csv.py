@@ -88,6 +88,9 @@ def test_the_measured_speed_may_be_the_command(tmp_path, printed, refused):
     assert "omega" not in record
     assert not (tmp_path / "mine" / "speed_map.json").exists()
     refused(path, "--map", "omega=-", "--speed-from", "measured", "-o", tmp_path / "none")
+    printed(path, "--map", tmp_path / "mine" / "import.toml", "-o", tmp_path / "again")
+    again = read_record(tmp_path / "again" / "open_loop.csv")["omega_ref"]
+    np.testing.assert_array_equal(again[there], log["RPM"][there])
 
 
 def test_a_signal_without_steady_holds_needs_a_map_or_the_measured_speed(tmp_path, refused, printed):

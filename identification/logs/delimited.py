@@ -6,6 +6,7 @@ sequence of names makes the columns.
 """
 
 import codecs
+import contextlib
 import csv
 import os
 import re
@@ -316,11 +317,12 @@ def _column(cells: Sequence[str], decimal: str) -> tuple[np.ndarray, str, Collec
     A damaged cell has digits and is no number, as all but a share DAMAGED of the column's cells are. A word such as "overload"
     is a message of the logger and no damage.
     """
+    with contextlib.suppress(ValueError):
+        if decimal == ".":
+            return _floats(cells), "", ()
     texts = [plain(cell, decimal) for cell in cells]
-    try:
-        return np.array([text if "_" not in text else "x" for text in (t or "nan" for t in texts)]).astype(float), "", ()
-    except ValueError:
-        pass
+    with contextlib.suppress(ValueError):
+        return _floats(texts), "", ()
     filled = [k for k, text in enumerate(texts) if text]
     bad = {k for k in filled if not _is_value(texts[k]) or (_NUMBER.fullmatch(texts[k]) and not _MACHINE.fullmatch(texts[k]))}
     if len(bad) > DAMAGED * len(filled) or not all(re.search(r"\d", texts[k]) for k in bad):
@@ -331,5 +333,10 @@ def _column(cells: Sequence[str], decimal: str) -> tuple[np.ndarray, str, Collec
     if unit is not None and (not unit or any(factor_of(q, unit) for q in QUANTITIES.values())):
         numbers = ["" if k in bad else plain(cell.removesuffix(unit), decimal) for k, cell in enumerate(cells)]
         if all(_MACHINE.fullmatch(number) for number in numbers if number):
-            return np.array([number or "nan" for number in numbers]).astype(float), unit, bad
+            return _floats(numbers), unit, bad
     return np.array(cells, dtype=object), "", bad
+
+
+def _floats(texts: Sequence[str]) -> np.ndarray:
+    """Numbers, NaN for empty cells. ValueError for other text: 1_000, too, which Python reads."""
+    return np.array(["x" if "_" in text else text or "nan" for text in texts]).astype(float)

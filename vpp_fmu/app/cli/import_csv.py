@@ -105,10 +105,14 @@ def put(
     options, table: RawTable, plan: Plan, taken: Taken, known: SpeedMap | None, lines: list[str], corrections: list[str]
 ) -> Answer:
     """Write the file of the campaign, the mapping, and the signal's map if it is not the `known` one or not there yet."""
-    place, section = Path(options.output), plan.section(Path(options.log).name)
+    place, saved = Path(options.output), plan
     sections = read_sections(place / FILE) if (place / FILE).exists() else {}
-    if options.speed_from == "measured":
+    if options.speed_from == "measured":  # the mapping says so to the next log
         taken = replace(taken, columns={name: column for name, column in taken.columns.items() if name != "omega"})
+        others = {q: c for q, c in plan.columns.items() if q not in ("omega_ref", "omega", "signal")}
+        fixed = {name: value for name, value in plan.fixed.items() if name != "omega_ref"}
+        saved = replace(plan, columns={"omega_ref": plan.columns["omega"], **others}, fixed=fixed)
+    section = saved.section(Path(options.log).name)
     folder, record, said = placed(place, options.kind, taken, options.replace, options.mend)
     folder.write(FILE, to_toml({**sections, options.kind: section}))
     if taken.speed_map is not None and not (known and (place / SPEED_MAP).exists()):
