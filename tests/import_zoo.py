@@ -265,7 +265,7 @@ def _texts() -> list[Format]:
                 text(bare | {"note": "note"}, under=[[*units, "-"]], cells={"note": lambda v: ""}),
             ),
         ),
-        Format("units, then remarks", text(bare, under=[units, ["raw", "-", "-", "filtered", "raw", "raw"]])),
+        Format("units, then remarks", text(bare, under=[units, ["raw", "set", "-", "filtered", "a cell", "supply"]])),
         Format("numpy's savetxt", text(PLAIN, delimiter=" ", title=lambda row: f"# {row}", digits=".18e"), OWN, file="log.txt"),
         Format("comments of three kinds", text(head=["# stand 3", "% by hand", "// no wind"], lines=_without(50, "# knock"))),
         Format("a preamble", text(head=["Logger,V2.1", "Serial: 17", "", "Operator,Smith, J."])),
@@ -378,7 +378,9 @@ def _texts() -> list[Format]:
         ),
         Format("two marks in a number", text(lines=_without(100, "0.99,29.0.1,1,2900,3,22")), said=("damaged (line 102)",)),
         Format(
-            "power-up garbage before the names", text(mark=b"\xf8\xff\0\x9612.5,3.1\n3,4100.0\n"), said=("damaged (line 1)",)
+            "power-up garbage before the names",
+            text(mark=b"\xf8\xff\0\x9612.5,3.1\n3,4100.0\n"),
+            said=("lines before the table 2", "text in utf-8"),
         ),
         Format('"1,234.56"', text(quote=True, cells={n: lambda v: f"{v:,.6f}" for n in ("omega", "omega_ref")}), rest=1e-6),
         Format("1'234.56", text(cells={"omega": lambda v: f"{v:,.6f}".replace(",", "'")}), rest=1e-6),
@@ -413,27 +415,6 @@ def _texts() -> list[Format]:
                 "thrust=thrust:gf",
                 "beta_ref=beta_ref:rad",
             ],
-        ),
-        Format(
-            "Hz, kg, mV",
-            text(
-                {**TOLD, "omega": "speed (Hz)", "omega_ref": "speed cmd (Hz)", "thrust": "Fz (kg)", "voltage": "Vbat (mV)"},
-                factors={"omega": 1 / 60, "omega_ref": 1 / 60, "thrust": 1 / G, "voltage": 1e3},
-            ),
-        ),
-        Format(
-            "1/min, lbf",
-            text(
-                {**TOLD, "omega": "n [1/min]", "omega_ref": "n_soll [min-1]", "thrust": "Thrust (lbf)"},
-                factors={"thrust": 1 / 4.4482216152605},
-            ),
-        ),
-        Format(
-            "rev/s, ozf",
-            text(
-                {**TOLD, "omega": "speed (rev/s)", "omega_ref": "speed cmd (rev/s)", "thrust": "thrust (ozf)"},
-                factors={"omega": 1 / 60, "omega_ref": 1 / 60, "thrust": 16 / 4.4482216152605},
-            ),
         ),
         Format(
             "thrust downwards",
@@ -515,7 +496,7 @@ def _refused() -> list[Format]:
         Format(
             "two units in one column",
             text(cells={"thrust": lambda v: f"{v:.3f} N" if round(1e3 * v) % 2 else f"{1e3 * v:.0f} mN"}),
-            refused="whose cells are no numbers",
+            refused="no column of it",
         ),
         Format(
             "one value a row",
@@ -523,7 +504,7 @@ def _refused() -> list[Format]:
                 lambda t: {"time": np.repeat(t["time"], 4), "value": np.stack([t[n] for n in LONG], 1).ravel()},
                 text({"time": "_time", "value": "_value"}, title=lambda row: f"{row},_field", lines=_long),
             ),
-            refused="pivot the table by _field",
+            refused="no column of it",
         ),
         Format("no such column", text(PLAIN), ("--map", "thrust=Fx:N"), refused="column Fx"),
         Format(
@@ -546,6 +527,7 @@ def _refused() -> list[Format]:
             refused="line 102: found the names again",
         ),
         Format("bytes", raw(bytes(range(256)) * 20), refused="no text"),
+        Format("half a character", raw("t,n\n1,2\n".encode("utf-16")[:-1]), refused="bytes that are no utf-16"),
         Format("empty", raw(b""), refused="comments"),
         Format("prose", raw(b"On the first day the rotor broke.\nOn the second day too.\n"), file="log.txt", refused="line"),
         Format("half a Parquet file", raw(b"PAR1" + bytes(100)), file="log.parquet", refused="Parquet"),

@@ -76,7 +76,6 @@ SAME = {
     "plan": "next/plan.json",
     "learn": "learned/learning.json",
     "allocate": "pairs/allocation.json",
-    "import-rcbenchmark": "stand/import.json",
     "hil-run, fmu": "run_fmu/hil.json",
     "hil-campaign": "measured/hil.json",
     "hil-calibrate": "calibrated/calibration.json",

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from import_logs import HEADERS, T, named, stand, table
 
-from identification.logs.delimited import named_values
+from identification.logs.delimited import without_names
 from identification.logs.mapping import propose, read_sections
 from identification.logs.raw_table import RawTable, plain, split_unit
 from identification.logs.units import QUANTITIES, factor_of
@@ -40,8 +40,11 @@ def check(record, *names, **options):
 
 UNITS = {
     "time": {"MS": 1e-3, "4 ms": 4e-3},
-    "omega": {"RPM": 1.0, "deg/s": 1.0 / 6.0, "erpm/7": 1.0 / 7.0, "tr/min": 1.0, "UPM": 1.0},
-    "thrust": {"g": 9.80665e-3, "gr": 9.80665e-3, "0.0123 N": 0.0123},
+    "omega": {"RPM": 1.0, "deg/s": 1.0 / 6.0, "erpm/7": 1.0 / 7.0, "tr/min": 1.0, "UPM": 1.0, "Hz": 60.0, "1/min": 1.0}
+    | {"min-1": 1.0, "rev/s": 60.0, "rad/s": 30.0 / np.pi},
+    "thrust": {"g": 9.80665e-3, "gr": 9.80665e-3, "0.0123 N": 0.0123, "kg": 9.80665, "lbf": 4.4482216152605}
+    | {"ozf": 4.4482216152605 / 16.0},
+    "voltage": {"mV": 1e-3},
     "beta": {"Grad": 1.0, "-1 grados": -1.0},
     "beta_ref": {"grad": 1.0},
     "torque": {"Nm": 1.0, "N-m": 1.0, "N.cm": 0.01, "mNm": 1e-3, "ozf.in": 4.4482216152605 / 16 * 0.0254}
@@ -117,8 +120,7 @@ def test_numbers_in_foreign_notation_are_read(cell, decimal, number):
 def test_a_proposal_writes_nothing_and_what_it_saves_imports_the_same(tmp_path, log, printed, refused):
     path = log(stand())
     out = printed(path, "--propose", "-o", tmp_path / "out")
-    assert "signal     <- ESC (us)" in out
-    assert "sure" in out
+    assert "signal <- ESC (us) in us (sure)" in out
     assert not (tmp_path / "out").exists()
     printed(path, "--propose", tmp_path / "mine.toml")
     refused(path, "--propose", tmp_path / "mine.toml")  # the file exists
@@ -149,24 +151,6 @@ def test_columns_with_unclear_names_are_mapped_by_their_units(tmp_path, log, pri
     out = printed(log({header: T[name] for name, header in names.items()} | {"ticks": T["time"]}), "-o", tmp_path / "out")
     assert "not used: ticks\n" in out
     check(read_record(tmp_path / "out" / "open_loop.csv"), *names)
-
-
-@pytest.mark.parametrize(
-    "names",
-    [
-        {"time": "t", "omega_ref": "speed_cmd", "beta_ref": "pitch_cmd", "thrust": "force"},
-        {"time": "t_s", "omega_ref": "n_soll_rpm", "omega": "n_ist_rpm", "thrust": "force_n"},
-    ],
-)
-def test_guessed_units_need_the_option_yes(tmp_path, log, imported, refused, names):
-    """The n in "force_n" is no speed; it may mean newton."""
-    path = log({header: T[name] for name, header in names.items()})
-    err = refused(path, "-o", tmp_path / "out")
-    assert f"{names['thrust']} as thrust in N" in err
-    assert "Try: --yes to take these units" in err
-    words = err.split("--map ")[1].split()
-    for folder, accept in (("a", ("--map", *words)), ("b", ("--yes",))):
-        check(imported(path, *accept, to=folder), *names)
 
 
 @pytest.mark.parametrize(
@@ -212,56 +196,11 @@ def proposed(headers, low=1.0, high=99.0):
     return propose(RawTable("log.csv", dict.fromkeys(headers, values), np.arange(50)))
 
 
-def test_a_speed_named_omega_is_proposed_in_radians_per_second_unless_no_rotor_is_as_fast():
-    assert proposed(["omega_cmd"], 100.0, 600.0)["omega_ref"].unit == "rad/s"
-    assert proposed(["omega_cmd"], 1000.0, 6000.0)["omega_ref"].unit == "rpm"
-
-
-@pytest.mark.parametrize("header", ["load cell (mV)", "loadcell_raw", "force counts"])
-def test_a_load_cell_in_counts_needs_two_calibration_points(tmp_path, log, imported, refused, header):
-    raw = np.round(84213.0 - T["thrust"] / 0.0021)
-    path = log(named("time", "omega_ref", "beta_ref", **{header: raw}))
-    for words in ((), ("--yes",)):
-        err = refused(path, *words, "-o", tmp_path / "out")
-        assert f"thrust: found {header}, thrust by its name, from {raw.min():g} to {raw.max():g}" in err
-    points = err.split("--map 'thrust=")[1].split("'")[0].replace("@A=0,B=10", "@84213=0,79213=10.5")
-    check(imported(path, "--map", f"thrust={points}"), "thrust", rtol=0, atol=0.0011)
-
-
-def test_two_load_cells_of_one_rotor_are_added_or_stop_the_import(tmp_path, log, imported, printed, refused):
-    cells = {"F left [N]": 0.25 * T["thrust"], "F right [N]": 0.75 * T["thrust"]}
-    path = log(named("time", "omega_ref", "beta_ref", **cells))
-    err = refused(path, "-o", tmp_path / "out")
-    assert "F left [N], F right [N], and one speed, expected one thrust" in err
-    assert "not used" not in printed(path, "--map", "thrust=F left+F right", "-o", tmp_path / "out")
-    check(imported(path, "--map", tmp_path / "out" / "import.toml", to="again"), "thrust")
-    left = imported(path, "--rotor", "left", to="left")
-    np.testing.assert_allclose(left["thrust"], 0.25 * T["thrust"], rtol=1e-8)
-
-
-@pytest.mark.parametrize(
-    ("names", "scale"), [(("stamp.sec", "stamp.nanosec"), 1e-9), (("tv_sec", "tv_usec"), 1e-6), (("secs", "nsecs"), 1e-9)]
-)
-def test_seconds_without_their_fraction_in_another_column_are_no_time(tmp_path, log, refused, names, scale):
-    whole = np.floor(T["time"])
-    parts = dict(zip(names, (1.7e9 + whole, np.round((T["time"] - whole) / scale)), strict=True))
-    said = refused(log(parts | named("omega_ref", "beta_ref", "thrust")), "-o", tmp_path / "out")
-    assert f"time: found whole seconds in {names[0]}, beside {names[1]}" in said
-    assert "--map time=COLUMN:s" in said
-
-
 def test_minutes_and_seconds_are_unwrapped_after_an_hour(tmp_path, log, printed):
     stamps = [f"{s // 60 % 60:02.0f}:{s % 60:06.3f}" for s in 3598.5 + T["time"]]
     out = printed(log({"Elapsed": stamps} | named("omega_ref", "beta_ref", "thrust")), "-o", tmp_path / "out")
     assert "each after 3600 s (an hour): unwrapped" in out
     check(read_record(tmp_path / "out" / "open_loop.csv"), "time")
-
-
-def test_unsorted_rows_are_refused_and_not_taken_for_runs(tmp_path, log, refused):
-    order = np.arange(len(T["time"]))
-    order[200:208] = order[[204, 205, 206, 207, 200, 201, 202, 203]]
-    path = log({header: T[name][order] for name, header in HEADERS.items()})
-    assert "Try: sort the rows by their time" in refused(path, "-o", tmp_path / "out")
 
 
 def test_error_words_of_loggers_are_empty_cells_and_other_text_is_refused(tmp_path, log, imported, refused):
@@ -273,12 +212,6 @@ def test_error_words_of_loggers_are_empty_cells_and_other_text_is_refused(tmp_pa
     thrust[80] = "overload"
     err = refused(log(columns), "-o", tmp_path / "other")
     assert "Fz [N], line 82: found overload, expected a number" in err.replace("'", "")
-
-
-def test_a_log_of_names_alone_has_no_numbers(tmp_path, refused):
-    path = tmp_path / "log.csv"
-    path.write_text("t [s],speed cmd [rpm],pitch cmd [deg],Fz [N]\n")
-    assert "found 1 line without numbers" in refused(path, "-o", tmp_path / "out")
 
 
 def test_repeated_readings_of_one_conversion_count_once(tmp_path, log, printed):
@@ -300,26 +233,6 @@ def test_repeated_readings_of_one_conversion_count_once(tmp_path, log, printed):
     assert "repeats are emptied" not in printed(log(single), "-o", tmp_path / "single")
 
 
-def test_a_pitch_of_less_than_a_degree_is_proposed_in_radians(tmp_path, log, imported, refused):
-    path = log(named("time", "omega_ref", "thrust", pitch_cmd=np.radians(T["beta_ref"])))
-    assert "pitch_cmd as beta_ref in rad" in refused(path, "-o", tmp_path / "out")
-    check(imported(path, "--yes"), "beta_ref")
-
-
-@pytest.mark.parametrize(
-    ("header", "known"),
-    [("theta_cmd [deg]", True), ("vane setpoint [deg]", True), ("servo_deg", True), ("xi [deg]", False), ("xi_deg", False)],
-)
-def test_a_moving_angle_is_the_pitch_or_must_be_mapped(tmp_path, log, imported, printed, refused, header, known):
-    """A constant pitch of the body is none."""
-    path = log(named("time", "omega_ref", "thrust", body_pitch_deg=np.full(400, 0.5), **{header: T["beta_ref"]}))
-    if not known:
-        angle = f"{header}, an angle that moves from {T['beta_ref'].min():g} to {T['beta_ref'].max():g} deg"
-        assert angle in refused(path, "-o", tmp_path / "out")
-    check(imported(path, *(() if known else ("--map", f"beta_ref={header}:deg"))), "beta_ref")
-    printed(path, "--map", "beta_ref=-", "--fixed", "beta_ref=3:deg", "-o", tmp_path / "fixed")
-
-
 def test_timestamps_of_the_arduino_serial_monitor_are_the_time(tmp_path, printed):
     t, rows = T, []
     for k in range(len(t["time"])):
@@ -337,7 +250,7 @@ def test_timestamps_of_the_arduino_serial_monitor_are_the_time(tmp_path, printed
 
 def test_a_long_name_without_a_value_is_tried_once():
     """Each of its 60 parts could be split in two ways, so that a search over all splits would not end."""
-    assert named_values([(1, "_".join(60 * "a") + " b"), (2, "1 2")]) == ([], [])
+    assert without_names([(1, "_".join(60 * "a") + " b"), (2, "1 2")]) == []
 
 
 def test_one_run_is_taken_of_a_log_whose_time_starts_again(tmp_path, log, printed, refused):
@@ -355,54 +268,6 @@ def test_one_run_is_taken_of_a_log_whose_time_starts_again(tmp_path, log, printe
     assert not (tmp_path / "out").exists()
 
 
-def test_a_throttle_in_per_cent_by_its_name_is_accepted_by_yes(tmp_path, log, imported, refused):
-    given = stand()
-    columns = {"time_ms": 1e3 * given["Time (s)"], "throttle_%": given["ESC (us)"] / 10.0 - 100.0}
-    path = log(columns | {"thrust_g": given["Thrust (gf)"], "rpm": given["RPM"]})
-    assert "throttle_% as signal in %" in refused(path, "-o", tmp_path / "out")
-    record = imported(path, "--yes")
-    np.testing.assert_allclose(record["thrust"], 9.80665e-3 * given["Thrust (gf)"], rtol=1e-8)
-    x = given["ESC (us)"] - 1000.0
-    np.testing.assert_allclose(record["omega_ref"], 200.0 + 9.5 * x - 0.0025 * x**2, atol=3.0)
-
-
-@pytest.mark.parametrize(("pairs", "also"), [(7, "7 pole pairs?"), (6, "6 pole pairs, or deg/s?")])
-def test_a_measured_speed_that_is_electrical_is_named_with_its_mapping(tmp_path, log, imported, printed, refused, pairs, also):
-    path = log(named("time", "omega_ref", "thrust", **{"speed (rpm)": pairs * T["omega"]}))
-    for words in ((), ("--yes",), ("--map", "omega=speed (rpm):rpm")):
-        err = refused(path, *words, "-o", tmp_path / "out")
-        assert f"times the commanded speed (electrical speed of a motor with {also}" in err
-    assert f"omega=speed (rpm):erpm/{pairs}" in printed(path, "--propose")
-    assert not (tmp_path / "out").exists()
-    check(imported(path, "--map", f"omega=speed (rpm):erpm/{pairs}"), "omega")
-    printed(path, "--force", "-o", tmp_path / "forced")
-
-
-@pytest.mark.parametrize("header", ["eRPM", "Motor speed (erpm)"])
-def test_an_electrical_speed_beside_a_signal_needs_the_pole_pairs(tmp_path, log, imported, refused, header):
-    columns = stand()
-    columns[header] = 7.0 * columns.pop("RPM")
-    path = log(columns)
-    assert f"omega={header}:erpm/7" in refused(path, "--yes", "-o", tmp_path / "out")
-    found = imported(path, "--map", f"omega={header}:erpm/7")
-    np.testing.assert_allclose(found["omega"], columns[header] / 7.0, rtol=1e-8)
-
-
-@pytest.mark.parametrize(("name", "unit", "factor"), [("omega", "rad/s", np.pi / 30.0), ("omega_ref", "Hz", 1.0 / 60.0)])
-def test_a_speed_in_another_unit_than_its_command_is_refused_as_an_electrical_one_is(
-    tmp_path, log, imported, printed, refused, name, unit, factor
-):
-    headers = {"omega": "speed", "omega_ref": "speed cmd"}
-    path = log(named("time", "thrust") | {headers[n]: T[n] * (factor if n == name else 1.0) for n in headers})
-    maps = ("--map", "omega=speed:rpm", "omega_ref=speed cmd:rpm")
-    assert f"({name} in {unit}?)" in (err := refused(path, *maps, "-o", tmp_path / "out"))
-    assert f"--map '{name}={headers[name]}:{unit}'" in err
-    told = printed(path, *maps, "--force", "-o", tmp_path / "forced")
-    assert told.count("error") == 1  # no other finding on the same fault
-    assert "% of a move" not in told
-    check(imported(path, "--map", *(f"{n}={headers[n]}:{unit if n == name else 'rpm'}" for n in headers)), name)
-
-
 def test_a_few_absurd_cells_of_a_sensor_are_emptied_and_most_are_a_wrong_unit(tmp_path, log, imported, refused):
     speed = np.tile(T["omega"], 2)
     spoiled = speed.copy()
@@ -417,65 +282,9 @@ def test_a_few_absurd_cells_of_a_sensor_are_emptied_and_most_are_a_wrong_unit(tm
     assert "rows beyond the range" in err
 
 
-def test_a_motor_at_its_commanded_speed_is_not_electrical(log, imported):
-    imported(log(named("time", "omega_ref", "thrust", **{"speed (rpm)": 1.5 * T["omega"]})))
-
-
-PULSES = np.round(1000.0 + (T["beta_ref"] + 5.0) / 0.015)
-"""us: -5 deg at 1000, 10 deg at 2000."""
-
-
-@pytest.mark.parametrize("header", ["Pitch Servo (us)", "servo pwm", "pitch_us"])
-def test_a_pitch_in_pulses_must_be_calibrated_or_fixed(tmp_path, log, imported, printed, refused, header):
-    path = log(named("time", "omega_ref", "thrust", **{header: PULSES}))
-    for words in ((), ("--yes",), ("--map", "thrust=Fz [N]:N")):
-        err = refused(path, *words, "-o", tmp_path / "out")
-        assert f"{header}, pitch by its name" in err
-        assert f"beta_ref={header}:us@{PULSES.min():g}=A,{PULSES.max():g}=B" in err
-    assert header in printed(path, "--propose").split("beta_ref: ")[1]
-    record = imported(path, "--map", f"beta_ref={header}:us@1000=-5,2000=10", to="a")
-    np.testing.assert_allclose(record["beta_ref"], 0.015 * PULSES - 20.0, atol=1e-9)
-    printed(path, "--map", tmp_path / "a" / "import.toml", "-o", tmp_path / "b")
-    assert (tmp_path / "a" / "open_loop.csv").read_bytes() == (tmp_path / "b" / "open_loop.csv").read_bytes()
-    np.testing.assert_array_equal(imported(path, "--fixed", "beta_ref=2:deg", to="c")["beta_ref"], 2.0)
-
-
 def test_a_servo_that_is_not_connected_and_a_pitch_rate_are_no_pitch(tmp_path, log, printed):
     more = {"Servo 1": np.full(400, np.nan), "Servo 2 (us)": np.zeros(400), "Pitch rate (deg/s)": T["beta_ref"]}
     assert "fixed pitch of 0 deg" in printed(log(named("time", "omega_ref", "thrust", **more)), "-o", tmp_path / "out")
-
-
-@pytest.mark.parametrize(
-    "unit", ["us@1000=-5,1000=10", "us@1000=-5,2000=-5", "us@1000=-5", "us@1.2.3=1,2=3", "us@1000=-5,2000=10,3000=20"]
-)
-def test_a_calibration_that_is_no_line_is_refused(tmp_path, log, refused, unit):
-    err = refused(log(T), "--map", f"beta_ref=beta_ref:{unit}", "-o", tmp_path / "out")
-    assert "two points of a calibration" in err
-
-
-@pytest.mark.parametrize("labels", [("1", "2"), ("left", "right")])
-def test_one_of_several_rotors_is_imported_by_its_label_or_by_one_of_its_columns(tmp_path, log, imported, refused, labels):
-    names = {"omega_ref": "rpm_cmd", "beta_ref": "pitch_cmd", "thrust": "thrust", "omega": "rpm"}
-    columns = {"time (s)": T["time"]}
-    for label, gain in zip(labels, (1.0, 0.9), strict=True):
-        columns |= {f"{header}_{label}": gain * T[n] for n, header in names.items()}
-    path, (first, second) = log(columns), labels
-    said = refused(path, "--yes", "-o", tmp_path / "out")
-    assert f"rotors: found 2 ({first}, {second}), expected one rotor. Try: --rotor {first}, or" in said
-    # With one column of a rotor, all others are of the same one.
-    for folder, words in (("a", ("--rotor", second)), ("b", ("--map", f"thrust=thrust_{second}:N"))):
-        record = imported(path, "--yes", *words, to=folder)
-        for name in names:
-            np.testing.assert_allclose(record[name], 0.9 * T[name], rtol=1e-8)
-    check(imported(path, "--yes", "--rotor", first, to="c"), *names)
-    assert f"--rotor: found 7, expected one of {', '.join(labels)}" in refused(path, "--rotor", "7")
-
-
-def test_coefficients_are_no_thrust(tmp_path, refused):
-    table(tmp_path / "ct.txt", {"RPM": [6000, 3000, 6000], "CT": [0.1, 0.08, 0.05], "CP": [0.05] * 3, "J": [0.0, 0.0, 0.4]})
-    said = refused(tmp_path / "ct.txt", "--as", "static", "-o", tmp_path / "out")
-    assert "thrust: found no column of it among RPM, CT, CP, J" in said
-    assert "Try: --map thrust=COLUMN:UNIT" in said
 
 
 def test_a_mapping_on_the_command_line_completes_the_proposal(tmp_path, log, imported, printed):
@@ -491,25 +300,6 @@ def test_a_mapping_on_the_command_line_completes_the_proposal(tmp_path, log, imp
 
 
 @pytest.mark.parametrize(
-    ("header", "pair", "contradicts"),
-    [
-        ("Fz (gf)", "thrust=Fz (gf):N", True),
-        ("Fz (gf)", "thrust=Fz (gf):kgf", True),
-        ("Fz (V)", "thrust=Fz (V):N", True),
-        ("Fz (gf)", "thrust=Fz (gf):-1 gf", False),
-        ("Fz (g)", "thrust=Fz (g):gf", False),
-        ("Fz (V)", "thrust=Fz (V):12.3 N", False),
-        ("Fz (raw)", "thrust=Fz (raw):N", False),
-    ],
-)
-def test_a_unit_that_contradicts_the_header_needs_the_option_force(tmp_path, log, printed, refused, header, pair, contradicts):
-    path = log(named("time", "omega_ref", **{header: T["thrust"]}))
-    said = (refused if contradicts else printed)(path, "--yes", "--map", pair, "-o", tmp_path / "out")
-    assert ("whose header says" in said) == contradicts
-    printed(path, "--map", pair, "--force", "-o", tmp_path / "forced")
-
-
-@pytest.mark.parametrize(
     ("words", "told"),
     [
         (("--map", "thurst=Fz:N"), "--map: found 'thurst=Fz:N'"),
@@ -517,7 +307,7 @@ def test_a_unit_that_contradicts_the_header_needs_the_option_force(tmp_path, log
         (("--map", "a.toml", "b.toml"), "--map: found a.toml b.toml"),
         (("--fixed", "thrust=3:N"), "--fixed: found 'thrust=3:N'"),
         (("--fixed", "beta_ref=8:N"), "--fixed: found 'beta_ref=8:N'"),
-        (("--encoding", "utf-99"), "--encoding: found utf-99"),
+        (("--encoding", "utf-99"), "found bytes that are no utf-99"),
         (("--delimiter", "ab"), "--delimiter: found 'ab'"),
         (("--map", "nowhere.toml"), "nowhere.toml: file: found no such file"),
     ],
@@ -542,27 +332,223 @@ def test_a_bad_mapping_file_is_refused_in_one_line(tmp_path, log, refused, conte
     assert "m.toml" in refused(log(T), "--map", tmp_path / "m.toml", "-o", tmp_path / "out")
 
 
-# Forms of common tools: names of channels, rotors, axes and messages
-
-WITHOUT_PITCH = ("time", "omega_ref", "omega", "thrust")
+# Refusals, and the words that import the log
 
 
-def test_columns_of_two_sides_are_never_mixed(tmp_path, log, imported):
-    """Side A is not connected: its cell has noise alone, its command is constant."""
-    given, noise = stand(), np.random.default_rng(1).normal(0.0, 0.02, 6000)
-    columns = {"Time (s)": given["Time (s)"], "ESC A (us)": np.full(6000, 1000.0), "ESC B (us)": given["ESC (us)"]}
-    columns |= {"Thrust A (gf)": noise, "Thrust B (gf)": given["Thrust (gf)"]}
-    columns |= {"Motor Optical Speed A (RPM)": np.zeros(6000), "Motor Optical Speed B (RPM)": given["RPM"]}
-    record = imported(log(columns), "--rotor", "B")
-    np.testing.assert_allclose(record["thrust"], 9.80665e-3 * given["Thrust (gf)"], rtol=1e-8)
-    np.testing.assert_array_equal(record["omega"], given["RPM"])
+S, SPEED = stand(), np.array([200.0, 9.5, -0.0025])
+"""A log with a signal and no command, and the speed of its motor by powers of (signal - 1000 us)."""
+
+WANTED = np.polyval(SPEED[::-1], S["ESC (us)"] - 1000.0)
+PULSES = np.round(1000.0 + (T["beta_ref"] + 5.0) / 0.015)
+"""us: -5 deg at 1000, 10 deg at 2000."""
+
+COUNTS = np.round(84213.0 - T["thrust"] / 0.0021)
+WHOLE = np.floor(T["time"])
+SWAPPED = np.r_[0:200, 204:208, 200:204, 208:400]
+TWO = {"rpm_cmd": "omega_ref", "pitch_cmd": "beta_ref", "thrust": "thrust", "rpm": "omega"}
 
 
-@pytest.mark.parametrize("axis", ["x", "z"])
-def test_of_three_forces_the_one_that_varies_most_is_the_thrust(log, imported, axis):
-    rng = np.random.default_rng(1)
-    forces = {f"Force {a.upper()} [N]": T["thrust"] if a == axis else rng.normal(9.0, 0.05, 400) for a in "xyz"}
-    check(imported(log(named("time", "omega_ref", "omega", **forces)), "--fixed", "beta_ref=2:deg"), "thrust")
+def rotors(first, second):
+    """Two rotors, of which the second has 0.9 of each value."""
+    gains = {first: 1.0, second: 0.9}
+    return {"time (s)": T["time"]} | {f"{h}_{k}": g * T[n] for k, g in gains.items() for h, n in TWO.items()}
+
+
+def of(*names, gain=1.0):
+    """Columns that the record must have."""
+    return {name: gain * T[name] for name in names}
+
+
+FIXED = ("--fixed", "beta_ref=2:deg")
+COMMON = ("time", "omega_ref", "beta_ref")
+MESSAGES = {HEADERS[n]: np.repeat(T[n], 2) for n in (*COMMON, "omega", "thrust")}
+MESSAGES["t [s]"][1::2] += 0.005
+MESSAGES["Fz [N]"][1::2] = MESSAGES["speed [rpm]"][::2] = np.nan
+
+CASES = {
+    "units are guessed": (
+        {"t": T["time"], "speed_cmd": T["omega_ref"], "pitch_cmd": T["beta_ref"], "force": T["thrust"]},
+        ("force as thrust in N", "Try: --yes to take these units"),
+        {("--yes",): of(*COMMON, "thrust")},
+    ),
+    "n may be newton": (
+        {"t_s": T["time"], "n_soll_rpm": T["omega_ref"], "n_ist_rpm": T["omega"], "force_n": T["thrust"]},
+        ("force_n as thrust in N", "thrust=force_n:N"),
+        {("--yes",): of("time", "omega_ref", "omega", "thrust"), ("--map", "thrust=force_n:N"): of("thrust")},
+    ),
+    "omega in rad/s": (
+        named("time", "thrust", omega_cmd=T["omega_ref"] * np.pi / 30.0),
+        ("omega_cmd as omega_ref in rad/s",),
+        {("--yes",): of("omega_ref")},
+    ),
+    "omega faster than a rotor": (
+        named("time", "thrust", omega_cmd=T["omega_ref"]),
+        ("omega_cmd as omega_ref in rpm",),
+        {("--yes",): of("omega_ref")},
+    ),
+    "a pitch below a degree": (
+        named("time", "omega_ref", "thrust", pitch_cmd=np.radians(T["beta_ref"])),
+        ("pitch_cmd as beta_ref in rad",),
+        {("--yes",): of("beta_ref")},
+    ),
+    "a throttle in per cent": (
+        {
+            "time_ms": 1e3 * S["Time (s)"],
+            "throttle_%": S["ESC (us)"] / 10.0 - 100.0,
+            "thrust_g": S["Thrust (gf)"],
+            "rpm": S["RPM"],
+        },
+        ("throttle_% as signal in %",),
+        {("--yes",): {"thrust": 9.80665e-3 * S["Thrust (gf)"], "omega": S["RPM"]}},
+    ),
+    **{
+        f"a load cell in counts, {header}": (
+            named(*COMMON, **{header: COUNTS}),
+            (f"thrust: found {header}, thrust by its name, from {COUNTS.min():g} to {COUNTS.max():g}", "@A=0,B=10"),
+            {("--map", f"thrust={header}:{unit}@84213=0,79213=10.5"): {"thrust": 0.0021 * (84213.0 - COUNTS)}},
+        )
+        for header, unit in (("load cell (mV)", "mV"), ("loadcell_raw", ""), ("force counts", ""))
+    },
+    "two load cells": (
+        named(*COMMON, **{"F left [N]": 0.25 * T["thrust"], "F right [N]": 0.75 * T["thrust"]}),
+        ("F left [N], F right [N], and one speed, expected one thrust",),
+        {("--map", "thrust=F left+F right"): of("thrust"), ("--rotor", "left"): of("thrust", gain=0.25)},
+    ),
+    "three axes": (
+        named(*COMMON, **{"Force X [N]": T["thrust"], "Force Y [N]": 0.0 * T["time"], "Force Z [N]": 0.0 * T["time"]}),
+        ("Force X [N], Force Y [N], Force Z [N], and one speed",),
+        {("--map", "thrust=Force X"): of("thrust")},
+    ),
+    **{
+        f"rotors {first} and {second}": (
+            rotors(first, second),
+            (f"rotors: found 2 ({first}, {second}), expected one rotor. Try: --rotor {first}, or",),
+            {
+                ("--yes", "--rotor", first): of(*TWO.values()),
+                ("--yes", "--rotor", second): of(*TWO.values(), gain=0.9),
+                ("--yes", "--map", f"thrust=thrust_{second}:N"): of(*TWO.values(), gain=0.9),
+            },
+        )
+        for first, second in (("1", "2"), ("left", "right"), ("a", "b"))
+    },
+    **{
+        f"seconds in {one}": (
+            {one: 1.7e9 + WHOLE, other: np.round((T["time"] - WHOLE) / scale)} | named("omega_ref", "beta_ref", "thrust"),
+            (f"time: found whole seconds in {one}, beside {other}", "--map time=COLUMN:s"),
+            {},
+        )
+        for one, other, scale in (("stamp.sec", "stamp.nanosec", 1e-9), ("tv_sec", "tv_usec", 1e-6), ("secs", "nsecs", 1e-9))
+    },
+    "unsorted rows": ({h: T[n][SWAPPED] for n, h in HEADERS.items()}, ("Try: sort the rows by their time",), {}),
+    "names alone": ({h: [] for h in HEADERS.values()}, ("found 1 line without numbers",), {}),
+    "coefficients": (
+        {"RPM": [6000, 3000, 6000], "CT": [0.1, 0.08, 0.05], "CP": [0.05] * 3, "J": [0.0, 0.0, 0.4]},
+        ("thrust: found no column of it among RPM, CT, CP, J", "Try: --map thrust=COLUMN:UNIT"),
+        {},
+    ),
+    "messages in rows of their own": (
+        MESSAGES,
+        ("rows: found omega in other rows than thrust", "Try: a table joined at the rows of thrust, or --map omega=-"),
+        {},
+    ),
+    "commands in rows of their own": (
+        MESSAGES | {h: np.where(np.arange(800) % 2, MESSAGES[h], np.nan) for h in (HEADERS["omega_ref"],)},
+        ("found omega_ref, omega in other rows",),
+        {},
+    ),
+    **{
+        f"an angle, {header}": (
+            named("time", "omega_ref", "thrust", body_pitch_deg=np.full(400, 0.5), **{header: T["beta_ref"]}),
+            (f"{header}, an angle that moves from {T['beta_ref'].min():g} to {T['beta_ref'].max():g} deg",),
+            {("--map", f"beta_ref={header}:deg"): of("beta_ref"), FIXED: {"beta_ref": np.full(400, 2.0)}},
+        )
+        for header in ("xi [deg]", "xi_deg")
+    },
+    **{
+        f"pulses, {header}": (
+            named("time", "omega_ref", "thrust", **{header: PULSES}),
+            (f"{header}, pitch by its name", f"beta_ref={header}:us@{PULSES.min():g}=A,{PULSES.max():g}=B"),
+            {
+                ("--map", f"beta_ref={header}:us@1000=-5,2000=10"): {"beta_ref": 0.015 * PULSES - 20.0},
+                FIXED: {"beta_ref": np.full(400, 2.0)},
+            },
+        )
+        for header in ("Pitch Servo (us)", "servo pwm", "pitch_us")
+    },
+    **{
+        f"{pairs} pole pairs": (
+            named("time", "omega_ref", "thrust", **{"speed (rpm)": pairs * T["omega"]}),
+            (f"electrical speed of a motor with {text}", f"omega=speed (rpm):erpm/{pairs}"),
+            {("--map", f"omega=speed (rpm):erpm/{pairs}"): of("omega"), ("--force",): of("omega", gain=pairs)},
+        )
+        for pairs, text in ((7, "7 pole pairs?"), (6, "6 pole pairs, or deg/s?"))
+    },
+    **{
+        f"{name} in {unit}": (
+            named("time", "thrust")
+            | {h: T[n] * (factor if n == name else 1.0) for n, h in {**HEADERS, "beta": 0}.items() if "omega" in n},
+            (f"({name} in {unit}?)", f"--map '{name}={HEADERS[name]}:{unit}'"),
+            {("--map", f"{name}={HEADERS[name]}:{unit}", "--force"): of("omega", "omega_ref")},
+        )
+        for name, unit, factor in (("omega", "rad/s", np.pi / 30.0), ("omega_ref", "Hz", 1.0 / 60.0))
+    },
+    **{
+        f"electrical by its name, {header}": (
+            {n: c for n, c in S.items() if n != "RPM"} | {header: 7.0 * S["RPM"]},
+            (f"omega={header}:erpm/7",),
+            {("--map", f"omega={header}:erpm/7"): {"omega": S["RPM"]}},
+        )
+        for header in ("eRPM", "Motor speed (erpm)")
+    },
+    "electrical in hundreds": (
+        named("time", "omega_ref", "thrust", eRPM=0.07 * T["omega"]),
+        ("electrical speed, by its name",),
+        {},
+    ),
+    **{
+        f"a calibration that is no line, {unit}": (
+            named(*COMMON, "thrust", servo=PULSES),
+            ("two points of a calibration",),
+            ("--map", f"beta_ref=servo:{unit}"),
+        )
+        for unit in ("us@1000=-5,1000=10", "us@1000=-5,2000=-5", "us@1000=-5", "us@1.2.3=1,2=3", "us@1000=-5,2000=10,3000=20")
+    },
+    **{
+        f"{header} as {unit}": (
+            named("time", "omega_ref", **{header: T["thrust"]}),
+            (f"a column whose header says '{header[4:-1]}'",),
+            ("--map", f"thrust={header}:{unit}"),
+        )
+        for header, unit in (("Fz (gf)", "N"), ("Fz (gf)", "kgf"), ("Fz (V)", "N"))
+    },
+}
+"""(columns, parts of the refusal, records by the words that import them); or the words in place of the records."""
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_doubtful_log_is_refused_and_imported_by_the_words_of_the_refusal(tmp_path, log, imported, refused, name):
+    columns, parts, then = CASES[name]
+    path = log(columns)
+    err = refused(path, *(then if isinstance(then, tuple) else ()), "-o", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    for part in parts:
+        assert part in err
+    for k, (words, expected) in enumerate(then.items() if isinstance(then, dict) else ()):
+        record = imported(path, *words, to=str(k))
+        for column, values in expected.items():
+            np.testing.assert_allclose(record[column], values, rtol=1e-8, atol=1e-9, err_msg=f"{words} {column}")
+
+
+@pytest.mark.parametrize(("header", "unit"), [("Fz (gf)", "-1 gf"), ("Fz (g)", "gf"), ("Fz (V)", "12.3 N"), ("Fz (raw)", "N")])
+def test_a_unit_that_agrees_with_the_header_or_that_is_a_scale_is_taken(log, imported, header, unit):
+    imported(log(named("time", "omega_ref", "beta_ref", **{header: T["thrust"]})), "--map", f"thrust={header}:{unit}")
+
+
+@pytest.mark.parametrize("header", ["theta_cmd [deg]", "vane setpoint [deg]", "servo_deg"])
+def test_an_angle_of_a_command_is_the_pitch(log, imported, header):
+    """A constant pitch of the body is none, and a motor faster than its command is not electrical."""
+    more = {"body_pitch_deg": np.full(400, 0.5), "speed (rpm)": 1.5 * T["omega"], header: T["beta_ref"]}
+    check(imported(log(named("time", "omega_ref", "thrust", **more))), "beta_ref")
 
 
 @pytest.mark.parametrize("header", ["eRPM[0]", "eRPM(/100)[0]"])
@@ -579,40 +565,6 @@ def test_an_electrical_speed_in_hundreds_is_mapped_by_the_commands_of_the_messag
     np.testing.assert_allclose(found["omega"], 100.0 * columns[header] / 7.0, rtol=1e-8)
 
 
-def test_an_electrical_speed_in_hundreds_beside_a_command_is_refused(tmp_path, log, refused):
-    path = log(named("time", "omega_ref", "thrust", eRPM=0.07 * T["omega"]))
-    assert "electrical speed, by its name" in refused(path, "-o", tmp_path / "out")
-
-
-@pytest.mark.parametrize("header", ["RCOU.C2", "CH6(us)", "output[1]"])
-def test_a_command_that_thrust_follows_is_the_pitch_or_must_be_mapped(tmp_path, log, imported, printed, refused, header):
-    """Beside it: a step counter, a temperature and the command again, which say nothing of the thrust."""
-    rng = np.random.default_rng(4)
-    more = {"step": np.arange(400) // 25, "temp [degC]": np.round(rng.normal(35.0, 0.1, 400)), "RPM set": T["omega_ref"]}
-    path = log(named(*WITHOUT_PITCH, **more, **{header: PULSES}))
-    err = refused(path, "-o", tmp_path / "out")
-    assert f"{header}, an unused command from {PULSES.min():g} to {PULSES.max():g} that thrust follows" in err
-    found = imported(path, "--map", f"beta_ref={header}:us@1000=-5,2000=10")
-    np.testing.assert_allclose(found["beta_ref"], 0.015 * PULSES - 20.0, atol=1e-9)
-    steady = 12.0 * (T["omega"] / 6000.0) ** 2 + rng.normal(0.0, 0.05, 400)
-    path = log(named(*WITHOUT_PITCH, **more, **{header: PULSES, "Fz [N]": steady}))
-    printed(path, "-o", tmp_path / "steady")  # the pitch is fixed, and the servo turns something else
-
-
-def test_messages_in_rows_of_their_own_are_refused(tmp_path, log, imported, refused):
-    """Speed 5 ms after each reading of thrust; then the commands, too."""
-    rows = {name: np.repeat(T[name], 2) for name in ("time", "omega_ref", "beta_ref", "omega", "thrust")}
-    rows["time"][1::2] += 0.005
-    rows["thrust"][1::2] = rows["omega"][::2] = np.nan
-    path = log({HEADERS[name]: column for name, column in rows.items()})
-    assert "rows: found omega in other rows than thrust" in (said := refused(path, "-o", tmp_path / "out"))
-    assert "Try: a table joined at the rows of thrust, or --map omega=-" in said
-    assert "omega" not in imported(path, "--map", "omega=-", holes=("thrust",))
-    rows["omega_ref"][::2] = np.nan
-    path = log({HEADERS[name]: column for name, column in rows.items()})
-    assert "found omega_ref, omega in other rows" in refused(path, "-o", tmp_path / "out")
-
-
 @pytest.mark.parametrize("rate", [1, 2])
 def test_channels_with_clocks_of_their_own_are_imported_if_the_clocks_agree(tmp_path, imported, refused, rate):
     t, names = T, {"omega_ref": "Speed cmd", "beta_ref": "Pitch cmd", "omega": "Speed", "thrust": "Force"}
@@ -626,11 +578,3 @@ def test_channels_with_clocks_of_their_own_are_imported_if_the_clocks_agree(tmp_
         assert "time: found several, of which X_Value.5 differs" in refused(tmp_path / "log.lvm", "-o", tmp_path / "out")
         return
     check(imported(tmp_path / "log.lvm"), "time", *names)
-
-
-def test_a_clock_of_another_name_is_offered_as_the_time(tmp_path, log, refused):
-    rest = named("omega_ref", "omega", "thrust")
-    path = log({"count": np.arange(400.0), "ms_today": 50587250.0 + 1e3 * T["time"]} | rest)
-    assert "Try: --map time=ms_today:ms" in refused(path, "--fixed", "beta_ref=2:deg", "-o", tmp_path / "out")
-    empty = log({"X_Value": np.full(400, np.nan)} | rest)
-    assert "Try: --map time=COLUMN:UNIT, or time=row:4ms" in refused(empty, "-o", tmp_path / "out")

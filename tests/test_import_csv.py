@@ -1,21 +1,17 @@
 """Import of foreign logs into a campaign: clock, commands, messages, and protection of existing files."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from import_logs import lagged, stand, table
+from import_logs import stand, table
 from import_zoo import PLAIN, text, truth
-from planted_faults import SIZES
 
 from identification.logs.clock import guessed_unit, mended
 from identification.logs.mapping import read_sections
-from identification.logs.sampling import between, said_of_rows
-from identification.logs.speed_choice import likelihood_gain
 from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import read_campaign, read_static, read_steps
-from vpp_fmu.record import Record, read_record
+from vpp_fmu.record import read_record
 
 FIRST_WORDS = ("import", "csv")
 WORDS = ("--map", "time=time:s", "omega_ref=omega_ref:rpm", "beta_ref=beta_ref:deg", "thrust=thrust:N")
@@ -80,66 +76,21 @@ def test_the_command_of_a_signal_is_the_parabola_that_the_motor_follows(tmp_path
     assert not record["beta_ref"].any()
 
 
-def test_a_short_hold_is_not_taken_for_a_rotor_at_rest(tmp_path, printed):
-    """The lowest levels are held for less than a steady part; the rotor still turns there, as the parabola predicts."""
-    rng = np.random.default_rng(3)
-    levels = [v for pair in zip(rng.uniform(1300, 1900, 30), rng.uniform(1160, 1280, 30), strict=True) for v in pair]
-    signal = np.concatenate([np.full(200 if v >= 1300.0 else 60, round(v)) for v in levels]).astype(float)
-    x = signal - 1000.0
-    wanted = 200.0 + 9.5 * x - 0.0025 * x**2
-    speed = lagged(wanted, 0.01, 0.12)
-    columns = {"Time (s)": np.round(0.01 * np.arange(len(x)), 6), "ESC (us)": signal, "RPM": np.round(speed)}
-    path = table(tmp_path / "log.csv", columns | {"Thrust (N)": 8.0 * (speed / 6000.0) ** 2 + rng.normal(0.0, 0.05, len(x))})
-    out = printed(path, "-o", tmp_path / "mine")
-    assert "at most" in out
-    np.testing.assert_allclose(read_record(tmp_path / "mine" / "open_loop.csv")["omega_ref"], wanted, atol=10.0)
-    assert "--speed-from" not in out  # the motor holds its command
-
-
-def test_a_motor_in_a_transient_is_not_reported_as_missing_its_command(tmp_path, printed):
-    """The pitch moves within a lag of the speed's moves, so that both commands are constant during the transient."""
-    log, rng = stand(rows=12_000, hold=1.2, lag=0.3), np.random.default_rng(2)
-    pitch = np.repeat(np.round(rng.uniform(-4.0, 9.0, 400), 1), 30)
-    log["Thrust (gf)"] = (8.0 * (log["RPM"] / 6000.0) ** 2 + 0.3 * pitch) / 9.80665e-3 + rng.normal(0.0, 5.0, 12_000)
-    path = table(
-        tmp_path / "log.csv", log | {"pitch cmd (deg)": pitch, "RPM": np.round(log["RPM"] + rng.normal(0.0, 5.0, 12_000))}
-    )
-    out = printed(path, "-o", tmp_path / "map")
-    assert "--speed-from" not in out
-
-
-def test_the_measured_speed_is_suggested_if_the_motor_misses_its_command(tmp_path, printed, refused):
-    """Each hold ends at a random speed, 5 % off the map; thrust follows the measured speed."""
-    log, rng = stand(), np.random.default_rng(8)
-    hold = np.cumsum(np.append(0, np.diff(log["ESC (us)"]) != 0))
-    log["RPM"] = np.round(log["RPM"] * (1.0 + rng.normal(0.0, 0.05, hold.max() + 1))[hold])
-    log["Thrust (gf)"] = 8.0 * (log["RPM"] / 6000.0) ** 2 / 9.80665e-3 + rng.normal(0.0, 5.0, len(hold))
+def test_the_measured_speed_may_be_the_command(tmp_path, printed, refused):
+    log = stand()
+    log["RPM"] = np.where(np.arange(6000) % 1000 == 500, np.nan, log["RPM"])
     path = table(tmp_path / "log.csv", log)
-    out = printed(path, "-o", tmp_path / "map")
-    assert "--speed-from measured takes it as omega_ref" in out
     printed(path, "--speed-from", "measured", "-o", tmp_path / "mine")
-    record = read_record(tmp_path / "mine" / "open_loop.csv")
-    np.testing.assert_array_equal(record["omega_ref"], log["RPM"])
+    record, there = read_record(tmp_path / "mine" / "open_loop.csv"), np.isfinite(log["RPM"])
+    np.testing.assert_array_equal(record["omega_ref"][there], log["RPM"][there])
+    holes = np.flatnonzero(~there)  # interpolated
+    np.testing.assert_allclose(record["omega_ref"][holes], 0.5 * (log["RPM"][holes - 1] + log["RPM"][holes + 1]))
     assert "omega" not in record
     assert not (tmp_path / "mine" / "speed_map.json").exists()
     refused(path, "--map", "omega=-", "--speed-from", "measured", "-o", tmp_path / "none")
-
-
-def test_the_likelihood_gain_of_a_speed_signal_is_the_closed_form():
-    """Thrust w^2 at 4 pitches per speed: the residual of a wrong speed is the effect of its errors, that of the right speed is
-    the noise. The gain is n / 2 log of the ratio of powers, but for the few fitted terms."""
-    rng = np.random.default_rng(4)
-    omega, beta = (g.ravel() for g in np.meshgrid(np.linspace(2000.0, 6000.0, 10), [0.0, 3.0, 6.0, 9.0]))
-    w = omega / 6000.0
-    noise, error = rng.normal(0.0, 1e-3, 40), rng.normal(0.0, 1e-3, 40)
-    clean = 10.0 * w**2 + 0.3 * w**2 * beta
-    off = omega * (1.0 + error)
-    gain = likelihood_gain(off, omega, beta, clean + noise)
-    expected = 20.0 * np.log(np.mean((2.0 * clean * error) ** 2 + 1e-6) / 1e-6)
-    assert gain == pytest.approx(expected, rel=0.15)
-    assert likelihood_gain(omega, off, beta, clean + noise) == pytest.approx(-gain)
-    assert likelihood_gain(off[:4], omega[:4], beta[:4], clean[:4]) == 0.0
-    assert likelihood_gain(off, omega, beta, 0.0 * clean) == 0.0  # a load cell that is not connected
+    printed(path, "--map", tmp_path / "mine" / "import.toml", "-o", tmp_path / "again")
+    again = read_record(tmp_path / "again" / "open_loop.csv")["omega_ref"]
+    np.testing.assert_array_equal(again[there], log["RPM"][there])
 
 
 def test_a_signal_without_steady_holds_needs_a_map_or_the_measured_speed(tmp_path, refused, printed):
@@ -210,15 +161,6 @@ def test_a_repeat_takes_the_open_loops_times_within_half_a_row(tmp_path, printed
     assert "omega_ref, row 1 of the data" in err
 
 
-def test_values_out_of_range_are_refused_with_their_column(tmp_path, refused):
-    t = truth()
-    path = table(tmp_path / "log.csv", t | {"omega": 1e4 * t["omega"]})
-    words = ("--map", "time=time:s", "omega_ref=omega_ref:rpm", "omega=omega:Hz", "thrust=thrust:N")
-    err = refused(path, *words, "-o", tmp_path / "out")
-    assert "omega, column omega in Hz" in err
-    assert "Try: another unit" in err
-
-
 def test_a_pitch_that_moves_without_a_command_is_not_taken_for_fixed(tmp_path, printed, refused):
     t = truth()
     path = table(tmp_path / "log.csv", t)
@@ -242,23 +184,6 @@ def test_steady_points_may_have_measured_speed_and_pitch_alone(tmp_path, printed
 # Messages about the rows
 
 
-def recorded(columns):
-    """A record of a log's signal, in the place of a speed, and thrust."""
-    held = {"time": columns["Time (s)"], "omega_ref": 5.0 * columns["ESC (us)"], "beta_ref": 0.0 * columns["Time (s)"]}
-    return Record(held | {"thrust": columns["Thrust (gf)"]}, "x")
-
-
-def test_rows_that_are_averages_are_detected_from_the_commands():
-    fine = stand(rows=30000, step=0.01, hold=2.003)
-    record = recorded({n: np.array([part.mean() for part in np.array_split(c, 2400)]) for n, c in fine.items()})
-    through, moves = between(record)
-    assert through > 0.8 * moves
-    assert any(line.startswith("averages: in ") for line in said_of_rows(record))
-    record = recorded({n: c[::12] for n, c in fine.items()})
-    assert between(record)[0] == 0
-    assert said_of_rows(record) == said_of_rows(recorded(stand())) == []
-
-
 def test_frozen_and_clipped_channels_are_reported_at_import(tmp_path, printed):
     log = stand()
     log["Thrust (gf)"] = np.minimum(log["Thrust (gf)"], 600.0)
@@ -271,29 +196,6 @@ def test_frozen_and_clipped_channels_are_reported_at_import(tmp_path, printed):
 
 
 # From a foreign log to a report in two commands
-
-LAGS = {"tau_omega_1": 0.15, "tau_omega_2": 0.05, "tau_beta_1": 0.3, "tau_beta_2": 0.1}
-RIG = replace(SIZES["15 N"], row=0.005, hold=(0.8, 1.6), section=8.0, noise=0.1, values=LAGS)
-
-
-def test_a_german_log_is_imported_and_diagnosed(tmp_path, printed):
-    rng = np.random.default_rng(4)
-    record, path = RIG.record(RIG.orders(rng), rng, "rig"), tmp_path / "Messung.csv"
-    factors = {"omega_ref": np.pi / 30.0, "beta_ref": 1.0, "omega": np.pi / 30.0, "thrust": 1e3 / 9.80665}
-    lines = ["Prüfstand Süd;Protokoll 17", "", "Zeitstempel;Soll-Drehzahl;Soll-Pitch;Drehzahl;Schub", "ms;rad/s;°;rad/s;gf"]
-    for k, time in enumerate(record.time):
-        cells = [f"{1717236000123 + round(1e3 * time)}", *(f"{f * record[n][k]:.6f}" for n, f in factors.items())]
-        lines.append(";".join(cells).replace(".", ","))
-    path.write_bytes("\r\n".join(lines).encode("cp1252"))
-    out = printed(path, "-o", tmp_path / "mine", "--as", "open_loop")
-    assert "error" not in out
-    assert main(["diagnose", str(tmp_path / "mine"), "-o", str(tmp_path / "out"), "--workers", "1"]) == 0
-    assert "<figure>" in (tmp_path / "out" / "report.html").read_text()
-    found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
-    assert found["verdict"] == "none"
-    fitted = json.loads((tmp_path / "out" / "parameters.json").read_text())["parameters"]
-    lag = fitted["tau_omega_1"]["value"] + fitted["tau_omega_2"]["value"]
-    assert lag == pytest.approx(0.2, rel=0.05)
 
 
 def test_a_log_of_fixed_pitch_is_imported_and_diagnosed(tmp_path, printed):

@@ -9,7 +9,7 @@ from builders import FAST_PITCH
 
 from identification.fit.problem import Prior
 from identification.thrust_steps import step_profile
-from identification.tune.draws import draws
+from identification.tune.draws import Posterior
 from identification.tune.objective import Point
 from identification.tune.rounds import rounds
 from identification.tune.search import search
@@ -142,7 +142,8 @@ def test_draws_have_the_standard_deviations_and_the_correlation():
     std = {"c20": 0.01, "c30": 0.02, "pitch_command_deadband.half_width": 0.2, "pitch_backlash.half_gap": 0.05}
     covariance = np.array([[4.0, -5.4], [-5.4, 9.0]])
     knowledge = Prior(("c30", "c20"), np.zeros(2), covariance)
-    drawn = draws(KNOWN, std, knowledge, 20_000, (0, 0))
+    posterior = Posterior(KNOWN, std, knowledge)
+    drawn = posterior.draw(np.random.default_rng(0), 20_000)
     names = [p.name for p in KNOWN.model.parameters]
     columns = drawn[:, [names.index(name) for name in std]]
     np.testing.assert_allclose(columns[:, :3].mean(axis=0), [0.35, FINE_TUNED["c30"], 1.5], atol=0.005)
@@ -152,7 +153,7 @@ def test_draws_have_the_standard_deviations_and_the_correlation():
     assert columns[:, 3].min() == 0.0  # held at the parameter's bound
     others = [names.index(name) for name in names if name not in std]
     assert (drawn[:, others] == np.array([KNOWN.values[names[k]] for k in others])).all()
-    again, other = draws(KNOWN, std, knowledge, 5, (0, 0)), draws(KNOWN, std, knowledge, 5, (0, 1))
+    again, other = (posterior.draw(np.random.default_rng(seed), 5) for seed in (0, 1))
     np.testing.assert_array_equal(again, drawn[:5])
     assert not np.any(np.isclose(again[:, names.index("c20")], other[:, names.index("c20")]))
 

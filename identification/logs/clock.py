@@ -31,9 +31,6 @@ COARSE = 0.3
 """Share of rows at the time of the row before, above which stamps are coarse. A stamp per two rows gives a half; duplicate rows
 are fewer."""
 
-GAP = 4.0
-"""A step longer than this many median steps is a gap."""
-
 _CLOCK = r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d+))?)?\s*([AaPp][Mm])?\s*(Z|z|UTC|[+-]\d{2}:?\d{2})?"
 _MINUTES = re.compile(r"(\d{1,2}):(\d{2})[.,](\d+)")
 """Minutes and seconds, as Excel writes times with fractions."""
@@ -154,12 +151,6 @@ def mended(time: np.ndarray) -> tuple[np.ndarray, int, float]:
             fixed = np.where(tail, time[trusted[-1]] + (index - trusted[-1]) * _usual_step(time), fixed)
         wrong = np.round(np.diff(fixed), 9) <= 0.0
     return fixed, count, furthest
-
-
-def gaps(time: np.ndarray) -> np.ndarray:
-    """(gaps,) rows followed by a step longer than GAP median steps."""
-    step = np.diff(time)
-    return np.flatnonzero(step > GAP * np.median(step))
 
 
 def guessed_unit(values: np.ndarray) -> str | None:

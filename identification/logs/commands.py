@@ -2,7 +2,6 @@
 
 import os
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -10,22 +9,12 @@ from identification.logs.speed_map import (
     SignalRange,
     SpeedMap,
     SteadyPoints,
-    fit_quality,
     fit_speed_map,
     read_speed_map,
-    said_of_gross,
+    said_of_fit,
     steady_points,
 )
 from vpp_fmu.errors import BadInput
-
-
-class Fitted(NamedTuple):
-    """A speed map, its origin in words, and its fit to the log's steady points, as `fit_quality`."""
-
-    map: SpeedMap
-    origin: str
-    here: dict
-
 
 FILE = "speed_map.json"
 """File of the map that all logs of a folder share."""
@@ -52,10 +41,10 @@ def map_of_signal(
     speed: np.ndarray | None,
     voltage: np.ndarray | None,
     usable: np.ndarray | bool = True,
-) -> Fitted:
-    """The map for a log of rows (n,): that of another log, if `known`, extended to the smallest signal at which the rotor turns
-    here; else fitted to the log's steady parts. `time`: None if each row is a steady point; `speed`, `voltage`: None if not
-    measured. `usable` (n,): rows whose speed belongs to their signal.
+) -> tuple[SpeedMap, str]:
+    """(the map for a log of rows (n,), its origin and its fit to the log in words): the map of another log, if `known`,
+    extended to the smallest signal at which the rotor turns here; else fitted to the log's steady parts. `time`: None if each
+    row is a steady point; `speed`, `voltage`: None if not measured. `usable` (n,): rows whose speed belongs to their signal.
 
     Without voltage the map depends on the signal only, at a nominal 1 V. BadInput if the log gives no increasing map.
     """
@@ -63,7 +52,7 @@ def map_of_signal(
     text = f"taken over from {known.source} (there rms {known.rms:.3g} rpm)" if known else ""
     if not turning.any():
         if known:
-            return Fitted(known, text, {"points": 0, "points_beyond": 0})
+            return known, text
         hint = "--speed-map M.json of another log of the stand, or --map omega=COLUMN:rpm"
         field, found = (
             ("omega_ref", "a signal and no measured speed") if speed is None else ("omega", "a motor that never turns")
@@ -79,12 +68,9 @@ def map_of_signal(
     else:
         found = fit_speed_map(points, span, float(np.median(volts[turning])), Path(source).name)
         text = f"fitted to {found.points} steady parts"
-    here = fit_quality(points, found)
-    if here["points"]:
-        text += f"; here rms {here['rms']:.3g} rpm, at most {here['largest']:.3g} rpm at signal {here['largest_at']:.6g}"
-        text += said_of_gross(here)
+    text += said_of_fit(points, found)
     if known and found is not known:
         text += f"; here the rotor turns from signal {found.turns_from:.6g} on, there from {known.turns_from:.6g}"
     if beyond := int(np.sum(signal > found.fitted_to)):
         text += f"; {beyond} rows have a higher signal than it was fitted to"
-    return Fitted(found, text if voltage is not None else f"{text}; without a voltage it is of the signal alone", here)
+    return found, text if voltage is not None else f"{text}; without a voltage it is of the signal alone"

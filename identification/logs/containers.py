@@ -8,7 +8,7 @@ import io
 import os
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -51,128 +51,113 @@ def read_container(path: str | os.PathLike) -> RawTable | None:
     else:
         return None
     try:
-        vectors, units = read(path, data)
+        content, units = read(path, data)
+        vectors = dict(_vectors(content))
     except (OSError, RuntimeError, LookupError, TypeError, ValueError, OverflowError, MemoryError, zlib.error) as error:
-        allowed = f"a whole {(name := kind.partition(' ')[0])} file"
+        name = kind.partition(" ")[0]
         found = f"{name} that its library does not read ({str(error).splitlines()[0][:120]})"
-        raise BadInput(path, "file", found, allowed) from error
-    return _raw_table(path, vectors, units, kind)
+        raise BadInput(path, "file", found, f"a whole {name} file") from error
+    lengths = Counter(map(len, vectors.values()))
+    rows = max(lengths, key=lambda n: (lengths[n], n), default=0)  # the commonest length; of two such lengths, the longer
+    if rows < 2:
+        found = f"{kind} without a vector of two values or more"
+        raise BadInput(path, "file", found, "vectors of one length, one a channel (of a MATLAB table: writetable, for a CSV)")
+    columns = {name: vector for name, vector in vectors.items() if len(vector) == rows}
+    dropped = {"vectors of another length": len(vectors) - len(columns)} if len(vectors) > len(columns) else {}
+    start = 0
+    if len({name.partition(".")[0] for name in columns}) == 1 and all("." in name for name in columns):
+        start = len(next(iter(columns)).partition(".")[0]) + 1  # the name of the one struct or group is redundant
+    known = {name[start:]: units[name] for name in columns if units.get(name)}
+    columns = {name[start:]: vector for name, vector in columns.items()}
+    how = f"{kind}, {len(columns)} vectors of {rows}"
+    return RawTable(str(path), columns, np.arange(1, rows + 1), known, how, left_out=dropped, rows_are="row")
 
 
-Vectors = tuple[dict[str, np.ndarray], dict[str, str]]
-"""Vectors and units by name."""
+Content = tuple[dict[str, np.ndarray], dict[str, str]]
+"""Arrays and units by name."""
 
 
-def _parquet(path: str | os.PathLike, data: bytes) -> Vectors:
+def _parquet(path: str | os.PathLike, data: bytes) -> Content:
     pa, parquet = _library(path, "pyarrow"), _library(path, "pyarrow.parquet")
     try:
         table = parquet.read_table(pa.BufferReader(data)).flatten()
-        vectors = {name: _array(table[name].to_numpy()) for name in table.column_names}
+        arrays = {name: table[name].to_numpy() for name in table.column_names}
     except pa.ArrowException as error:
         raise ValueError(str(error)) from error
     told = {field.name: field.metadata or {} for field in table.schema}
-    return vectors, {n: unit.decode("utf-8", "replace") for n, m in told.items() if (unit := m.get(b"units", m.get(b"unit")))}
+    return arrays, {name: _text(about.get(b"units", about.get(b"unit"))) for name, about in told.items()}
 
 
-def _mat(path: str | os.PathLike, data: bytes) -> Vectors:
+def _mat(path: str | os.PathLike, data: bytes) -> Content:
     from scipy.io import loadmat  # noqa: PLC0415 - slow to import, and few logs are MAT files
     from scipy.io.matlab import MatReadError  # noqa: PLC0415
 
     try:
-        content = loadmat(io.BytesIO(data), squeeze_me=True, struct_as_record=True, chars_as_strings=True)
+        content = loadmat(io.BytesIO(data), squeeze_me=True)
     except MatReadError as error:
         raise ValueError(str(error)) from error
-    vectors = dict(_vectors({name: value for name, value in content.items() if not name.startswith("__")}))
-    if not vectors and any(type(value).__name__ == "MatlabOpaque" or name == "None" for name, value in content.items()):
-        found, allowed = "a table or timetable, which only MATLAB reads", "vectors, or a struct of them"
-        raise BadInput(path, "file", found, allowed, "writetable in MATLAB, for a CSV")
-    return vectors, {}
+    return {name: value for name, value in content.items() if not name.startswith("__") and name != "None"}, {}
 
 
-def _hdf5(path: str | os.PathLike, data: bytes) -> Vectors:
+def _hdf5(path: str | os.PathLike, data: bytes) -> Content:
     h5py = _library(path, "h5py")
-    matlab = data.startswith(b"MATLAB 7.3")
-    found, units = {}, {}
+    arrays, units = {}, {}
 
     def visit(name, item):
-        if not isinstance(item, h5py.Dataset) or name.startswith(("#refs#", "#subsystem#")):
+        if not isinstance(item, h5py.Dataset) or name.startswith("#"):
             return
-        if item.attrs.get("MATLAB_class", b"") in (b"char", b"cell", b"struct", b"table", b"function_handle"):
+        if item.attrs.get("MATLAB_class", b"double") in (b"char", b"cell", b"struct", b"table", b"function_handle"):
             return
-        value = item[()]
-        value = value.T if matlab and isinstance(value, np.ndarray) else value  # MATLAB's columns are HDF5's rows
-        names = np.atleast_1d(item.attrs.get("columns", item.attrs.get("names", []))).tolist()
-        unit = _text(item.attrs.get("units", item.attrs.get("unit", "")))
-        for own, vector in _vectors({name.replace("/", "."): value}, [*map(_text, names)]):
-            found[own] = vector
-            if unit:
-                units[own] = unit
+        value, own = item[()], name.replace("/", ".")
+        names = [*map(_text, np.atleast_1d(item.attrs.get("columns", item.attrs.get("names", []))).tolist())]
+        parts = {own: value}
+        if len(names) > 1 and np.ndim(value) == 2 and value.shape[1] == len(names):
+            parts = {f"{own}.{each}": value[:, k] for k, each in enumerate(names)}
+        arrays.update(parts)
+        units.update(dict.fromkeys(parts, _text(item.attrs.get("units", item.attrs.get("unit", "")))))
 
     # HDF5 opens the file itself if it can: it then refuses a broken file, and reading through Python may crash.
     with h5py.File(io.BytesIO(data) if str(path).lower().endswith(".gz") else path, "r") as file:
         file.visititems(visit)
-    return found, units
+    return arrays, units
 
 
 def _text(value: object) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else "" if value is None else str(value)
 
 
-def _vectors(content: Mapping[str, object], names: Sequence[str] = ()) -> Iterator[tuple[str, np.ndarray]]:
-    """(name, vector) of each vector, field of a struct, and column of a matrix; `names`: of the columns, if known."""
+def _vectors(content: Mapping[str, object]) -> Iterator[tuple[str, np.ndarray]]:
+    """(name, vector) of each vector, field of a struct, and column of a matrix."""
     for name, value in content.items():
-        array = np.asarray(value)
-        if array.dtype.names and array.ndim < 2:
-            yield from ((f"{name}.{own}", v) for own, v in _vectors({f: array[f][()] for f in array.dtype.names}))
-        elif array.dtype.kind not in "fiubUSOM":
-            continue
-        elif (flat := array.squeeze()).ndim == 1 and len(flat) > 1:
+        flat = np.asarray(value).squeeze()
+        if flat.dtype.names:
+            yield from _vectors({f"{name}.{own}": flat[own][()] for own in flat.dtype.names})
+        elif flat.ndim == 1 and len(flat) > 1 and flat.dtype.kind in "fiubUSOMm":
             yield name, _array(flat)
-        elif flat.ndim == 2 and flat.dtype.kind in "fiu":
+        elif flat.ndim == 2 and flat.dtype.kind in "fiu" and min(flat.shape) <= _MOST_COLUMNS:
             table = flat if flat.shape[0] > flat.shape[1] else flat.T
-            if table.shape[1] <= _MOST_COLUMNS:
-                own = names if len(names) == table.shape[1] else [str(k) for k in range(1, table.shape[1] + 1)]
-                yield from ((f"{name}.{column}", _array(table[:, k])) for k, column in enumerate(own))
+            yield from ((f"{name}.{k}", column.astype(float)) for k, column in enumerate(table.T, 1))
 
 
 def _array(values: np.ndarray) -> np.ndarray:
     """Convert to a type of RawTable: float, datetime64[ns] or text."""
-    if values.dtype.kind in "fiub":
-        return values.astype(float)
-    if values.dtype.kind == "m":
-        return values.astype("timedelta64[ns]").astype(np.int64) / 1e9
     if values.dtype.kind == "M":
         return values.astype("datetime64[ns]")
-    texts = [*map(_text, values.tolist())]
+    if values.dtype.kind == "m":
+        return values.astype("timedelta64[ns]").astype(np.int64) / 1e9
+    if values.dtype.kind in "USO":
+        values = np.array([*map(_text, values.tolist())], dtype=object)
     try:
-        return np.array([float(text) if text else np.nan for text in texts])
+        return np.where(values == "", "nan", values).astype(float) if values.dtype.kind == "O" else values.astype(float)
     except ValueError:
-        return np.array(texts, dtype=object)
-
-
-def _raw_table(path: str | os.PathLike, vectors: Mapping[str, np.ndarray], units: Mapping[str, str], kind: str) -> RawTable:
-    """The vectors of the commonest length; of two such lengths, the longer."""
-    lengths = Counter(len(vector) for vector in vectors.values())
-    rows = max(lengths, key=lambda n: (lengths[n], n), default=0)
-    if rows < 2:
-        found = f"{kind} without a vector of two values or more"
-        raise BadInput(path, "file", found, "vectors of one length, one a channel")
-    columns = {name: vector for name, vector in vectors.items() if len(vector) == rows}
-    dropped = {"vectors of another length": len(vectors) - len(columns)} if len(vectors) > len(columns) else {}
-    if len({name.split(".")[0] for name in columns}) == 1 and all("." in name for name in columns):
-        # one struct or group: its name is redundant
-        columns, units = ({name.partition(".")[2]: x for name, x in of.items()} for of in (columns, units))
-    known = {n: u for n, u in units.items() if n in columns}
-    text = f"{kind}, {len(columns)} vectors of {rows}"
-    return RawTable(str(path), columns, np.arange(1, rows + 1), known, text, {}, dropped, rows_are="row")
+        return values
 
 
 def _library(path: str | os.PathLike, name: str):
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        package = name.split(".", maxsplit=1)[0]
+        package = name.partition(".")[0]
         found = f"a file that only {package} reads, which is not installed"
-        raise BadInput(
-            path, "file", found, "an installed library that reads it", "pip install 'vpp-fmu[import]', or the same table as CSV"
-        ) from error
+        allowed = "an installed library that reads it"
+        raise BadInput(path, "file", found, allowed, "pip install 'vpp-fmu[import]', or the same table as CSV") from error

@@ -2,18 +2,19 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from identification.gate.files import speed_ratio, speed_unit
+from identification.gate.sensors import multiples
 from identification.logs.clock import Clock, read_clock
 from identification.logs.commands import map_of_signal
-from identification.logs.mapping import ROWS, Column, Plan, clock_like, in_other_unit, moving_angle, text_instead
+from identification.logs.mapping import ROWS, Column, Plan, in_other_unit, moving_angle
 from identification.logs.raw_table import RawTable
 from identification.logs.sampling import Stalls
 from identification.logs.speed_map import RANGES, SignalRange, SpeedMap
-from identification.logs.units import QUANTITIES, SIGNALS, factor_of, is_rate, scale_of, signal_unit
+from identification.logs.units import QUANTITIES, SIGNALS, factor_of, scale_of, signal_unit
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import QUANTITIES as RANGE
@@ -32,10 +33,6 @@ SAME_SPEED = 0.2
 APART = 0.05
 """Share of a quantity's readings in rows with thrust, below which they are messages of their own."""
 
-SCATTER, EXPLAINED, MOST_MOVES = 0.05, 0.5, 0.1
-"""Residual of thrust at fixed pitch as a share of its range, from which a further command is searched; the share of its
-variance that such a command explains; the largest share of rows in which a command moves."""
-
 ABSURD = 0.01
 """Share of a measured column's rows beyond its limits, up to which the cells are disturbed ones: a wrong unit spoils most."""
 
@@ -47,8 +44,8 @@ FASTER = 1.0
 class Taken:
     """A log in a record's units: each quantity of the plan (n,), with `time` and `clock` if the log has a time.
 
-    `said`: corrections in words. `speed_map`: source of the speed command, None if the log has the command; `here`: its fit to
-    this log. `stalls`: of a stand's logger.
+    `said`: corrections in words. `speed_map`: source of the speed command, None if the log has the command. `stalls`: of a
+    stand's logger.
     """
 
     columns: Mapping[str, np.ndarray]
@@ -56,7 +53,6 @@ class Taken:
     said: tuple[str, ...]
     source: str
     speed_map: SpeedMap | None = None
-    here: Mapping[str, float] = field(default_factory=dict)
     stalls: Stalls | None = None
 
     @property
@@ -94,7 +90,8 @@ def take_in(
     columns = {"time": clock.time} if clock else {}
     for quantity, column in plan.columns.items():
         if quantity != "time":
-            columns[quantity] = values_of(table, quantity, column)[rows]
+            factor, offset = scale_of(QUANTITIES[quantity], column.unit)
+            columns[quantity] = table.numbers(column.name)[rows] * factor + offset
     if clock and len(clock.restarts) <= 1:
         _check_rows(columns, table.source)
     if not force and (contradiction := electrical(plan.columns, columns)):
@@ -110,9 +107,6 @@ def take_in(
                 )
             del columns[name]
             said.append(f"{name}: no value in any row, left out")
-    unknown = clock and not {"beta_ref", "beta"} & {*columns, *plan.fixed} and not _no_angle(table, plan)
-    if unknown and (other := _other_command(table, plan, columns, rows)):
-        raise BadInput(table.source, "beta_ref", *other)
     words = {name: f"{name}, column {column.name} in {column.unit}" for name, column in plan.columns.items()}
     columns, notes = within_ranges(columns, words, table.source)
     said += notes
@@ -124,14 +118,23 @@ def take_in(
     usable = True if stalls is None else ~stalls.stalled
     columns, notes, found = _commanded(table, plan, columns, clock, kind, speed_map, usable)
     columns, _ = within_ranges(columns, words, table.source)
-    speed_map, here = (found.map, found.here) if found else (speed_map, {})
-    return Taken(columns, clock, (*said, *notes), table.source, speed_map, here, stalls)
+    return Taken(columns, clock, (*said, *notes), table.source, found, stalls)
 
 
-def values_of(table: RawTable, quantity: str, column: Column) -> np.ndarray:
-    """A column (n,) in the record's unit. BadInput for a cell that is not a number."""
-    factor, offset = scale_of(QUANTITIES[quantity], column.unit)
-    return table.numbers(column.name) * factor + offset
+def take_measured(table: RawTable, plan: Plan, kind: str, **options) -> Taken:
+    """A log with the measured speed as its command, interpolated over time where the speed is missing, late or a multiple of
+    the log's own command. `options`: as of `take_in`."""
+    try:
+        taken = take_in(table, plan, kind, **options)
+        wrong = False if taken.points else multiples(taken.record())[0]
+    except BadInput:  # no command to compare with
+        columns = {**{q: c for q, c in plan.columns.items() if q != "signal"}, "omega_ref": plan.columns["omega"]}
+        taken, wrong = take_in(table, replace(plan, columns=columns), kind, **options), False
+    speed, rows = taken.columns["omega"], taken.columns.get("time", np.arange(len(taken.columns["omega"])))
+    there = np.isfinite(speed) & ~np.asarray(wrong) & (True if taken.stalls is None else ~taken.stalls.stalled)
+    columns = {**taken.columns, "omega_ref": np.interp(rows, rows[there], speed[there])}
+    said = (*taken.said, "omega_ref: the measured speed, interpolated where it is missing, late or a multiple")
+    return replace(taken, columns=columns, said=said, speed_map=None)
 
 
 def electrical(plan: Mapping[str, Column], columns: Mapping[str, np.ndarray]) -> tuple[str, str, str] | None:
@@ -168,50 +171,21 @@ def _no_angle(table: RawTable, plan: Plan) -> tuple[str, str, str] | None:
         name, unit, low, high = angle
         found = f"{name}, an angle that moves from {low:g} to {high:g} {unit}, and no pitch"
         return found, "a command of pitch", f"--map 'beta_ref={name}:{unit}', or --fixed beta_ref=8:deg if the pitch is fixed"
-    if (other := in_other_unit(table, "beta", {c.name for c in plan.columns.values()})) is None:
+    return _uncalibrated(table, plan, "beta", "pitch")
+
+
+def _uncalibrated(table: RawTable, plan: Plan, quantity: str, word: str) -> tuple[str, str, str] | None:
+    """(found, expected, hint) if an unused column is the quantity by its name, in no unit of it; else None."""
+    if (other := in_other_unit(table, quantity, {c.name for c in plan.columns.values()})) is None:
         return None
     name, unit, low, high = other
-    found = f"{name}, pitch by its name, from {low:g} to {high:g} {unit}".rstrip()
-    return found, "a pitch in deg", _calibrated(name, unit, low, high if high > low else low + 1.0)
-
-
-def _calibrated(name: str, unit: str, low: float, high: float) -> str:
-    """How to state the pitch of a column by two points, or a fixed one."""
-    points = f"'beta_ref={name}:{unit}@{low:g}=A,{high:g}=B'"
-    return f"--map {points}, A and B the pitch there in deg, or --fixed beta_ref=8:deg if the pitch is fixed"
-
-
-def _other_command(
-    table: RawTable, plan: Plan, columns: Mapping[str, np.ndarray], rows: np.ndarray
-) -> tuple[str, str, str] | None:
-    """(found, expected, hint) if an unused column moves as a command does and explains thrust that speed does not; else None.
-
-    Thrust at fixed pitch is a quadratic in speed. A pitch x adds the terms x, x w^2 and x^2 w^2.
-    """
-    speed = columns.get("omega", columns.get("omega_ref"))
-    seen = np.isfinite(speed) & np.isfinite(columns["thrust"]) if speed is not None else np.zeros(1, bool)
-    if seen.sum() < 100:
-        return None
-    w, thrust = speed[seen] / max(1.0, float(np.abs(speed[seen]).max())), columns["thrust"][seen]
-
-    def residual(*terms):
-        a = np.column_stack([np.ones_like(w), w, w**2, *terms])
-        return float(np.std(thrust - a @ np.linalg.lstsq(a, thrust, rcond=1e-9)[0]))
-
-    alone = residual()
-    if alone < SCATTER * np.ptp(thrust):
-        return None
-    taken = {part for column in plan.columns.values() for part in table.parts(column.name) if column.name != ROWS}
-    free = (n for n, cells in table.columns.items() if n not in taken and cells.dtype.kind == "f")
-    for name in (n for n in free if not is_rate(table.unit(n) or "")):
-        x = _last_value(table.numbers(name))[rows][seen]
-        if not np.isfinite(x).all() or not 3 <= np.sum(np.diff(x) != 0.0) <= MOST_MOVES * len(x):
-            continue
-        u = (x - x.min()) / np.ptp(x)
-        if residual(u, u * w**2, (u * w) ** 2) ** 2 < (1.0 - EXPLAINED) * alone**2:
-            found = f"{name}, an unused command from {x.min():g} to {x.max():g} that thrust follows, and no pitch"
-            return found, "a command of pitch", _calibrated(name, table.unit(name) or "", x.min(), x.max())
-    return None
+    found = f"{name}, {word} by its name, from {low:g} to {high:g} {unit}".rstrip()
+    if quantity == "thrust":
+        hint = f"--map 'thrust={name}:{unit}@A=0,B=10' with the numbers A and B that mean 0 and 10 N"
+        return found, "a force", hint
+    points = f"'beta_ref={name}:{unit}@{low:g}=A,{high if high > low else low + 1.0:g}=B'"
+    hint = f"--map {points}, A and B the pitch there in deg, or --fixed beta_ref=8:deg if the pitch is fixed"
+    return found, "a pitch in deg", hint
 
 
 def _last_value(column: np.ndarray, first: bool = False) -> np.ndarray:
@@ -231,27 +205,14 @@ def _check_rows(columns: Mapping[str, np.ndarray], source: str) -> None:
         raise BadInput(source, "rows", found, allowed, f"a table joined at the rows of thrust{without}")
 
 
-def contradictions(table: RawTable, plan: Plan) -> list[str]:
-    """Reasons to refuse a plan, one per line: a speed that looks electrical, a pitch that is not an angle."""
-    speeds = {q: values_of(table, q, c) for q, c in plan.columns.items() if q in ("omega", "omega_ref")}
-    found = {"omega": electrical(plan.columns, speeds), "beta_ref": _no_angle(table, plan)}
-    return [f"{name}: found {each[0]}, expected {each[1]}. Try: {each[2]}" for name, each in found.items() if each]
-
-
 def _check(table: RawTable, plan: Plan, kind: str) -> None:
     if "thrust" not in plan.columns:
-        if other := in_other_unit(table, "thrust", {c.name for c in plan.columns.values()}):
-            name, unit, low, high = other
-            found = f"{name}, thrust by its name, from {low:g} to {high:g} {unit}".rstrip()
-            hint = f"--map 'thrust={name}:{unit}@A=0,B=10' with the numbers A and B that mean 0 and 10 N"
-            raise BadInput(table.source, "thrust", found, "a force", hint)
-        if instead := text_instead(table, "thrust"):
-            raise BadInput(table.source, "thrust", instead[0], "a column of numbers", instead[1])
+        if other := _uncalibrated(table, plan, "thrust", "thrust"):
+            raise BadInput(table.source, "thrust", *other)
         found = f"no column of it among {_names(table)}"
         raise BadInput(table.source, "thrust", found, "a column of thrust", "--map thrust=COLUMN:UNIT")
     if "time" not in plan.columns and kind != "static":
-        name, unit = clock_like(table) or ("COLUMN", "UNIT")
-        hint = f"--map time={name}:{unit}, or time=row:4ms for rows that are 4 ms apart"
+        hint = "--map time=COLUMN:UNIT, or time=row:4ms for rows that are 4 ms apart"
         raise BadInput(table.source, "time", f"no column of it among {_names(table)}", "a column of time", hint)
     known = {"omega_ref", "signal"} & {*plan.columns, *plan.fixed} or (kind == "static" and "omega" in plan.columns)
     if not known:
@@ -309,9 +270,9 @@ def _commanded(table: RawTable, plan: Plan, columns: dict, clock: Clock | None, 
         _check_signal(table, plan, signal, span)
         volts = _filled(columns["voltage"]) if "voltage" in columns else None
         time = None if clock is None or clock.step > FASTER else columns["time"]
-        found = map_of_signal(table.source, speed_map, span, time, signal, columns.get("omega"), volts, usable)
-        said.append(f"speed map: {found.origin}")
-        columns["omega_ref"] = found.map.omega_ref(signal)
+        found, origin = map_of_signal(table.source, speed_map, span, time, signal, columns.get("omega"), volts, usable)
+        said.append(f"speed map: {origin}")
+        columns["omega_ref"] = found.omega_ref(signal)
     elif "signal" in columns:
         del columns["signal"]
     for name, value in plan.fixed.items():
@@ -354,7 +315,7 @@ def _check_signal(table: RawTable, plan: Plan, signal: np.ndarray, span: SignalR
 
 
 def within_ranges(
-    columns: Mapping[str, np.ndarray], fields: Mapping[str, str], source: str, hint: str = "another unit with --map"
+    columns: Mapping[str, np.ndarray], fields: Mapping[str, str], source: str
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """(columns (n,) without measured cells beyond a record's limits, messages). BadInput for a command beyond them, or for more
     cells than a share ABSURD, usually because of a wrong unit. `fields`: by name, the column in words."""
@@ -369,7 +330,7 @@ def within_ranges(
         allowed = f"{quantity.minimum:g} to {quantity.maximum:g} {quantity.unit}"
         if name in COMMANDS or count > ABSURD * len(values):
             found = f"{worst:.6g} {quantity.unit}, {count} of {len(values)} rows beyond the range"
-            raise BadInput(source, fields.get(name, name), found, allowed, f"{hint} {name}=COLUMN:UNIT")
+            raise BadInput(source, fields.get(name, name), found, allowed, f"another unit with --map {name}=COLUMN:UNIT")
         kept[name] = np.where(outside, np.nan, values)
         said.append(f"{name}: {count} cells beyond {allowed}, up to {worst:.4g}, are emptied")
     return kept, said

@@ -40,10 +40,6 @@ COUNTS_FROM = 1000.0
 FAST = 3000.0
 """rad/s, above any rotor's speed: larger numbers named omega are rpm."""
 
-MOST_NAMES = 50
-"""Most different names in the cells of a column that names signals."""
-
-_AXIS = re.compile(r"(?<=[^a-z])f?[xyz](?![a-z])|^f[xyz](?![a-z])")
 _ATTITUDE = re.compile(r"pi?tch|roll|yaw")
 
 MOVES = 2.0
@@ -101,7 +97,7 @@ _NOISE = _words("motor prop propeller signal measured meas medida medido ist act
 _MEASURED = _words("measured meas ist actual feedback fb pos position medida")
 _ELECTRIC = _words("electrical electric elec el dc in input battery supply esc")
 _SERVO = _words("servo servos")
-SIDES = _words("left right front rear upper lower a b")
+SIDES = _words("left right front rear upper lower a b x y z")
 _COUNTS = _words("adc counts count digits lsb ticks")
 _NOT = _words("mx my power watt efficiency acc accx accy accz vibration temperature temp esc2 cell moment")
 
@@ -222,15 +218,14 @@ def propose(table: RawTable, without: Collection[str] = ()) -> dict[str, Column]
     for place, name in enumerate(table.columns):
         if name not in without and (found := proposed(table, name)):
             quantity, score, column = found
-            moving = moves(table, name)
-            if (column.sure == GUESS and not moving) or (quantity == "time" and not _filled(table, name)):
+            seen = _seen(table, name) if table.columns[name].dtype.kind == "f" else None
+            moving = seen is None or bool(len(seen) and np.ptp(seen))  # of two speed sensors, that which is connected
+            if (column.sure == GUESS and not moving) or (quantity == "time" and seen is not None and not len(seen)):
                 continue
             key = (moving, score, -place)
             if quantity not in best or key > best[quantity][0]:
                 best[quantity] = key, column
     found = {quantity: best[quantity][1] for quantity in QUANTITIES if quantity in best}
-    if "thrust" in found:
-        found["thrust"] = _of_largest_axis(table, found["thrust"], without)
     return {q: c for q, c in found.items() if q != "signal" or "omega_ref" not in found}
 
 
@@ -379,52 +374,10 @@ def proposed(table: RawTable, name: str) -> tuple[str, float, Column] | None:
     return None if unit is None else (quantity, score, Column(name, unit, sure))
 
 
-def _of_largest_axis(table: RawTable, column: Column, without: Collection[str]) -> Column:
-    """Of columns that differ by the axis x, y or z only: the one whose numbers vary most, as a rotor's thrust does."""
-    stem = _AXIS.sub("#", column.name.casefold())
-    axes = [n for n in table.columns if n not in without and _AXIS.sub("#", n.casefold()) == stem]
-    spread = {n: float(np.ptp(np.percentile(s, (5, 95)))) for n in axes if len(s := _seen(table, n))}
-    return Column(max(spread, key=spread.get), column.unit, column.sure) if len(spread) > 1 else column
-
-
 def _attitude(table: RawTable, name: str) -> bool:
     """Whether a pitch, roll or yaw is an angle of the whole stand: a column of the same name has another of the three."""
     stems = Counter(_ATTITUDE.sub("#", n) for n in {n.casefold() for n in table.columns} if _ATTITUDE.search(n))
     return stems[_ATTITUDE.sub("#", name.casefold())] > 1
-
-
-def _filled(table: RawTable, name: str) -> bool:
-    """Whether a column has a value."""
-    return table.columns[name].dtype.kind != "f" or bool(np.isfinite(table.columns[name]).any())
-
-
-def text_instead(table: RawTable, quantity: str) -> tuple[str, str] | None:
-    """(found, hint) if a column that is the quantity by its name has text in its cells, or if a column of names has it."""
-    for name, cells in table.columns.items():
-        if cells.dtype.kind != "O" or _numeric(table, name):
-            continue
-        if _meant(table, name)[0] == quantity and (text := _not_a_number(table, cells)):
-            return f"column {name}, whose cells are no numbers, such as {shown(text)}", "cells without text, or of one unit"
-        texts = {*cells.tolist()}
-        if len(texts) <= MOST_NAMES and quantity in {_meant(table, text)[0] for text in texts}:
-            found = f"names of signals in the cells of column {name}, one value a row"
-            return found, f"one column a signal: pivot the table by {name} before the export"
-    return None
-
-
-def _not_a_number(table: RawTable, cells: np.ndarray) -> str:
-    """The first cell that is filled and no number; "" if there is none."""
-    return next((c for c in cells.tolist() if (text := plain(c, table.decimal)) and not _NUMBER.fullmatch(text)), "")
-
-
-def clock_like(table: RawTable) -> tuple[str, str] | None:
-    """(column, unit) of the first column that increases as evenly as a clock, whatever its name; None if there is none."""
-    for name in table.columns:
-        step = np.diff(_seen(table, name)) if _numeric(table, name) else np.zeros(0)
-        even = len(step) > 0 and np.mean(np.abs(step - np.median(step)) <= 0.2 * np.median(step)) > 0.9
-        if even and (step >= 0.0).all() and (unit := guessed_unit(table.numbers(name))):
-            return name, unit
-    return None
 
 
 def _score(tokens: list[str], words: list[str], quantity: str) -> float:
@@ -481,11 +434,6 @@ def _numeric(table: RawTable, name: str) -> bool:
     texts = [plain(cell, table.decimal) for cell in table.columns[name].tolist()[:1000]]
     filled = [text for text in texts if text]
     return 2 * sum(bool(_NUMBER.fullmatch(text)) for text in filled) > len(filled)
-
-
-def moves(table: RawTable, name: str) -> bool:
-    """Whether the numbers of a column vary: of two speed sensors, selects the connected one."""
-    return table.columns[name].dtype.kind != "f" or bool(np.ptp(_seen(table, name)) if _filled(table, name) else False)
 
 
 def to_toml(sections: Mapping[str, Mapping]) -> str:

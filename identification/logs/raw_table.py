@@ -74,7 +74,7 @@ class RawTable:
         return self.units.get(name) or split_unit(name)[1] or None
 
     def numbers(self, name: str) -> np.ndarray:
-        """The column (n,) as float, NaN for cells that are empty or not finite. BadInput names the first cell of other text."""
+        """The column (n,) as float, NaN for cells that are empty or not finite. BadInput for text names its first cell."""
         if len(parts := self.parts(name)) > 1:
             return np.sum([self.numbers(part) for part in parts], axis=0)
         cells = self.columns[name]
@@ -82,11 +82,8 @@ class RawTable:
             return np.where(np.isfinite(cells), cells, np.nan)
         if cells.dtype.kind == "M":
             raise self.wrong(name, 0, f"a date, {cells[0]}", "a number")
-        texts = [plain(cell, self.decimal) or "nan" for cell in cells.tolist()]
-        try:
-            return np.array(texts).astype(float)
-        except ValueError:
-            bad = next(row for row, text in enumerate(texts) if not _is_number(text))
+        texts = [plain(cell, self.decimal) for cell in cells.tolist()]
+        bad = next((row for row, text in enumerate(texts) if text and not _is_number(text)), 0)
         hint = "an empty cell there if the reading is missing"
         raise self.wrong(name, bad, shown(str(cells[bad])), "a number or an empty cell", hint)
 
@@ -115,9 +112,10 @@ def plain(cell: str, decimal: str) -> str:
 
 def _is_number(text: str) -> bool:
     try:
-        return bool(np.array([text]).astype(float).size)
+        float(text)
     except ValueError:
         return False
+    return True
 
 
 def _folded(name: str) -> str:

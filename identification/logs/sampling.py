@@ -1,4 +1,4 @@
-"""Rows of a log that are no samples at import: averages, readings that repeat, rows behind stalls of the logger."""
+"""Cells of a log that are no measurements: readings that repeat, rows behind stalls of the logger."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,23 +9,9 @@ import numpy as np
 from identification.gate.files import files_of, said_of_size
 from identification.gate.gate import look
 from identification.gate.sensors import runs_of_equals
-from identification.logs.clock import gaps
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.record import Record, digit_of
 from vpp_fmu.rig import infer_rig
-
-HELD = 3
-"""Minimum rows of a command's hold before and after a move that is counted."""
-
-MOSTLY = 0.7
-"""Minimum share of a command's rows in holds: with fewer, intermediate values are not due to averaging."""
-
-PASSES = 0.3
-"""Share of moves with exactly one intermediate value, above which rows are averages. A sampled step has none, a slew-limited
-one has rows in proportion to its size, and an averaged one nearly always has one."""
-
-FEWEST_MOVES = 4
-"""Minimum number of moves for the share."""
 
 REPEATED, BY_CHANCE = 0.2, 4.0
 """Minimum share of readings that equal the one before, in half of a record's PARTS, for repeats; and its minimum ratio to the
@@ -43,6 +29,9 @@ FEWEST_REPEATS = 100
 REMEMBERED = 7
 """Rows after a stall in which speed and thrust still settle: 0.3, 0.12, 0.06, 0.03, 0.015, 0.007 of a step remains."""
 
+GAP = 4.0
+"""A step longer than this many median steps is a stall."""
+
 SAMPLED = 0.04
 """Longest median interval [s] of a stand's samples, which it takes every 8 to 12 ms; rows 125 ms apart are averages."""
 
@@ -50,23 +39,21 @@ SAMPLED = 0.04
 @dataclass(frozen=True, eq=False)
 class Stalls:
     """Cells of a stand's log that are no measurements, masks (n,): `late` rows, right after a stall of the logger; `stalled`
-    rows, whose readings it affects; `repeated` cells of thrust, of the `filled` ones. `said`: a message on repeats, if any."""
+    rows, whose readings it affects; `repeated` cells of thrust. `said`: a message on repeats, if any."""
 
     late: np.ndarray
     stalled: np.ndarray
-    filled: np.ndarray
     repeated: np.ndarray
     said: tuple[str, ...]
 
     @classmethod
     def of(cls, time: np.ndarray, thrust: np.ndarray) -> "Stalls":
         """Those of a log, each (n,)."""
-        late = np.zeros(len(time), bool)
-        late[gaps(time) + 1] = np.median(np.diff(time)) < SAMPLED
+        step = np.diff(time)
+        late = np.append(False, step > GAP * np.median(step)) & (np.median(step) < SAMPLED)
         stalled = np.convolve(late, np.ones(REMEMBERED, bool))[: len(time)] > 0
         once, said = read_once(Record({"time": time, "thrust": thrust}, ""))
-        filled = np.isfinite(thrust)
-        return cls(late, stalled, filled, filled & ~np.isfinite(once["thrust"]), tuple(said))
+        return cls(late, stalled, np.isfinite(thrust) & ~np.isfinite(once["thrust"]), tuple(said))
 
     def emptied(self, columns: Mapping[str, np.ndarray], keep: bool = False) -> dict[str, np.ndarray]:
         """Columns (n,) without these cells; `keep`: only without repeats. A late voltage is that of the row before."""
@@ -108,35 +95,7 @@ def read_once(record: Record) -> tuple[Record, list[str]]:
     return record.with_columns(thrust=emptied), [f"thrust: {count}: repeats are emptied"]
 
 
-def said_of_rows(record: Record) -> list[str]:
-    """Report rows that are averages."""
-    averaged, moves = between(record)
-    if moves < FEWEST_MOVES or averaged <= PASSES * moves:
-        return []
-    count = f"in {averaged} of {moves} moves between held commands one row lies in between"
-    row = f"{1e3 * record.period:.3g} ms"
-    return [f"averages: {count}: rows are means over {row}, not samples; estimated lags are wrong by as much"]
-
-
-def between(record: Record) -> tuple[int, int]:
-    """(moves with exactly one intermediate value, all moves) of commands between holds of HELD rows or more."""
-    averaged = moves = 0
-    for name in ("omega_ref", "beta_ref"):
-        command = record[name]
-        first = np.flatnonzero(np.append(True, command[1:] != command[:-1]))
-        length = np.diff(np.append(first, len(command)))
-        held = length >= HELD
-        if length[held].sum() < MOSTLY * len(command):
-            continue  # a ramp, or a measured speed as the command
-        moves += int(np.sum(held[:-1] & held[1:]))
-        single = held[:-2] & (length[1:-1] == 1) & held[2:]
-        before, at, after = (command[first[k : len(first) - 2 + k]] for k in range(3))
-        inside = single & ((before - at) * (at - after) > 0.0)
-        averaged, moves = averaged + int(inside.sum()), moves + int(inside.sum())
-    return averaged, moves
-
-
-def screened(record: Record) -> tuple[Record, list[str]]:
-    """(the record without the readings that the quality gate excludes; its findings and the size of its rotor, in words)."""
+def screened(record: Record) -> list[str]:
+    """The findings of the quality gate on a record, and the size of its rotor, in words."""
     found = look(Campaign(Path("."), None, (), record, None, None, rig=infer_rig([record], None, {})))
-    return found.campaign.open_loop, [*(f.text for f in found.findings), *said_of_size(files_of(found.campaign, {}))]
+    return [*(f.text for f in found.findings), *said_of_size(files_of(found.campaign, {}))]

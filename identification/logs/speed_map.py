@@ -269,22 +269,16 @@ def read_speed_map(path: str | os.PathLike) -> SpeedMap:
     )
 
 
-def said_of_gross(figures: dict) -> str:
-    """Points of a `fit_quality` that are off by a factor, in words; "" without any."""
-    return f"; {count} more are off by a factor and left out" if (count := figures.get("points_off")) else ""
-
-
-def fit_quality(points: SteadyPoints, speed_map: SpeedMap) -> dict[str, float | int]:
-    """Fit of a map to a log's steady points: numbers of points within its range and beyond, rms and largest error [rpm], and
-    the signal at the largest. Up to MOST_GROSS of the points, with gross errors, are only counted, in `points_off`."""
+def said_of_fit(points: SteadyPoints, speed_map: SpeedMap) -> str:
+    """Error of a map at a log's steady points within its range, in words; "" without any. Gross errors of up to MOST_GROSS of
+    the points are only counted."""
     known = (points.signal >= speed_map.turns_from) & (points.signal <= speed_map.fitted_to)
-    figures = {"points": int(known.sum()), "points_beyond": int((~known).sum())}
+    error, gross = np.abs(speed_map.error(points)), ""
+    off = known & (error > GROSS * np.maximum(speed_map.speed(points.signal, points.voltage), 1.0))
+    if 0 < off.sum() <= MOST_GROSS * known.sum():
+        known, gross = known & ~off, f"; {off.sum()} more are off by a factor and left out"
     if not known.any():
-        return figures
-    off = np.abs(speed_map.error(points)) > GROSS * np.maximum(speed_map.speed(points.signal, points.voltage), 1.0)
-    if 0 < np.sum(off & known) <= MOST_GROSS * known.sum():
-        known &= ~off
-        figures |= {"points": int(known.sum()), "points_off": int(off.sum())}
-    error = np.abs(speed_map.error(points)[known])
-    worst = {"largest": float(error.max()), "largest_at": float(points.signal[known][np.argmax(error)])}
-    return figures | {"rms": float(np.sqrt(np.mean(error**2)))} | worst
+        return ""
+    rms, worst = np.sqrt(np.mean(error[known] ** 2)), np.argmax(np.where(known, error, -1.0))
+    text = f"; here rms {rms:.3g} rpm, at most {error[worst]:.3g} rpm at signal {points.signal[worst]:.6g}"
+    return f"{text} (--speed-from measured takes the measured speed){gross}"

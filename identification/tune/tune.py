@@ -8,7 +8,7 @@ import numpy as np
 
 from identification.fit.problem import Prior
 from identification.tune.check import largest_difference, through_fmus
-from identification.tune.draws import draws, standard_deviations
+from identification.tune.draws import Posterior, standard_deviations
 from identification.tune.margins import Margins, least
 from identification.tune.objective import ALPHA, Objective, Point
 from identification.tune.operating import margins_at, operating_points
@@ -110,7 +110,7 @@ class TuningTask:
     def plants(self, count: int, stream: int) -> np.ndarray:
         """Plants (count, parameters) drawn from the parameters' uncertainty; `stream` selects independent draws."""
         std = standard_deviations(self.parameters, self.assumed, self.spread)
-        return draws(self.parameters, std, self.knowledge, count, (self.seed, stream))
+        return Posterior(self.parameters, std, self.knowledge).draw(np.random.default_rng((self.seed, stream)), count)
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,8 @@ from identification.identify import identify
 from identification.logs.delimited import read_delimited
 from identification.logs.intake import clock_of
 from identification.logs.mapping import FILE, Plan, parse_pairs
-from identification.logs.rcbenchmark import averaged, preset
+from identification.logs.rcbenchmark import preset
+from identification.logs.sampling import SAMPLED
 from vpp_fmu.app import cli
 from vpp_fmu.app.report.summary import artefact
 from vpp_fmu.campaign import NAMES, Campaign, read_campaign
@@ -105,7 +106,8 @@ def _no_record(path: Path) -> str:
     try:
         table = read_delimited(path, {})
         plan = Plan(parse_pairs(preset(table, (), False), table))
-        return "averages, so steady points and no record" if averaged(clock_of(table, plan, "record", None).step) else ""
+        averages = clock_of(table, plan, "record", None).step > SAMPLED
+        return "averages, so steady points and no record" if averages else ""
     except BadInput as error:
         return str(error).removeprefix(f"{path}: ")
 

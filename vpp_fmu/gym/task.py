@@ -10,7 +10,7 @@ import numpy as np
 from hil.safety.limits import Limits, limits_of
 from identification.assessment.information import read_knowledge, read_noise
 from identification.power.model import PowerModel
-from identification.tune.draws import Posterior
+from identification.tune.draws import Posterior, standard_deviations
 from identification.tune.profile import common_reach
 from vpp_fmu.errors import BadInput
 from vpp_fmu.gym.reward import Moment, Reward
@@ -99,13 +99,16 @@ class Task:
         return reward
 
     @cached_property
-    def posterior(self) -> Posterior:
-        """Distribution of the parameters."""
+    def _posterior(self) -> Posterior:
         known_in = self._given[1]
-        found = Posterior(self.plant, read_knowledge(known_in)[0] if known_in else None)
+        std = {name: s for name, s in standard_deviations(self.plant, (), 0.0).items() if s > 0.0}
         allowed = "parameters with standard deviations, as vpp identify writes them"
-        _check("randomise", "no standard deviation in the parameters", bool(found.names), allowed)
-        return found
+        _check("randomise", "no standard deviation in the parameters", bool(std), allowed)
+        return Posterior(self.plant, std, read_knowledge(known_in)[0] if known_in else None)
+
+    def parameters_of(self, rng: np.random.Generator) -> np.ndarray:
+        """Parameters of an episode (parameters,), in the model's order."""
+        return self._posterior.draw(rng, 1)[0] if self.randomise else np.array(list(self.plant.values.values()))
 
     @cached_property
     def noise_std(self) -> tuple[float, float]:

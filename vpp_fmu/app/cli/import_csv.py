@@ -10,8 +10,6 @@ The mapping is saved in import.toml beside the record, and --map import.toml use
 
 Names: time omega_ref beta_ref omega thrust beta voltage current torque power signal run thrust_std samples."""
 
-import codecs
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,16 +20,14 @@ from identification.logs.commands import FILE as SPEED_MAP
 from identification.logs.commands import map_beside
 from identification.logs.containers import read_container
 from identification.logs.delimited import DELIMITERS, read_delimited
-from identification.logs.intake import Taken, contradictions, signal_range, take_in
+from identification.logs.intake import Taken, signal_range, take_in, take_measured
 from identification.logs.mapping import (
     FILE,
     FORMAT,
-    Column,
     Plan,
     completed,
     parse_fixed,
     parse_pairs,
-    propose,
     read_sections,
     section_of,
     to_toml,
@@ -88,33 +84,52 @@ def add_reading(parser) -> None:
 
 
 def run(options):
+    section, table, lines = opened(options)
+    if options.propose is not None:
+        return _propose(options, section, table, lines)
+    plan = planned(options, section, table, lines)
+    known, taken = taken_in(options, table, plan)
+    return put(options, table, plan, taken, known, lines, [])
+
+
+def taken_in(options, table: RawTable, plan: Plan, **more) -> tuple[SpeedMap | None, Taken]:
+    """(the known map of a signal, the log) by the options; `more`: further ones of `take_in`. BadInput."""
+    more |= {"force": options.force, "run": options.run_number}
+    if options.speed_from == "measured":
+        return None, take_measured(table, plan, options.kind, **more)
+    known = known_map(options, plan)
+    return known, take_in(table, plan, options.kind, known, **more)
+
+
+def put(
+    options, table: RawTable, plan: Plan, taken: Taken, known: SpeedMap | None, lines: list[str], corrections: list[str]
+) -> Answer:
+    """Write the file of the campaign, the mapping, and the signal's map if it is not the `known` one or not there yet."""
+    place, saved = Path(options.output), plan
+    sections = read_sections(place / FILE) if (place / FILE).exists() else {}
+    if options.speed_from == "measured":  # the mapping says so to the next log
+        taken = replace(taken, columns={name: column for name, column in taken.columns.items() if name != "omega"})
+        others = {q: c for q, c in plan.columns.items() if q not in ("omega_ref", "omega", "signal")}
+        fixed = {name: value for name, value in plan.fixed.items() if name != "omega_ref"}
+        saved = replace(plan, columns={"omega_ref": plan.columns["omega"], **others}, fixed=fixed)
+    section = saved.section(Path(options.log).name)
+    folder, record, said = placed(place, options.kind, taken, options.replace, options.mend)
+    folder.write(FILE, to_toml({**sections, options.kind: section}))
+    if taken.speed_map is not None and not (known and (place / SPEED_MAP).exists()):
+        folder.write(SPEED_MAP, (known or taken.speed_map).to_json())
+    lines += [*said_of_columns(table, plan, taken), *taken.said, *corrections, *said]
+    content = {"format": FORMAT, options.kind: section}
+    return Answer(headline(folder, options.kind, record.columns, options.log), content, lines, written=written(options, folder))
+
+
+def opened(options) -> tuple[dict, RawTable, list[str]]:
+    """(content of the import.toml among --map, the log, how it was read and what was left out, in words). BadInput."""
     section = saved_section(options)
     table = read_table(options, section.get("read", {}))
-    lines = said_of_table(table)
-    if options.propose is not None:
-        return _propose(table, options, lines)
-    plan = planned(options, section, table, lines)
-    if options.speed_from == "measured":
-        plan = _of_measured_speed(plan)
-    known = known_map(options, plan)
-    taken = take_in(table, plan, options.kind, known, options.force, options.run_number)
-    place, section = Path(options.output), plan.section(Path(options.log).name)
-    sections = read_sections(place / FILE) if (place / FILE).exists() else {}
-    folder, put, said = placed(place, options.kind, taken, options.replace, options.mend)
-    folder.write(FILE, to_toml({**sections, options.kind: section}))
-    if taken.speed_map is not None and not (place / SPEED_MAP).exists():
-        folder.write(SPEED_MAP, taken.speed_map.to_json())
-    lines += [*said_of_columns(table, plan, taken), *taken.said, *said]
-    content = {"format": FORMAT, options.kind: section}
-    return Answer(headline(folder, options.kind, put.columns, options.log), content, lines, written=written(options, folder))
-
-
-def said_of_table(table: RawTable) -> list[str]:
-    """How the table was read, and what was left out, in words."""
     lines = [f"{Path(table.source).name}: {table.how_read}; {len(table)} rows, {len(table.columns)} columns"]
     if table.left_out:
         lines.append(f"left out: {', '.join(f'{reason} {count}' for reason, count in table.left_out.items())}")
-    return lines
+    return section, table, lines
 
 
 def known_map(options, plan: Plan) -> SpeedMap | None:
@@ -139,13 +154,6 @@ def saved_section(options) -> dict:
 
 def read_table(options, read: dict) -> RawTable:
     """The log; `read`: options that read it, of an import.toml. BadInput."""
-    if options.encoding is not None:
-        try:
-            codecs.lookup(options.encoding)
-        except LookupError as error:
-            raise BadInput(
-                "command line", "--encoding", options.encoding, "an encoding's name such as utf-16 or cp1252"
-            ) from error
     decimal = {"point": ".", "comma": ","}.get(options.decimal)
     own = {"encoding": options.encoding, "delimiter": options.delimiter, "decimal": decimal}
     given = {**{name: text for name, text in read.items() if name in own}, **{n: t for n, t in own.items() if t is not None}}
@@ -176,25 +184,14 @@ def planned(options, section: dict, table: RawTable, lines: list[str]) -> Plan:
     return Plan(columns, fixed, table.read)
 
 
-def _of_measured_speed(plan: Plan) -> Plan:
-    """The plan with the measured speed as its command."""
-    columns = {q: c for q, c in plan.columns.items() if q not in ("omega_ref", "omega", "signal")}
-    fixed = {name: value for name, value in plan.fixed.items() if name != "omega_ref"}
-    return replace(plan, columns={"omega_ref": plan.columns["omega"], **columns}, fixed=fixed)
-
-
-def _propose(table: RawTable, options, lines: list[str]) -> Answer:
-    fixed = parse_fixed(options.fixed)
-    others, said = chosen(table, options.rotor, ())
-    columns = propose(table, others)
-    plan = Plan(columns, fixed, table.read)
-    width = max((len(c.name) for c in columns.values()), default=0)
-    for quantity, column in columns.items():
-        note = f"in {column.unit}" if column.unit else ""
-        lines.append(f"  {quantity:10} <- {column.name:{width}} {note:12} {column.sure}")
-    lines += [*said, *_unused(table, columns)]
-    lines += [f"as options: {plan.words()}"] if columns else []
-    lines += contradictions(table, plan)
+def _propose(options, section: dict, table: RawTable, lines: list[str]) -> Answer:
+    options.yes = True
+    plan = planned(options, section, table, lines)
+    try:
+        (_, taken), refusal = taken_in(options, table, plan), []
+    except BadInput as error:
+        taken, refusal = None, [f"the import would refuse it: {error}"]
+    lines += [*said_of_columns(table, plan, taken), f"as options: {plan.words()}", *refusal]
     content, place = {"format": FORMAT, options.kind: plan.section(Path(options.log).name)}, []
     if options.propose:
         folder, name = OutputFolder(Path(options.propose).parent), Path(options.propose).name
@@ -202,22 +199,15 @@ def _propose(table: RawTable, options, lines: list[str]) -> Answer:
             raise BadInput(options.propose, "file", "an existing file", "a new file", "--replace")
         folder.write(name, to_toml({options.kind: plan.section(Path(options.log).name)}))
         place = [f"saved in {options.propose}"]
-    text = f"The header of {Path(options.log).name} proposes {len(columns)} of {len(table.columns)} columns."
+    text = f"The header of {Path(options.log).name} proposes {len(plan.columns)} of {len(table.columns)} columns."
     return Answer(text, content, lines, written=place)
 
 
-def _unused(table: RawTable, columns: Mapping[str, Column]) -> list[str]:
-    """A line with the unused columns; none if all are used."""
-    taken = {part for column in columns.values() for part in table.parts(column.name)}
-    unused = [name for name in table.columns if name not in taken]
-    return [f"not used: {', '.join(unused)}"] if unused else []
-
-
-def said_of_columns(table: RawTable, plan: Plan, taken: Taken) -> list[str]:
+def said_of_columns(table: RawTable, plan: Plan, taken: Taken | None) -> list[str]:
     """Each column of the record, its source and range, in words, and the columns that are not used."""
     lines = []
     for quantity, column in plan.columns.items():
-        values, unit = taken.columns.get(quantity), QUANTITIES[quantity].unit
+        values, unit = taken and taken.columns.get(quantity), QUANTITIES[quantity].unit
         span = ""
         if values is not None and np.isfinite(values).any():
             empty = int((~np.isfinite(values)).sum())
@@ -226,4 +216,6 @@ def said_of_columns(table: RawTable, plan: Plan, taken: Taken) -> list[str]:
         how = f" ({column.sure})" if column.sure else ""
         lines.append(f"{quantity} <- {column.name}{f' in {column.unit}' if column.unit else ''}{how}{span}")
     lines += [f"{name} = {number(value)} {QUANTITIES[name].unit}, fixed" for name, value in plan.fixed.items()]
-    return lines + _unused(table, plan.columns)
+    used = {part for column in plan.columns.values() for part in table.parts(column.name)}
+    unused = [name for name in table.columns if name not in used]
+    return [*lines, f"not used: {', '.join(unused)}"] if unused else lines

@@ -10,8 +10,7 @@ from identification.gate.zero import levelled
 from identification.logger_fit import mended
 from identification.logs.intake import Taken
 from identification.logs.kinds import KINDS, repeat_of, runs_of, static_of
-from identification.logs.sampling import read_once, said_of_rows, screened
-from identification.logs.speed_choice import said_of_speed
+from identification.logs.sampling import read_once, screened
 from vpp_fmu.app.report.sentences import size
 from vpp_fmu.campaign import write_static, write_steps
 from vpp_fmu.digits import number
@@ -41,7 +40,6 @@ def placed(place: Path, kind: str, taken: Taken, replace: bool, mend: bool = Fal
         static, said = static_of(taken)
     elif kind == "steps":
         runs, said = runs_of(taken)
-        said += said_of_rows(runs[0])
     else:
         record, said = _record(place, kind, taken, mend)
         taken = dataclasses.replace(taken, columns=record.columns)
@@ -88,10 +86,7 @@ def _record(place: Path, kind: str, taken: Taken, mend: bool) -> tuple[Record, l
     if kind == "repeat" and (first := there(place, "open_loop")):
         record, remarks = repeat_of(record, read_record(first, holes=("thrust",)))
         said += remarks
-    kept, found = screened(record)
-    if taken.speed_map is not None:
-        said += said_of_speed(kept)
-    return record, [*said, *said_of_rows(kept), *found]
+    return record, [*said, *screened(record)]
 
 
 def there(folder: Path, kind: str) -> Path | None:
