@@ -475,6 +475,20 @@ CASES = {
         )
         for header in ("Pitch Servo (us)", "servo pwm", "pitch_us")
     },
+    **{  # beside it: a step counter, a temperature and the command again, which say nothing of the thrust
+        f"thrust follows {header}": (
+            named(
+                *("time", "omega_ref", "omega", "thrust"),
+                **{"step": np.arange(400) // 25, "temp [degC]": np.arange(400) % 3, "RPM set": T["omega_ref"], header: PULSES},
+            ),
+            (f"{header}, an unused command from {PULSES.min():g} to {PULSES.max():g} that thrust follows",),
+            {
+                ("--map", f"beta_ref={header}:us@1000=-5,2000=10"): {"beta_ref": 0.015 * PULSES - 20.0},
+                FIXED: {"beta_ref": np.full(400, 2.0)},
+            },
+        )
+        for header in ("RCOU.C2", "CH6(us)")
+    },
     **{
         f"{pairs} pole pairs": (
             named("time", "omega_ref", "thrust", **{"speed (rpm)": pairs * T["omega"]}),
@@ -537,6 +551,12 @@ def test_a_doubtful_log_is_refused_and_imported_by_the_words_of_the_refusal(tmp_
         record = imported(path, *words, to=str(k))
         for column, values in expected.items():
             np.testing.assert_allclose(record[column], values, rtol=1e-8, atol=1e-9, err_msg=f"{words} {column}")
+
+
+def test_a_command_that_thrust_does_not_follow_is_no_pitch(log, imported):
+    steady = 12.0 * (T["omega"] / 6000.0) ** 2
+    found = imported(log(named("time", "omega_ref", "omega", **{"RCOU.C2": PULSES, "Fz [N]": steady})))
+    assert np.all(found["beta_ref"] == 0.0)
 
 
 @pytest.mark.parametrize(("header", "unit"), [("Fz (gf)", "-1 gf"), ("Fz (g)", "gf"), ("Fz (V)", "12.3 N"), ("Fz (raw)", "N")])

@@ -14,7 +14,7 @@ from identification.logs.mapping import ROWS, Column, Plan, in_other_unit, movin
 from identification.logs.raw_table import RawTable
 from identification.logs.sampling import Stalls
 from identification.logs.speed_map import RANGES, SignalRange, SpeedMap
-from identification.logs.units import QUANTITIES, SIGNALS, factor_of, scale_of, signal_unit
+from identification.logs.units import QUANTITIES, SIGNALS, factor_of, is_rate, scale_of, signal_unit
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import QUANTITIES as RANGE
@@ -32,6 +32,10 @@ SAME_SPEED = 0.2
 
 APART = 0.05
 """Share of a quantity's readings in rows with thrust, below which they are messages of their own."""
+
+SCATTER, EXPLAINED, MOST_MOVES = 0.05, 0.5, 0.1
+"""Residual of thrust at fixed pitch as a share of its range, from which a further command is searched; the share of its
+variance that such a command explains; the largest share of rows in which a command moves."""
 
 ABSURD = 0.01
 """Share of a measured column's rows beyond its limits, up to which the cells are disturbed ones: a wrong unit spoils most."""
@@ -107,6 +111,9 @@ def take_in(
                 )
             del columns[name]
             said.append(f"{name}: no value in any row, left out")
+    unknown = clock and not {"beta_ref", "beta"} & {*columns, *plan.fixed} and not _no_angle(table, plan)
+    if unknown and (other := _other_command(table, plan, columns, rows)):
+        raise BadInput(table.source, "beta_ref", *other)
     words = {name: f"{name}, column {column.name} in {column.unit}" for name, column in plan.columns.items()}
     columns, notes = within_ranges(columns, words, table.source)
     said += notes
@@ -183,9 +190,46 @@ def _uncalibrated(table: RawTable, plan: Plan, quantity: str, word: str) -> tupl
     if quantity == "thrust":
         hint = f"--map 'thrust={name}:{unit}@A=0,B=10' with the numbers A and B that mean 0 and 10 N"
         return found, "a force", hint
-    points = f"'beta_ref={name}:{unit}@{low:g}=A,{high if high > low else low + 1.0:g}=B'"
-    hint = f"--map {points}, A and B the pitch there in deg, or --fixed beta_ref=8:deg if the pitch is fixed"
-    return found, "a pitch in deg", hint
+    return found, "a pitch in deg", _calibrated(name, unit, low, high if high > low else low + 1.0)
+
+
+def _calibrated(name: str, unit: str, low: float, high: float) -> str:
+    """How to state the pitch of a column by two points, or a fixed one."""
+    points = f"'beta_ref={name}:{unit}@{low:g}=A,{high:g}=B'"
+    return f"--map {points}, A and B the pitch there in deg, or --fixed beta_ref=8:deg if the pitch is fixed"
+
+
+def _other_command(
+    table: RawTable, plan: Plan, columns: Mapping[str, np.ndarray], rows: np.ndarray
+) -> tuple[str, str, str] | None:
+    """(found, expected, hint) if an unused column moves as a command does and explains thrust that speed does not; else None.
+
+    Thrust at fixed pitch is a quadratic in speed. A pitch x adds the terms x, x w^2 and x^2 w^2.
+    """
+    speed = columns.get("omega", columns.get("omega_ref"))
+    seen = np.isfinite(speed) & np.isfinite(columns["thrust"]) if speed is not None else np.zeros(1, bool)
+    if seen.sum() < 100:
+        return None
+    w, thrust = speed[seen] / max(1.0, float(np.abs(speed[seen]).max())), columns["thrust"][seen]
+
+    def residual(*terms):
+        a = np.column_stack([np.ones_like(w), w, w**2, *terms])
+        return float(np.std(thrust - a @ np.linalg.lstsq(a, thrust, rcond=1e-9)[0]))
+
+    alone = residual()
+    if alone < SCATTER * np.ptp(thrust):
+        return None
+    taken = {part for column in plan.columns.values() for part in table.parts(column.name) if column.name != ROWS}
+    free = (n for n, cells in table.columns.items() if n not in taken and cells.dtype.kind == "f")
+    for name in (n for n in free if not is_rate(table.unit(n) or "")):
+        x = _last_value(table.numbers(name))[rows][seen]
+        if not np.isfinite(x).all() or not 3 <= np.sum(np.diff(x) != 0.0) <= MOST_MOVES * len(x):
+            continue
+        u = (x - x.min()) / np.ptp(x)
+        if residual(u, u * w**2, (u * w) ** 2) ** 2 < (1.0 - EXPLAINED) * alone**2:
+            found = f"{name}, an unused command from {x.min():g} to {x.max():g} that thrust follows, and no pitch"
+            return found, "a command of pitch", _calibrated(name, table.unit(name) or "", x.min(), x.max())
+    return None
 
 
 def _last_value(column: np.ndarray, first: bool = False) -> np.ndarray:
