@@ -11,12 +11,10 @@ filter if it has one). The uncertainty of speed there is that of one mark a revo
 the log-likelihood of the weak effect, with the strong one known. Each case depends on `--first-seed` and its number alone.
 """
 
-import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
@@ -26,11 +24,10 @@ from vpp_fmu.record import Record
 
 from . import command_sequences
 from .detectable import LIMIT, efficient_errors, evidence
-from .diagnosis import rows
 from .hidden_effects import HIDDEN, Draw
 from .physics import BASE, in_time
-from .rig import SIZES, Files, campaign, random_base, save
-from .row_file import kept, read
+from .rig import SIZES, Files, campaign, random_base
+from .rows import add_options, completed
 from .scores import NAMED, named, share
 from .sensors import Encoder, LoggedRig, Logger, Mark, Telemetry
 
@@ -91,6 +88,11 @@ class Case:
     part: str
     first: int
     number: int
+
+    @property
+    def name(self) -> str:
+        """Name in files and tables."""
+        return f"{self.part} {self.first} {self.number}"
 
     def random(self, stream: int) -> np.random.Generator:
         """One of the case's random generators."""
@@ -193,8 +195,7 @@ class Case:
 
     def summary(self) -> dict:
         """Entries of a line of the file."""
-        head = {"part": self.part, "first": self.first, "number": self.number}
-        return head | {"hidden": list(self.hidden), "factors": self.factors, "sizes": list(self.sizes)}
+        return {"name": self.name, "hidden": list(self.hidden), "factors": self.factors, "sizes": list(self.sizes)}
 
 
 def logger_of(found: Diagnosis, rpm: float) -> dict:
@@ -210,11 +211,11 @@ def logger_of(found: Diagnosis, rpm: float) -> dict:
     return {"lag": logger.offset, "delay": delay, "sensor": f"{sensor.kind} {sensor.marks_per_revolution}"}
 
 
-def outcome(case: Case, threads: int = 1) -> dict:
+def outcome(case: Case) -> dict:
     """Measure the case, diagnose it, compare with the truth."""
     measured = case.measured()
     began = time.perf_counter()
-    found = diagnose(measured, workers=threads)
+    found = diagnose(measured, workers=1)
     seconds = time.perf_counter() - began
     record, delay = case.unseen()
     noise = float(np.sqrt(case.rig.noise.power(np.fft.rfftfreq(len(record))[1:]).mean()))
@@ -322,7 +323,7 @@ def table(part: str, found: Sequence[dict]) -> str:
     if done:
         seconds = np.array([r["seconds"] for r in done])
         lines.append(f"a diagnosis took {np.median(seconds):.1f} s in the median, {seconds.max():.0f} s at worst")
-    lines += [f"FAILED {r['part']} {r['number']}: {r['failed']}" for r in found if r["failed"]]
+    lines += [f"FAILED {r['name']}: {r['failed']}" for r in found if r["failed"]]
     return "\n".join(lines)
 
 
@@ -342,7 +343,7 @@ def line(row: dict) -> str:
     f = row["factors"]
     files = ", ".join(n for n in ("static", "steps", "repeat", "validation") if f[n]) or "one record"
     like = f"{f['sensor']}, {f['rows']} {f['lag']:+.2f} rows, {f['rate']} Hz, {f['noise']} {f['level']:.2f}, {files}"
-    head = f"{row['part']} {row['number']} ({like}) {' + '.join(row['hidden'])}".rstrip()
+    head = f"{row['name']} ({like}) {' + '.join(row['hidden'])}".rstrip()
     if row["failed"]:
         return f"{head}: failed, {row['failed']}"
     names = ", ".join([*row["effects"], *(f"({n})" for other in row["family"].values() for n in other)])
@@ -354,31 +355,10 @@ def line(row: dict) -> str:
 def main(parser, arguments):
     parser.add_argument("--part", choices=PARTS, default="nothing", help="(default: %(default)s)")
     parser.add_argument("--seeds", type=int, metavar="N", help=f"cases (default: {PARTS})")
-    parser.add_argument("--first-seed", type=int, default=0, metavar="K", help="of all that is drawn (default: %(default)s)")
     parser.add_argument("--only", type=int, metavar="K", help="this case alone")
-    parser.add_argument("--save", metavar="DIR", help="no diagnosis: write the campaign of the case of --only there")
-    parser.add_argument("--workers", type=int, default=2, metavar="N", help="cases side by side (default: %(default)s)")
-    parser.add_argument("--limit", type=float, default=900.0, metavar="S", help="seconds for a case (default: %(default)g)")
-    parser.add_argument("--only-table", action="store_true", help="no new cases: the table of those that the file has")
-    parser.add_argument("-o", "--output", metavar="F", help="lines, one a case; a run that was stopped goes on there")
+    add_options(parser, "out/loggers.jsonl")
     options = parser.parse_args(arguments)
     numbers = range(options.seeds or PARTS[options.part]) if options.only is None else [options.only]
-    cases = [Case(options.part, options.first_seed, k) for k in numbers]
-    if options.save:
-        if options.only is None:
-            parser.error("--save: which case? --only K")
-        save(cases[0].measured(), cases[0].rig.size, Path(options.save))
-        print(json.dumps(cases[0].summary() | {"rig": asdict(cases[0].rig)}, indent=2))
-        return
-    path = Path(options.output or f"out/loggers_{options.part}.jsonl")
-    done = {_key(row): row for row in read(path)}
-    missing = [] if options.only_table else [c for c in cases if _key(c.summary()) not in done or options.only is not None]
-    found = rows(missing, options.workers, 1, options.limit, work=outcome)
-    for row in kept(path, found) if options.only is None else found:
-        print(line(row), flush=True)
-        done[_key(row)] = row
-    print(table(options.part, [row for c in cases if (row := done.get(_key(c.summary())))]))
-
-
-def _key(row: dict) -> tuple:
-    return row["part"], row["first"], row["number"]
+    found = completed(options, [Case(options.part, options.first_seed, k) for k in numbers], outcome)
+    print("\n".join(line(row) for row in found))
+    print(table(options.part, [row for row in found if row["name"].startswith(options.part)]))
