@@ -6,16 +6,29 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import test_native_fmu
-from builders import ALL_ON, PROBES, Slave, random_steps, simulator
+from builders import ALL_ON, MODELS, PROBES, Slave, native, random_steps, simulator
 from fuzz import fuzz, fuzzer
 from misuse import Host
 
-from vpp_fmu.fmu import FmuInstance
+from vpp_fmu.errors import CompilerMissing
+from vpp_fmu.fmu import Fmu, FmuInstance
 
-# Without a compiler all is skipped together with that module.
-MODELS, OUTPUTS, each_fmu = test_native_fmu.MODELS, test_native_fmu.OUTPUTS, test_native_fmu.each_fmu
-fmu_files, fmus = test_native_fmu.fmu_files, test_native_fmu.fmus
+OUTPUTS = ["thrust", "omega", "beta"]
+
+
+@pytest.fixture(scope="module")
+def fmus(tmp_path_factory):
+    """Native FMUs by name, unpacked."""
+    folder, unpacked = tmp_path_factory.mktemp("native"), {}
+    for name in MODELS:
+        try:
+            (folder / f"{name}.fmu").write_bytes(native(name))
+        except CompilerMissing as missing:
+            pytest.skip(f"native FMUs: {missing}")
+        unpacked[name] = Fmu(folder / f"{name}.fmu")
+    yield unpacked
+    for fmu in unpacked.values():
+        fmu.close()
 
 
 def started(fmu, logger=True) -> Host:
@@ -83,7 +96,7 @@ def derivative(slave, unknowns, knowns, moves):
     )
 
 
-@each_fmu
+@pytest.mark.parametrize("name", MODELS)
 def test_derivatives_at_the_start_are_differences(fmus, name):
     """Of outputs and states with respect to inputs and parameters, one by one and along a mixed direction."""
     model = MODELS[name][0]
