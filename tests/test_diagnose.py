@@ -142,10 +142,19 @@ def test_all_files_of_a_folder_belong_to_the_same_model(example, tmp_path):
     assert {n: entry["std"] for n, entry in final["parameters"].items()} == pytest.approx(written)
 
 
-def test_the_parameters_name_the_given_model_as_their_origin(tmp_path):
-    campaign, name = rig(**{"pitch_backlash.half_gap": 1.0}), "pitch_backlash"
-    given = ParameterSet(plant([name])).replaced(TRUTH | {f"{name}.half_gap": 0.7})
-    found = diagnose(campaign, some("sensor_lag", name), given=given)
+PLAY = "pitch_backlash"
+
+
+@pytest.fixture(scope="module")
+def beside_play():
+    """(campaign, given model, diagnosis): the given model has play of 0.7 deg, the rig 1 deg."""
+    campaign = rig(**{f"{PLAY}.half_gap": 1.0})
+    given = ParameterSet(plant([PLAY])).replaced(TRUTH | {f"{PLAY}.half_gap": 0.7})
+    return campaign, given, diagnose(campaign, some("sensor_lag", PLAY), given=given)
+
+
+def test_the_parameters_name_the_given_model_as_their_origin(beside_play, tmp_path):
+    _, given, found = beside_play
     write_diagnosis(OutputFolder(tmp_path), found, given="before/given.json")
     for suffix in ("", "_base"):
         file = tmp_path / f"parameters{suffix}.json"
@@ -280,7 +289,9 @@ def test_no_record_to_fit_is_bad_input():
 
 @pytest.mark.parametrize("name", ["repeat", "validation"])
 def test_a_repeat_or_a_validation_record_alone_is_fitted(name):
-    found = diagnose(replace(rig(), **{other: None for other in ("open_loop", "repeat", "validation") if other != name}), FEW)
+    found = diagnose(
+        replace(rig(), **{other: None for other in ("open_loop", "repeat", "validation") if other != name}), some("sensor_lag")
+    )
     assert (found.verdict, found.unseen) == ("none", None)
     assert [one.name for one in found.fitted] == [name]
 
@@ -386,33 +397,31 @@ def test_the_validation_record_does_not_affect_the_selection(banded):
     assert found.selection.judgements == banded.selection.judgements
 
 
-def test_a_given_model_s_effects_are_part_of_the_base():
-    """The given model has play of 0.7 deg, the rig 1 deg. Play is refitted, stays in the exported model, and is no finding."""
-    campaign, name = rig(**{"pitch_backlash.half_gap": 1.0}), "pitch_backlash"
-    given = ParameterSet(plant([name])).replaced(TRUTH | {f"{name}.half_gap": 0.7})
-    found = diagnose(campaign, some(name, "sensor_lag"), given=given)
+def test_a_given_model_s_effects_are_part_of_the_base(beside_play):
+    """Play is refitted, stays in the exported model, and is no finding."""
+    campaign, _, found = beside_play
+    half_gap = f"{PLAY}.half_gap"
     assert (found.verdict, found.final.effects) == ("none", ())
-    assert found.base.values[f"{name}.half_gap"] == pytest.approx(1.0, rel=0.05)
+    assert found.base.values[half_gap] == pytest.approx(1.0, rel=0.05)
     exported = found.parameters(found.final)
-    assert exported.model.optional == (name,)
-    assert exported.values[f"{name}.half_gap"] == found.base.values[f"{name}.half_gap"]
-    stale = thrust_of(campaign.validation, **{f"{name}.half_gap": 0.7}) - campaign.validation["thrust"]
+    assert exported.model.optional == (PLAY,)
+    assert exported.values[half_gap] == found.base.values[half_gap]
+    stale = thrust_of(campaign.validation, **{half_gap: 0.7}) - campaign.validation["thrust"]
     assert summary(found)["given"]["rmse_thrust"] == pytest.approx(np.sqrt(np.mean(stale**2)), rel=1e-6)
     assert found.errors(found.final)[0] < summary(found)["given"]["rmse_thrust"]
 
 
-def test_command_starts_from_a_given_model_and_chosen_candidates(tmp_path, printed):
-    campaign, name = rig(**{"pitch_backlash.half_gap": 1.0}), "pitch_backlash"
+def test_command_starts_from_a_given_model_and_chosen_candidates(beside_play, tmp_path, printed):
+    campaign, given, _ = beside_play
     measured = OutputFolder(tmp_path / "campaign")
     for record in (campaign.open_loop, campaign.repeat, campaign.validation):
         write_record(measured, record.source, record)
-    given = ParameterSet(plant([name])).replaced(TRUTH | {f"{name}.half_gap": 0.7})
     (tmp_path / "given.json").write_text(to_json(given))
     options = ["--parameters", str(tmp_path / "given.json"), "--effects", "sensor_lag"]
     said = printed("diagnose", measured.path, *options, "-o", tmp_path / "out")
     assert "Nothing is missing" in said
     assert "as it was given" in said
-    assert json.loads((tmp_path / "out" / "parameters.json").read_text())["effects"] == [name]
+    assert json.loads((tmp_path / "out" / "parameters.json").read_text())["effects"] == [PLAY]
     known = read_campaign(measured.path).rig
     assert f"next_experiment.csv: commands within {', '.join(known.command_lines())}" in said
     planned = read_record(tmp_path / "out" / "next_experiment.csv")
@@ -490,7 +499,7 @@ def test_in_slow_noise_a_complete_model_trusts_the_steady_points_more_than_a_rec
         rng = np.random.default_rng(seed)
         rig = LoggedRig(random_base(rng, 1.0), SIZES["paper"], 25.0, "1/f", 1.0)
         other = command_sequences.both(rng, rig.clock, 40.0)
-        found = diagnose(campaign(rig, rng, files))
+        found = diagnose(campaign(rig, rng, files), FEW)
         assert found.verdict == "none"
         true = rig.read(rng, other)
         record = {"omega_ref": true.speed, "beta_ref": true.pitch}

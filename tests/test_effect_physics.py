@@ -1,23 +1,14 @@
 """Each effect against its own closed form, scipy, or a naive integration that was written without the kernel."""
 
-from itertools import product
-
 import numpy as np
 import pytest
-from builders import named, normalised, paper_map, random_steps, reference, simulator, steps_through, two_lags
+from builders import normalised, paper_map, random_steps, simulator, steps_through, two_lags
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
-from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
+from vpp_fmu.kernel.plant import BASE, plant
 
 STEP = 0.004
-EFFECTS = {e.name: e for e in LIBRARY if e.off is not None}
-FORMS = [
-    pytest.param(e, dict(zip(names, values, strict=True)), id="-".join([e.name, *(f"{v:g}" for v in values)]))
-    for e in EFFECTS.values()
-    for names in [[p.name for p in e.parameters if p.choices]]
-    for values in product(*(p.choices for p in e.parameters if p.choices))
-]
 LAGS = {"beta": (0.374, 0.207), "omega": (0.053, 0.172)}
 """Inner and outer time constant of each channel."""
 
@@ -50,50 +41,6 @@ def filtered(numerator, denominator, signal, time):
     """Response of a transfer function to a signal that is linear between samples, settled on its first value."""
     gain = numerator[-1] / denominator[-1]
     return gain * signal[0] + lsim((numerator, denominator), signal - signal[0], time)[1]
-
-
-# --- Properties of every form ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.sampled("effect")
-@pytest.mark.parametrize(("effect", "form"), FORMS)
-@pytest.mark.parametrize("dt", [1e-6, 0.002, STEP, 0.05])
-def test_every_form_is_off_to_the_bit(effect, form, dt):
-    model = plant([effect.name])
-    inputs, steps = random_steps(200, 10, model=model), np.full(199, dt)
-    values = named(effect, {**effect.probe, **effect.off, **form})
-    for taus in ({}, dict.fromkeys(("tau_omega_1", "tau_omega_2", "tau_beta_1", "tau_beta_2"), 0.001)):
-        without = simulator(BASE).simulate(taus, inputs, steps)
-        np.testing.assert_array_equal(simulator(model).simulate(values | taus, inputs, steps), without)
-        np.testing.assert_array_equal(reference(model, values | taus, inputs, steps), without)
-
-
-@pytest.mark.sampled("effect")
-@pytest.mark.parametrize(("effect", "form"), FORMS)
-def test_every_form_is_the_same_in_c_and_python_and_from_any_communication_step(effect, form):
-    model, values = plant([effect.name]), named(effect, {**effect.probe, **form})
-    slow, fast = random_steps(700, 100, 4, model), random_steps(100, 1, 5, model)
-    coarse = {name: np.r_[slow[name], fast[name]] for name in slow}
-    at_8_ms = simulator(model).simulate(values, coarse, np.full(799, 0.008))
-    np.testing.assert_array_equal(at_8_ms, reference(model, values, coarse, np.full(799, 0.008)))
-    for split in (2, 8, 64):
-        fine = {name: np.repeat(column, split)[: 799 * split + 1] for name, column in coarse.items()}
-        shown = simulator(model).simulate(values, fine, np.full(799 * split, 0.008 / split))[::split]
-        np.testing.assert_allclose(shown[:, 0], at_8_ms[:, 0], rtol=0, atol=1e-3)
-
-
-WARMING = {"thrust_gain_drift", "sensor_drift", "rotor_vibration"}
-
-
-@pytest.mark.sampled("effect")
-@pytest.mark.parametrize(("effect", "form"), [p for p in FORMS if p.values[0].name not in WARMING])
-def test_from_a_settled_start_nothing_moves(effect, form):
-    model, values = plant([effect.name]), named(effect, {**effect.probe, **form})
-    for omega, beta in ((5900.0, 9.5), (2500.0, -4.5), (4000.0, 3.3)):
-        still = {"omega_ref": omega, "beta_ref": beta} | {u.name: 22.0 for u in effect.inputs}
-        inputs = {name: np.full(6, value) for name, value in still.items()}
-        shown = simulator(model).simulate(values, inputs, np.array([1e-6, 0.001, STEP, 0.05, 2.0]))
-        np.testing.assert_allclose(shown, np.tile(shown[0], (6, 1)), rtol=1e-13, atol=1e-12)
 
 
 # --- The channels' two lags, bent: naive Euler steps of the equations as they stand in the literature --------------------

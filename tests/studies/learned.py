@@ -111,7 +111,7 @@ def outcome(case: Case) -> dict:
         return float(np.sqrt(np.mean((shown - true) ** 2)))
 
     row = case.summary() | {"failed": None, "verdict": found.verdict, "effects": list(found.final.effects)}
-    row |= {"before": error(found.base), "after": error(found.final), "lacking": found.before.found}
+    row |= {"before": error(found.base), "after": error(found.final), "lacking": found.before.significant}
     row |= {"seconds": time.perf_counter() - began, "cpu": time.process_time() - worked}
     row |= {"learning_cpu": time.process_time() - learning[0] if learning else 0.0}
     return row | _learned(case, found)
