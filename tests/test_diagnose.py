@@ -63,13 +63,21 @@ def rig(seed=0, **values) -> Campaign:
     return Campaign(example_folder(), None, (), *records)
 
 
+BAND = {"pitch_command_deadband.half_width": 1.5}
+
+
+def turning(record):
+    """The record with the speed of the paper's model, read by an encoder to 1 rpm."""
+    return record.with_columns(omega=np.round(Simulator(plant()).simulate(plant().values(TRUTH), *record.run)[:, 1]))
+
+
 @pytest.fixture(scope="module")
 def example():
-    """The campaign that ships with the project, diagnosed with a small library."""
-    return diagnose(read_campaign(example_folder()), FEW)
-
-
-BAND = {"pitch_command_deadband.half_width": 1.5}
+    """A rig with a dead band whose speed is measured."""
+    campaign = rig(**BAND)
+    records = {name: turning(getattr(campaign, name)) for name in ("open_loop", "repeat", "validation")}
+    encoder = infer_rig([*records.values()], None, {"sensor": {"kind": "encoder"}})
+    return diagnose(replace(campaign, rig=encoder, **records), FEW)
 
 
 @pytest.fixture(scope="module")
@@ -340,9 +348,8 @@ def test_a_refuted_effect_is_reported_as_the_best_guess_with_the_reason():
 
 
 def test_a_speed_in_the_repeat_alone_is_accepted():
-    own, model = rig(), plant()
-    speed = Simulator(model).simulate(model.values(TRUTH), *own.repeat.run)[:, 1]
-    found = diagnose(replace(own, repeat=own.repeat.with_columns(omega=np.round(speed))), some("pitch_offset"), thorough=False)
+    own = rig()
+    found = diagnose(replace(own, repeat=turning(own.repeat)), some("pitch_offset"), thorough=False)
     assert found.noise.floor == pytest.approx(NOISE, rel=0.05)
 
 

@@ -69,7 +69,7 @@ def test_costs_from_the_levels_are_those_of_simulations(pitch):
     np.testing.assert_allclose(found.costs(np.array(steps)), exact, rtol=0, atol=0.05 * np.abs(exact - nothing).max())
 
 
-@pytest.mark.parametrize(("name", "step"), [(PITCH, 0.4), (PITCH, 0.273), (SPEED, 20.0), (SPEED, 63.7)])
+@pytest.mark.parametrize(("name", "step"), [(PITCH, 0.273), (SPEED, 63.7)])
 def test_the_true_step_is_among_the_simulated_ones(name, step):
     """To a tenth of the distance at which the highest level is another multiple."""
     found = look(name, step)[0]
