@@ -77,7 +77,7 @@ def example():
     campaign = rig(**BAND)
     records = {name: turning(getattr(campaign, name)) for name in ("open_loop", "repeat", "validation")}
     encoder = infer_rig([*records.values()], None, {"sensor": {"kind": "encoder"}})
-    return diagnose(replace(campaign, rig=encoder, **records), FEW)
+    return diagnose(replace(campaign, rig=encoder, **records), FEW, thorough=False)
 
 
 @pytest.fixture(scope="module")
@@ -236,15 +236,11 @@ def test_nothing_is_added_where_nothing_is_missing(nothing_missing, tmp_path):
 
 
 def test_an_effect_outside_the_library_is_a_lack_of_fit():
-    """If a term is learned instead, it decreases the error on a hold-out record."""
-    found = diagnose(rig(**{"pitch_rate_limit.rate": 12.0}), some("sensor_drift"))
-    assert found.verdict in ("unexplained", "learned")
+    found = diagnose(rig(**{"pitch_rate_limit.rate": 12.0}), some("sensor_drift"), thorough=False)
+    assert (found.verdict, found.final.effects) == ("unexplained", ())
     assert found.before.significant
     assert found.before.score.gain > 10.0
     assert summary(found)["lack_of_fit"]["before"]["p"] < ALPHA_BASE
-    assert found.final.effects == (("learned",) if found.learned else ())
-    if found.learned:
-        assert found.errors(found.final)[0] < found.errors(found.base)[0]
 
 
 def map_at(omega, beta):
@@ -396,10 +392,10 @@ def test_a_spent_budget_ends_the_search_and_lists_the_steps_not_tried(banded):
 
 
 def test_the_validation_record_does_not_affect_the_selection(banded):
-    """The selection is the same with another thrust in the validation record."""
+    """The selection is the same, to the bit, with another thrust in the validation record."""
     campaign = rig(**BAND)
-    other = campaign.validation.with_columns(thrust=1.2 * campaign.validation["thrust"])
-    found = diagnose(replace(campaign, validation=other), FEW)
+    other = campaign.validation.with_columns(thrust=campaign.validation["thrust"] + 0.01)
+    found = diagnose(replace(campaign, validation=other), FEW, thorough=False)
     assert found.selection.final.values == banded.selection.final.values
     assert found.selection.judgements == banded.selection.judgements
 
@@ -481,7 +477,7 @@ def limited(pitches, seed=0) -> Campaign:
     ],
 )
 def test_a_wider_effect_is_in_the_family_if_no_record_distinguishes_it(pitches, effects, family):
-    found = diagnose(limited(pitches), some("speed_saturation", "supply_sag"))
+    found = diagnose(limited(pitches), some("speed_saturation", "supply_sag"), thorough=False)
     assert found.final.effects == effects
     assert found.selection.family == family
     assert found.verdict == ("family" if any(family.values()) else "attributed")
@@ -490,7 +486,7 @@ def test_a_wider_effect_is_in_the_family_if_no_record_distinguishes_it(pitches, 
 @pytest.mark.parametrize("lag", [0.0, 0.6])
 def test_the_lag_of_a_sag_is_in_the_model_only_if_the_records_show_it(lag):
     hidden = {"supply_sag.sag": 60.0, "supply_sag.time_constant": lag, "supply_sag.form": 2.0}
-    found = diagnose(rig(**hidden), some("supply_sag", "speed_saturation", "recirculation"))
+    found = diagnose(rig(**hidden), some("supply_sag", "speed_saturation", "recirculation"), thorough=False)
     assert found.final.effects == ("supply_sag",)
     if lag:
         error = found.final.values["supply_sag.time_constant"] - lag
@@ -502,11 +498,11 @@ def test_the_lag_of_a_sag_is_in_the_model_only_if_the_records_show_it(lag):
 def test_in_slow_noise_a_complete_model_trusts_the_steady_points_more_than_a_record():
     """Flicker noise, and steady points from 40 step responses. The fit with independent noise is the reference."""
     files, power = Files(seconds=60.0, repeat=False, validation=False, static=False, steps=True), {"before": 0.0, "after": 0.0}
-    for seed in range(4):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         rig = LoggedRig(random_base(rng, 1.0), SIZES["paper"], 25.0, "1/f", 1.0)
         other = command_sequences.both(rng, rig.clock, 40.0)
-        found = diagnose(campaign(rig, rng, files), FEW)
+        found = diagnose(campaign(rig, rng, files), FEW, thorough=False)
         assert found.verdict == "none"
         true = rig.read(rng, other)
         record = {"omega_ref": true.speed, "beta_ref": true.pitch}
@@ -519,7 +515,7 @@ def test_in_slow_noise_a_complete_model_trusts_the_steady_points_more_than_a_rec
 def test_validation_narrows_a_threshold_that_the_fitted_records_leave_open():
     """A band of 1.3 deg hides fitted moves of 1 deg, and no move of 2 deg: any width from 1 to 2 deg fits. Validation would
     refute the middle, 1.5 deg, which hides moves of 1.4 deg."""
-    found = diagnose(on_grid(1.3), FEW)
+    found = diagnose(on_grid(1.3), FEW, thorough=False)
     assert (found.verdict, found.final.effects) == ("attributed", ("pitch_command_deadband",))
     ((low, high),) = found.final.thresholds.values()
     assert low <= 1.3 <= high <= 1.4 + 1.0 / 8.0  # the interval ends before the next of nine values

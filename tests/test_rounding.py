@@ -97,7 +97,7 @@ def test_the_step_of_a_command_is_named():
         replace(measured(r, rng, **{name: step}), source=f"{n}.csv")
         for r, n in ((told, "open_loop"), (told, "repeat"), (other, "validation"))
     ]
-    found = diagnose(campaign(*records), FEW)
+    found = diagnose(campaign(*records), FEW, thorough=False)
     assert (found.verdict, found.final.effects) == ("attributed", (name,))
     assert found.final.values[f"{name}.step"] == pytest.approx(step, rel=0.01)
     assert found.errors(found.final)[0] == pytest.approx(NOISE, rel=0.05)
