@@ -160,9 +160,9 @@ def in_a_new_process(code, folder, **variables):
 
 
 def test_two_builds_in_different_folders_have_the_same_bytes(make, tmp_path):
-    model, values = MODELS["all_on"] if make is python_fmu else MODELS["controller"]
-    first = make(model, values)
     name = "all_on" if make is python_fmu else "controller"
+    model, values = MODELS[name]
+    first = make(model, values) if make is python_fmu else native(name)
     code = f"from test_fmu import *; print(sha256({make.__name__}(*MODELS[{name!r}])).hexdigest())"
     elsewhere = in_a_new_process(code, tmp_path, PYTHONHASHSEED="7", TZ="Asia/Tokyo", TMPDIR=str(tmp_path))
     assert elsewhere == sha256(first).hexdigest()
@@ -211,6 +211,7 @@ def test_the_fmpy_command_runs_a_written_record_as_the_kernel_to_the_bit(fmu_fil
     np.testing.assert_array_equal(np.column_stack([result[name] for name in OUTPUTS]), exact)
 
 
+@pytest.mark.parametrize("make", ["python"], indirect=True)
 def test_instances_of_several_fmus_do_not_mix(make, fmus, tmp_path):
     """Two plants and two controllers of the same names, different content, interleaved, beside this project's modules."""
     slow = tmp_path / "slow.fmu"
