@@ -359,9 +359,10 @@ def test_the_logger_is_estimated_again_beside_the_effects_found(monkeypatch, off
     the thrust may stand in for it. The estimate is without the lag first, then with it. A delay is part of each estimate."""
     beside = []
 
-    def searched(task, gate):
+    def searched(task, gate, known=()):
         final = SimpleNamespace(effects=("inflow_lag", "sensor_lag", "pitch_delay"), values={})
         parts = {"final": final, "word": "attributed", "held_out_after": SimpleNamespace(rmse_thrust=2.0 + gate.logger.rows)}
+        parts["stages"] = ()
         return SimpleNamespace(logger=gate.logger, selection=lambda: SimpleNamespace(final=final), **parts)
 
     def estimated(gate, effects=(), library=(), values=None, each=map):

@@ -8,6 +8,7 @@ import pytest
 from studies.synthetic import TRUTH, commands
 
 from identification.demo import example_folder
+from identification.diagnose import diagnose as diagnosing
 from identification.diagnose import given_speed, stages
 from identification.diagnose.diagnose import _channels, _other, _with, diagnose
 from identification.diagnose.given_speed import with_given_speed
@@ -136,6 +137,49 @@ def test_a_fault_of_the_thrust_leaves_the_speed_alone():
     found = diagnose(rig(**{"thrust_gain_drift.rate": -0.004}), DELAYS, thorough=False)
     assert found.channels["speed"] == {"verdict": "none", "effects": []}
     assert found.channels["thrust"]["effects"] == ["thrust_gain_drift"]
+
+
+@pytest.mark.parametrize(
+    ("lacks", "lacks_again", "refused", "complete"),
+    [
+        (False, False, (), True),
+        (False, True, (), True),  # the new logger explains less: so it is refused
+        (True, False, (), True),
+        (True, True, (), False),
+        (False, False, ("chance reaches it",), False),  # another search may find fewer effects
+    ],
+)
+def test_with_another_logger_a_search_is_needed_only_if_it_may_find_a_simpler_set(lacks, lacks_again, refused, complete):
+    def stage(lack, refused=()):
+        selection = SimpleNamespace(judgements={"sensor_lag": SimpleNamespace(refused=refused)})
+        return SimpleNamespace(selection=selection, after=SimpleNamespace(significant=lack))
+
+    found, again = (stage(False), stage(lacks)), (stage(False), stage(lacks_again, refused))
+    assert stages._complete(found, again) is complete
+    assert not stages._complete((), ())
+
+
+def test_with_another_logger_the_effects_are_fitted_to_its_records_without_a_search(monkeypatch):
+    """The second logger, beside the effect found, has commands half a row later."""
+    searches, second, stage, as_logged = [], [], stages._stage, diagnosing.as_logged
+
+    def counted(*arguments):
+        searches.append(arguments)
+        return stage(*arguments)
+
+    def later(gate, effects=(), *others, **options):
+        found = as_logged(gate, effects, *others, **options)
+        if not effects:
+            return found
+        second.append(effects)
+        logger = replace(found.logger, rows=0.5, std=0.01, period=0.004)
+        return replace(gate.changed(logger.applied), logger=logger)
+
+    monkeypatch.setattr(stages, "_stage", counted)
+    monkeypatch.setattr(diagnosing, "as_logged", later)
+    found = diagnose(rig(**{"thrust_gain_drift.rate": -0.004}), DELAYS)
+    assert found.final.effects == ("thrust_gain_drift",)
+    assert (len(second), len(searches)) == (1, 2)
 
 
 @pytest.mark.parametrize(

@@ -220,7 +220,8 @@ def diagnose(
     on the machine's speed. BadInput if the campaign has no record to fit.
 
     The logger is estimated first, beside the base model, which a missing effect may bias; then again beside the effects that
-    are found. If it differs significantly, the campaign is searched once more.
+    are found. If it differs significantly, these are fitted with it, and the campaign is searched once more if this may give a
+    simpler set.
     """
     effort = Effort(budget, thorough, stage, progress)
     # The fits run in parallel, each with one thread of linear algebra.
@@ -250,7 +251,7 @@ def _with_logger_beside(task: "_Task", gate: Passed, kept: Iterable[str], found:
         again = as_logged(gate, [*kept, *beside], task.library, final.values, task.pool.map)
         errors = SIGNIFICANT if len(beside) == len(final.effects) else NORMAL_95
         if not again.logger.agrees_with(found.logger, errors):
-            return _simpler(found, _searched(task, again))
+            return _simpler(found, _searched(task, again, found.stages))
     return found
 
 
@@ -349,8 +350,8 @@ def _started(task: _Task, gate: Passed) -> tuple[list[list[Fitted]], Unseen | No
     return groups, unseen, from_identification(task.campaign, gate, task.library, task.seed)
 
 
-def _searched(task: _Task, gate: Passed) -> _Searched:
-    """Search a campaign whose records passed the `gate`, corrected for its logger."""
+def _searched(task: _Task, gate: Passed, known: Sequence[Stage] = ()) -> _Searched:
+    """Search a campaign whose records passed the `gate`, corrected for its logger. `known`: its stages with another logger."""
     groups, unseen, at = _started(task, gate)
     records = [one.record for group in groups for one in group]
     options, runs = candidates(at.library, records), gate.campaign.steps
@@ -359,7 +360,7 @@ def _searched(task: _Task, gate: Passed) -> _Searched:
         # The misfit of a fitted map differs from level to level, as that of a resolution does.
         options, map_error = [c for c in options if c.name != "speed_command_resolution"], read_speed_map(speed_map).rms
     give_back()
-    stages = searched(groups, runs, at, options, task.smallest, task.effort, task.pool, map_error)
+    stages = searched(groups, runs, at, options, task.smallest, task.effort, task.pool, map_error, known)
     if ahead := stages[-1].speed_ahead:  # the readings are as much earlier than their sensor says
         sensor = replace(gate.logger.sensor, delay=gate.logger.sensor.delay - ahead)
         gate = replace(gate, logger=replace(gate.logger, sensor=sensor)).changed(Logger(sensor=sensor).applied)

@@ -172,12 +172,21 @@ def with_lower_noise(
     noise = searcher.experiments[0].noise
     if noise.verified:
         return None
+    found = noise_beside(groups, at, noise, fit)
+    return with_noise(groups, at, searcher, base, found) if found.clearer_than(noise, at.channels) else None
+
+
+def noise_beside(groups: Sequence[Sequence[Fitted]], at: InitialModel, noise: Noise, fit: Fit) -> Noise:
+    """The noise of the fitted channels, estimated from the residual of a fit or from repeated records; else the present one."""
     found = _noise(groups, fit.problem.model, fit.values, fit.problem.coordinates.names, at)
-    if at.channels == ("omega",):
-        found = replace(noise, speed=found.speed)
-    if not found.clearer_than(noise, at.channels):
-        return None
-    again, base = fitted_base(groups, at, found, base.values)
+    return replace(noise, speed=found.speed) if at.channels == ("omega",) else found
+
+
+def with_noise(
+    groups: Sequence[Sequence[Fitted]], at: InitialModel, searcher: Searcher, base: Fit, noise: Noise
+) -> tuple[Searcher, Fit]:
+    """(searcher, base) with another noise."""
+    again, base = fitted_base(groups, at, noise, base.values)
     again.points, again.base_score_gain = searcher.points, searcher.base_score_gain
     return again, base
 

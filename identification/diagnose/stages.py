@@ -13,7 +13,15 @@ import numpy as np
 from identification.diagnose.acceptance import Judge
 from identification.diagnose.effort import Effort
 from identification.diagnose.given_speed import given_speed, with_given_speed, with_speed_of
-from identification.diagnose.initial_model import InitialModel, always_on, fitted_base, prepared, with_lower_noise
+from identification.diagnose.initial_model import (
+    InitialModel,
+    always_on,
+    fitted_base,
+    noise_beside,
+    prepared,
+    with_lower_noise,
+    with_noise,
+)
 from identification.diagnose.judgement import MIN_EVIDENCE, Judgement, Smallest
 from identification.diagnose.lack_of_fit import LackOfFit, with_rotor_order
 from identification.diagnose.search.candidates import Candidate
@@ -101,11 +109,14 @@ class Stage:
         refused = {**selection.refused, effect: replace(selection.judgements[effect], refused=(why,))}
         return self.with_final(rest, judgements, refused=refused, rivals={n: {} for n in judgements})
 
-    def on(self, groups: Sequence[Sequence[Fitted]], runs: Sequence[Record], at: InitialModel, speed_error: float) -> "Stage":
-        """The same selection, fitted to records of another speed."""
+    def on(
+        self, groups: Sequence[Sequence[Fitted]], runs: Sequence[Record], at: InitialModel, speed_error: float = 0.0
+    ) -> "Stage":
+        """The same selection, fitted to records of another speed or logger."""
         old, selection = self.judge.searcher, self.selection
-        searcher, base = fitted_base(groups, at, old.experiments[0].noise, self.selection.base.values)
-        searcher.points, searcher.base_score_gain = old.points, old.base_score_gain
+        searcher, base = with_noise(groups, at, old, selection.base, old.experiments[0].noise)
+        noise = noise_beside(groups, at, old.experiments[0].noise, searcher.again(selection.whole))
+        searcher, base = with_noise(groups, at, searcher, base, noise)
         judge = Judge(searcher, base, self.judge.smallest, runs, speed_error)
         final, whole = (searcher.again(fit) if fit.effects else base for fit in (selection.final, selection.whole))
         judgements = {n: judge(n, final, without(searcher, base, final, n)) for n in final.effects}
@@ -129,17 +140,20 @@ def searched(
     effort: Effort,
     pool,
     map_error: float = 0.0,
+    found: Sequence[Stage] = (),
 ) -> list[Stage]:
     """The stages of a search: of the speed and of the thrust; of the thrust alone if no speed was measured. `runs`: step
     responses; `map_error` [rpm]: rms error of the map that gave the speed commands. If an effect of the speed takes the pitch,
-    the speed is searched again with the pitch of the second stage."""
+    the speed is searched again with the pitch of the second stage. `found`: the stages with another logger; no new search where
+    it would find no simpler set."""
     if not any("omega" in one.record and np.isfinite(one.record["omega"]).any() for group in groups for one in group):
-        return [_stage(groups, runs, at, 0.0, options, smallest, effort, pool)]
+        again = [s.on(groups, runs, at) for s in found]
+        return again if _complete(found, again) else [_stage(groups, runs, at, 0.0, options, smallest, effort, pool)]
     own, others = ([c for c in options if c.effect.in_speed == in_speed] for in_speed in (True, False))
 
-    def of_speed(at: InitialModel) -> Stage:
+    def of_speed(at: InitialModel, known: Stage | None = None) -> Stage:
         at = at.of_channels("omega", library=at.library, values={})
-        return _stage(groups, [], at, 0.0, own, smallest, effort, pool, " of the speed")
+        return known.on(groups, [], at) if known else _stage(groups, [], at, 0.0, own, smallest, effort, pool, " of the speed")
 
     def known_from(first: Fit) -> InitialModel:
         """The start of the thrust's search. Effects that delay the readings of speed and of thrust are part of it. So is a
@@ -192,15 +206,30 @@ def searched(
         known, error = with_speed_of(groups, first, readings)
         return known, given, known_from(first), max(error, map_error)
 
+    def with_pitch_of(thrust: Stage) -> InitialModel:
+        return _keeping(at, thrust.selection.whole, lambda e: e.channels == ("beta",), PITCH)
+
+    if found:
+        speed = by_thrust(of_speed(with_pitch_of(found[1]), found[0]))
+        thrust = found[1].on(*of_known(speed))
+        if _complete(found, (speed, thrust)):
+            return checked(speed, thrust)
     speed = by_thrust(of_speed(at))
     thrust = of_thrust(speed)
     if not _takes_pitch(speed.selection.whole) or not effort.allows(AGAIN):
         return checked(speed, thrust)
-    again = by_thrust(of_speed(_keeping(at, thrust.selection.whole, lambda e: e.channels == ("beta",), PITCH)))
+    again = by_thrust(of_speed(with_pitch_of(thrust)))
     if again.selection.final.effects != speed.selection.final.effects:
         return checked(again, of_thrust(again))
     known_thrust = thrust.on(*of_known(again))
     return checked(again, known_thrust if known_thrust.word not in UNEXPLAINED else of_thrust(again))
+
+
+def _complete(found: Sequence[Stage], again: Sequence[Stage]) -> bool:
+    """Whether the effects of a search are all accepted again with another logger, and leave no lack of fit with one of both:
+    another search would find no simpler set."""
+    accepted = all(not j.refused for s in again for j in s.selection.judgements.values())
+    return accepted and any(each and not any(s.after.significant for s in each) for each in (found, again))
 
 
 def _stage(groups, runs, at, speed_error, options, smallest, effort, pool, words: str = "") -> Stage:
