@@ -1,5 +1,6 @@
-"""The answer of each verb: one JSON object that its schema describes, a sentence in the first line, --quiet and --verbose."""
+"""The answer of each verb: an object that its schema describes, a sentence in the first line, --quiet; its report as seen."""
 
+import base64
 import io
 import json
 import math
@@ -10,6 +11,7 @@ from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
+import numpy as np
 import pytest
 from builders import shorten_tuning
 from jsonschema import Draft202012Validator
@@ -19,6 +21,7 @@ from test_rcbenchmark import truth, write
 from hil.emulator.rig import CALIBRATION
 from identification.demo import example_folder
 from identification.diagnose.diagnose import diagnose
+from tests.browser import browser as opened
 from vpp_fmu.app.cli import VERBS, main, parser_of
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.campaign import write_static
@@ -274,3 +277,155 @@ def test_quiet_prints_the_answer_alone(said, monkeypatch, capsys):
         assert main([*words]) == 0
         out, err = capsys.readouterr()
         assert (out.count("\n"), err) == (1, "")
+
+
+REPORTS = {name for name in CALLS if "-o" in CALLS[name]} - {"check", "simulate", "export", "import-csv", "import-rcbenchmark"}
+REPORTS = sorted(REPORTS - {"export, policy", "cosim, tuned"} | {"twin"})
+"""Calls that write a report."""
+
+
+def report(said, name):
+    words = CALLS[name]
+    return said.folder / (words[words.index("-o") + 1] if "-o" in words else words[1]) / "report.html"
+
+
+def figures(path) -> list[dict]:
+    """The figures of a report, as `draw` receives them."""
+    found = [json.loads(text) for text in re.findall(r"<script>draw\('figure-\d+',(.*)\)</script>", path.read_text())]
+    arrays = [np.frombuffer(base64.b64decode(text), np.float32) for spec in found for text in spec["arrays"]]
+    for spec in found:
+        for mark in spec["marks"]:
+            mark |= {side: arrays[mark[side]] for side in "xy" if isinstance(mark[side], int)}
+    return found
+
+
+@pytest.mark.parametrize("name", REPORTS)
+def test_every_axis_names_its_quantity_and_unit(said, name):
+    for spec in figures(report(said, name)):
+        titles = [axis["title"] for axis in spec["axes"].values() if axis["kind"] != "category"]  # whose labels are names
+        assert all(re.search(r"\w.*\[.+\]$", title) for title in titles), titles
+
+
+def test_a_report_has_few_figures_and_is_small(said):
+    for name, most in (("demo", 10), ("diagnose", 7)):
+        assert 4 <= len(figures(report(said, name))) <= most
+    assert max(report(said, name).stat().st_size for name in REPORTS) < 1.5e6
+
+
+def test_all_times_of_a_run_count_from_the_start_of_its_profile(said):
+    for spec in figures(report(said, "hil-run")):
+        times = np.concatenate([mark["x"] for mark in spec["marks"]])
+        assert (times.min(), times.max()) == (0.0, pytest.approx(4.0, abs=0.1))
+
+
+READERS = {"phone": (390, 844), "desk": (1100, 900)}
+
+FAULTS = """(() => {
+  const slack = 2; // pixels: the box of a text is higher than its letters
+  const faults = [];
+  const told = (element) => `${element.closest(".plot")?.id ?? element.tagName} "${element.textContent.slice(0, 40)}"`;
+  const room = document.documentElement.clientWidth;
+  if (document.documentElement.scrollWidth > room) faults.push(`the page is ${document.documentElement.scrollWidth} wide`);
+  for (const element of document.querySelectorAll("main *")) {
+    if (element.closest(".table, .sheet, .tip, pre")) continue;
+    if (element.getBoundingClientRect().right > room + 1) faults.push(`beyond the page: ${told(element)}`);
+  }
+  // Turned labels stand side by side in their own direction: there they are compared.
+  const box = (text) => {
+    const turn = /translate\\(([-.\\d]+) ([-.\\d]+)\\) rotate\\(-40\\)/.exec(text.getAttribute("transform") ?? "");
+    if (!turn) return { turned: false, ...text.getBoundingClientRect().toJSON() };
+    const [x, y, c, s] = [+turn[1], +turn[2], Math.cos((40 * Math.PI) / 180), Math.sin((40 * Math.PI) / 180)];
+    const [own, left, top] = [text.getBBox(), x * c - y * s, x * s + y * c];
+    return { turned: true, left: left + own.x, right: left + own.x + own.width, top: top + own.y,
+      bottom: top + own.y + own.height };
+  };
+  const share = (a, b) =>
+    Math.min(Math.min(a.right, b.right) - Math.max(a.left, b.left), Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top));
+  for (const plot of document.querySelectorAll(".plot")) {
+    const sheet = plot.querySelector(".sheet svg");
+    if (!sheet) { faults.push(`not drawn: ${plot.id}`); continue; }
+    for (const panel of sheet.querySelectorAll("g[clip-path]")) {
+      const marks = [...panel.querySelectorAll(".mark")].map((mark) => mark.getBBox());
+      if (!marks.some((one) => one.width > 1 || one.height > 1)) faults.push(`empty panel: ${plot.id}`);
+    }
+    const texts = [...sheet.querySelectorAll("text")].filter((text) => text.textContent);
+    const [frame, boxes] = [sheet.getBoundingClientRect(), texts.map(box)];
+    texts.forEach((text, k) => {
+      const own = text.getBoundingClientRect();
+      if (own.left < frame.left - 1 || own.right > frame.right + 1 || own.bottom > frame.bottom + 1 || own.top < frame.top - 1)
+        faults.push(`cut off: ${told(text)} of ${plot.id}`);
+      for (let j = 0; j < k; j += 1)
+        if (boxes[j].turned === boxes[k].turned && share(boxes[j], boxes[k]) > slack)
+          faults.push(`overlap in ${plot.id}: "${texts[j].textContent}" and "${text.textContent}"`);
+    });
+    const keys = plot.querySelector(".keys").getBoundingClientRect();
+    if (keys.bottom > frame.top + 1) faults.push(`the legend covers ${plot.id}`);
+  }
+  return [...new Set(faults)];
+})()"""
+"""Faults in the layout of a page, one a line."""
+
+CONTRAST = """(() => {
+  const light = (colour) => {
+    const linear = (v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+    const [r, g, b] = colour.match(/[\\d.]+/g).slice(0, 3).map((v) => linear(v / 255));
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  const ground = light(getComputedStyle(document.body).backgroundColor);
+  const ratio = (colour) => (Math.max(light(colour), ground) + 0.05) / (Math.min(light(colour), ground) + 0.05);
+  const least = (selector, property) =>
+    Math.min(...[...document.querySelectorAll(selector)].map((one) => ratio(getComputedStyle(one)[property])));
+  return { ground, text: least("p, td, figcaption, h3, .key", "color"), labels: least(".sheet .tick, .sheet .title", "fill"),
+    lines: least(".sheet .line.mark", "stroke") };
+})()"""
+"""Contrast of text, labels and lines to the background of the page, as in WCAG 2."""
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    with opened(tmp_path_factory.mktemp("profile")) as tab:
+        yield tab
+
+
+@pytest.mark.parametrize("name", REPORTS)
+def test_nothing_overlaps_is_cut_off_or_empty_and_all_can_be_read(said, browser, name):
+    for reader in READERS.values():
+        browser.show(report(said, name), *reader, dark=False)
+        assert browser.run(FAULTS) == []
+        light = browser.run(CONTRAST)
+        browser.scheme(dark=True)
+        dark = browser.run(CONTRAST)
+        assert (light["ground"] > 0.9, dark["ground"] < 0.05) == (True, True)
+        for seen in (light, dark):
+            assert seen["text"] > 4.5
+            assert seen["labels"] is None or seen["labels"] > 4.5
+            assert seen["lines"] is None or seen["lines"] > 1.5  # faint lines are still visible
+        assert browser.problems == []
+
+
+def test_faults_that_are_planted_are_found(said, browser):
+    browser.show(report(said, "diagnose"), *READERS["phone"], dark=False)
+    browser.run("document.querySelector('.sheet .tick').after(document.querySelector('.sheet .tick').cloneNode(true))")
+    browser.run("document.querySelectorAll('#figure-2 .mark').forEach((mark) => mark.remove())")
+    browser.run("document.querySelector('h1').style.width = '500px'")
+    faults = " / ".join(browser.run(FAULTS))
+    for wanted in ("overlap in figure-1", "empty panel: figure-2", "beyond the page: H1", "the page is"):
+        assert wanted in faults
+
+
+def test_a_name_of_the_legend_hides_its_line_and_dragging_zooms(said, browser):
+    browser.show(report(said, "cosim"), *READERS["desk"], dark=False)
+    count = "document.querySelectorAll('#figure-1 .mark').length"
+    before = browser.run(count)
+    browser.run("document.querySelector('#figure-1 .key').click()")
+    assert browser.run(count) < before
+    browser.run("document.querySelector('#figure-2').scrollIntoView()")
+    box = browser.run("document.querySelector('#figure-2 .ground').getBoundingClientRect().toJSON()")
+    ticks = "[...document.querySelectorAll('#figure-2 .tick[text-anchor=middle]')].map((text) => +text.textContent)"
+    whole = browser.run(ticks)
+    across = [box["x"] + share * box["width"] for share in (0.25, 0.5)]
+    browser.drag(across[0], across[1], box["y"] + 30)
+    zoomed = browser.run(ticks)
+    assert (min(whole), max(whole)) == (0.0, 4.0)
+    assert 0.9 < min(zoomed) < max(zoomed) < 2.1  # a quarter to a half of 4 s
+    assert "N" in browser.run("document.querySelector('#figure-2 .tip').textContent")

@@ -450,7 +450,7 @@ def test_play_s_own_curve_is_its_closed_form():
         values=TRUTH | {f"{name}.half_gap": half, f"{name}.form": 1.0},
     )
     stairs = np.concatenate([np.linspace(-5.0, 10.0, 31), np.linspace(9.5, -5.0, 30)])
-    reached = at_rest(fit, rig().open_loop, "beta_ref", stairs, {"omega_ref": 4000.0})["beta"]
+    reached = at_rest(fit, rig().open_loop, "beta_ref", stairs)["beta"]
     up, down = slice(4, 31), slice(35, None)  # play is taken up within two stairs of either turn
     np.testing.assert_allclose(reached[up], stairs[up] - half, atol=2e-3)
     np.testing.assert_allclose(reached[down], stairs[down] + half, atol=2e-3)

@@ -26,7 +26,7 @@ def test_every_effect_has_its_equation_its_bounds_and_its_response():
     assert "<pre>beta_ref(t) acts at t + delay</pre>" in text
     assert "time constant of the amplifier" in text
     for figure in page.figures:
-        size = float(re.search(r"by ([-0-9.e]+)", figure.layout.title.text.replace("<br>", " "))[1])
+        size = float(re.search(r"by ([-0-9.e]+)", figure.title)[1])
         assert size > 0.0
 
 

@@ -12,7 +12,7 @@ from tests.studies.cases import WHOLE, draw
 from tests.studies.rig import save
 from vpp_fmu.app.api import diagnose as command
 from vpp_fmu.app.cli import main
-from vpp_fmu.app.report.pages.fleet import Entry, ThrustMap, compared, fleet_page
+from vpp_fmu.app.report.pages.fleet import Entry, FleetResult, ThrustMap, compared
 
 FEW = ["--effects", "pitch_command_deadband"]
 SHORT = {"size": "paper", "rate": 100, "noise": "white", "level": 1.0, "strength": 1.0, "seconds": 20.0} | WHOLE
@@ -109,10 +109,10 @@ def test_the_rig_with_less_thrust_is_named_and_leads_to_its_report():
         own = ThrustMap(values, (1e-6 * np.eye(5)).tolist(), scales, (2000.0, speed), (-5.0, 10.0))
         return Entry(name, name, "", "none", (), 0.2, 0.2, 0.2, map=own)
 
-    page = fleet_page(compared([measured("one", 1.0), measured("two", 1.0001, 5800.0), measured("rig 3", 0.95)]))
-    assert page.summary.startswith("Thrust at 3900 rpm 2.5 deg: rig 3 is 5.0 % below the median.")
+    page = FleetResult(compared([measured("one", 1.0), measured("two", 1.0001, 5800.0), measured("rig 3", 0.95)])).page()
+    assert "Thrust at 3900 rpm 2.5 deg: rig 3 is 5.0 % below the median." in page.summary
     assert '<a href="rig%203/report.html">rig 3</a>' in page.html()
-    pair = fleet_page(compared([measured("one", 1.0), measured("rig 3", 0.95)]))
+    pair = FleetResult(compared([measured("one", 1.0), measured("rig 3", 0.95)])).page()
     assert "rig 3 is 5.0 % below one" in pair.summary
-    alike = fleet_page(compared([measured("one", 1.0), measured("two", 1.0001)]))
-    assert alike.summary.startswith("No parameter differs between the campaigns by more than its uncertainty.")
+    alike = FleetResult(compared([measured("one", 1.0), measured("two", 1.0001)])).page()
+    assert "No parameter differs between them by more than its uncertainty." in alike.summary

@@ -1,12 +1,11 @@
 """The page of effects: the content of `vpp effects --html` as a page of the site, with drawings that need no script."""
 
-import re
 from html import escape
 from textwrap import dedent
 
 import numpy as np
-from plotly import graph_objects as go
 
+from vpp_fmu.app.report.canvas import Figure
 from vpp_fmu.app.report.pages.effects import effects_page, theory
 from vpp_fmu.digits import number
 from vpp_fmu.kernel.plant import LIBRARY
@@ -60,17 +59,14 @@ def _parameters(effect: Effect) -> str:
     return "\n".join(["| parameter | unit | meaning | from | to | probe |", "| --- | --- | --- | --: | --: | --: |", *rows])
 
 
-def drawing(figure: go.Figure) -> str:
+def drawing(figure: Figure) -> str:
     """A figure's lines as SVG in the colours of the page."""
     panels: dict[str, list] = {}
-    for trace in figure.data:
-        if trace.x is not None and len(trace.x) > 1:
-            panels.setdefault(trace.yaxis or "y", []).append(trace)
-    parts, top = [], 4
-    title = " ".join(re.sub(r"<[^>]*>", " ", figure.layout.title.text).split())
-    for axis, traces in panels.items():
-        label = getattr(figure.layout, "yaxis" + axis[1:]).title.text or ""
-        parts.append(_panel(traces, label, top, last=axis == list(panels)[-1]))
+    for mark in figure.marks:
+        panels.setdefault(mark["axis"], []).append(mark)
+    parts, top, title = [], 4, figure.title
+    for axis, marks in panels.items():
+        parts.append(_panel(marks, figure.axes[axis]["title"], top, last=axis == list(panels)[-1]))
         top += HEIGHT + GAP
     return (
         f'<figure class="plot" markdown="0"><figcaption>{escape(title)}</figcaption>'
@@ -78,8 +74,8 @@ def drawing(figure: go.Figure) -> str:
     )
 
 
-def _panel(traces: list, label: str, top: float, last: bool) -> str:
-    xs, ys = (np.concatenate([np.asarray(getattr(t, k), float) for t in traces]) for k in "xy")
+def _panel(marks: list, label: str, top: float, last: bool) -> str:
+    xs, ys = (np.concatenate([np.asarray(mark[k], float) for mark in marks]) for k in "xy")
     low, high = _reach(ys)
     begin, end = float(np.nanmin(xs)), float(np.nanmax(xs))
     right, bottom = WIDTH - RIGHT, top + HEIGHT
@@ -96,12 +92,12 @@ def _panel(traces: list, label: str, top: float, last: bool) -> str:
         parts.append(f'<text class="y" x="{LEFT - 6}" y="{py(y) + 4:.1f}">{number(float(y), 3)}</text>')
     for x in ticks(begin, end) if last else ():
         parts.append(f'<text class="x" x="{px(x):.1f}" y="{bottom + 15}">{number(float(x), 3)} s</text>')
-    for k, trace in enumerate(traces):
-        every = max(1, len(trace.x) // POINTS)
-        pairs = zip(np.asarray(trace.x, float)[::every], np.asarray(trace.y, float)[::every], strict=True)
+    for k, mark in enumerate(marks):
+        every = max(1, len(mark["x"]) // POINTS)
+        pairs = zip(np.asarray(mark["x"], float)[::every], np.asarray(mark["y"], float)[::every], strict=True)
         d = "L".join(f"{px(x):.1f} {py(y):.1f}" for x, y in pairs if np.isfinite(y))
-        parts.append(f'<path class="line{k if len(traces) > 1 else 1}" d="M{d}"/>')
-    parts.append(f'<text class="label" x="{LEFT + 6}" y="{top + 12}">{escape(label.replace("<br>", " "))}</text>')
+        parts.append(f'<path class="line{k if len(marks) > 1 else 1}" d="M{d}"/>')
+    parts.append(f'<text class="label" x="{LEFT + 6}" y="{top + 12}">{escape(label)}</text>')
     return "".join(parts)
 
 

@@ -61,17 +61,6 @@ class StaticFit:
             "not_identifiable": list(self.not_identifiable),
         }
 
-    def uncertainty(self, omega: np.ndarray, beta: np.ndarray, scales: Mapping[str, float]) -> np.ndarray:
-        """Standard deviation [N] of the fitted map at speed [rpm] and pitch [deg], of the shape the two broadcast to.
-
-        sqrt(a.T C a), with a the terms at a point. Errors of the polynomial form are included only through the points' scatter.
-        `scales` must be those of the fit.
-        """
-        omega, beta = np.broadcast_arrays(omega, beta)
-        a = design(omega.ravel(), beta.ravel(), scales)
-        variance = np.einsum("ni,ij,nj->n", a, self.covariance, a)
-        return np.sqrt(variance).reshape(omega.shape) * scales["thrust_scale"]
-
 
 @dataclass(frozen=True, eq=False)
 class Regression:

@@ -4,7 +4,7 @@ Errors (exit code 2) make a fit meaningless; identify and diagnose refuse such d
 their reports. Without errors the model is fitted as by identify, to find problems that only a fit shows.
 """
 
-import contextlib
+from dataclasses import replace
 from pathlib import Path
 
 from tqdm import tqdm
@@ -15,7 +15,7 @@ from vpp_fmu.app.api.check import check
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.next_command import next_step
 from vpp_fmu.app.cli.options import add_accept
-from vpp_fmu.app.cli.output import called, output, written
+from vpp_fmu.app.cli.output import answer, written
 from vpp_fmu.app.report.pages.check import FORMAT
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
@@ -43,19 +43,8 @@ def run(options):
         names = sorted(path.name for path in folder.path.iterdir())
         text = f"{folder.path} holds a small valid campaign; its README.md explains every column."
         return Answer(text, {"format": FORMAT, "template": names}, written=written(options, folder))
-    with contextlib.ExitStack() as stack:
-        folder = stack.enter_context(output(options)) if options.output else None
-        bar = stack.enter_context(tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}"))
-        bar.set_description("read")
-        found = called(check, options, stage=bar.set_description)
-        place = []
-        if folder is not None:
-            found.write(folder)
-            place = written(options, folder)
-    failure = None
-    if codes := [f.code for f in found.errors]:
-        what = f"{len(codes)} error{'s' * (len(codes) > 1)}: {', '.join(dict.fromkeys(codes))}"
-        failure = BadInput(options.campaign, "quality", what, "no errors", "vpp check --help, which explains each code")
-    elif folder is None:
-        place = [f"next: {next_step(Path(options.campaign), ('check.json',), options)[0]}"]
-    return Answer(found.headline(), found.to_dict(), found.lines(), written=place, failure=failure)
+    with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
+        said = replace(answer(options, check, stage=bar.set_description), figures=())  # the lines have them
+    if options.output is None and said.failure is None:
+        said = replace(said, written=[f"next: {next_step(Path(options.campaign), ('check.json',), options)[0]}"])
+    return said

@@ -4,17 +4,15 @@ Of several campaigns, a fleet, each is diagnosed alone into its own folder, and 
 """
 
 import traceback
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 from identification.workers import spread
 from vpp_fmu.app.api.diagnose import candidates, diagnose
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.options import SEED, WORKERS, Number, add_accept, add_effects_from, add_output, add_records
-from vpp_fmu.app.cli.output import answer, called, output, stages, written
-from vpp_fmu.app.report.pages.fleet import Entry, as_csv, as_parquet, compared, entry, fleet_page, refusal
+from vpp_fmu.app.cli.output import answer, answered, called, output, stages
+from vpp_fmu.app.report.pages.fleet import Entry, FleetResult, compared, entry, refusal
 from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.parameters import parameters_file
 
@@ -84,19 +82,7 @@ def _fleet(options) -> Answer:
     ]
     with output(options, " several") as folder:
         entries = compared(spread(_of_fleet, jobs, options.workers, options.scheduler, "campaigns"))
-        folder.write("fleet.csv", as_csv(entries))
-        if (packed := as_parquet(entries)) is not None:
-            folder.write("fleet.parquet", packed)
-        folder.write("report.html", fleet_page(entries).html())
-        place = written(options, folder)
-    refused, failure = [e.name for e in entries if e.refused], None
-    if refused:
-        found = f"{len(refused)} refused: {', '.join(refused)}"
-        failure = BadInput("fleet", "campaigns", found, "campaigns that can be diagnosed", "vpp check on each of them")
-    verdicts = Counter(e.verdict or "refused" for e in entries)
-    text = f"{len(entries)} campaigns: {', '.join(f'{count} {verdict}' for verdict, count in verdicts.most_common())}."
-    content = {"format": "vpp-fleet/1", "campaigns": [asdict(e) for e in entries]}
-    return Answer(text, content, [one.line for one in entries], written=place, failure=failure)
+        return answered(options, folder, FleetResult(entries))
 
 
 def _folders(campaigns: Sequence[Path]) -> list[str]:

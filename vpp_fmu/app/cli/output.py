@@ -31,8 +31,12 @@ def called(verb: Callable, options: argparse.Namespace, **more):
 
 
 @contextlib.contextmanager
-def output(options: argparse.Namespace, kind: str = "") -> Iterator[OutputSet]:
-    """The folder of the verb's files, `kind`: of which files. It is checked before the work; without a result none is left."""
+def output(options: argparse.Namespace, kind: str = "") -> Iterator[OutputSet | None]:
+    """The folder of the verb's files, None if none is named; `kind`: of which files. It is checked before the work; without a
+    result none is left."""
+    if options.output is None:
+        yield None
+        return
     there = os.path.lexists(options.output)
     try:
         yield OutputSet(options.output, options.verb + kind)
@@ -49,11 +53,14 @@ def answer(options: argparse.Namespace, verb: Callable, **more) -> Answer:
         return answered(options, folder, called(verb, options, **more))
 
 
-def answered(options: argparse.Namespace, folder: OutputFolder, found: Result) -> Answer:
-    """Write the files of a result; returns the answer."""
-    found.write(folder)
-    place = written(options, folder, found.identity)
-    return Answer(found.headline(), found.to_dict(), found.lines(), found.key_figures(), found.details(), place)
+def answered(options: argparse.Namespace, folder: OutputFolder | None, found: Result) -> Answer:
+    """Write the files of a result, if there is a folder; returns the answer."""
+    place = []
+    if folder is not None:
+        found.write(folder)
+        place = written(options, folder, found.identity)
+    figures, more = found.key_figures(), found.details()
+    return Answer(found.headline(), found.to_dict(), found.lines(), figures, more, place, found.failure)
 
 
 @contextlib.contextmanager

@@ -1,4 +1,4 @@
-// Draws the figures of a report, from the data of vpp_fmu/app/report/drawing.py, as SVG in the page's colours and at its width.
+// Draws the figures of a report, from the data of vpp_fmu/app/report/canvas.py, as SVG in the page's colours and at its width.
 // Point at a line to read it, drag to zoom, double-click to go back, click on a name of the legend to hide it.
 "use strict";
 const figures = [];
@@ -8,14 +8,13 @@ function draw(name, spec) {
   const host = document.getElementById(name);
   arrays.push(...spec.arrays.map(floats));
   for (const mark of spec.marks)
-    for (const key of ["x", "y", "z", "high", "low", "tint"]) {
+    for (const key of ["x", "y", "error"]) {
       if (Number.isInteger(mark[key])) mark[key] = arrays[mark[key]];
     }
   const figure = { host, spec, hidden: new Set(), zoom: {}, width: 0 };
   figures.push(figure);
   const keys = make("div", "keys", host);
-  for (const entry of spec.legend) legendEntry(figure, keys, entry);
-  if (spec.scale) colourBar(keys, spec.scale);
+  for (const entry of [...spec.marks, ...spec.shapes]) if (entry.shown) legendEntry(figure, keys, entry);
   figure.place = make("div", "sheet", host);
   figure.note = make("div", "tip", host);
   new ResizeObserver(() => paint(figure)).observe(host);
@@ -94,7 +93,7 @@ function raised(power) {
 
 class Axis {
   constructor(given, range) {
-    Object.assign(this, { title: "" }, given);
+    Object.assign(this, { format: ".5~g" }, given);
     [this.low, this.high] = range;
   }
 
@@ -132,10 +131,6 @@ class Axis {
     const inside = (value) => this.value(value) >= this.low - 1e-9 && this.value(value) <= this.high + 1e-9;
     if (this.kind === "category") {
       for (const every of [1, 2, 5, 10, 20, 50, 100]) yield this.names.map((n) => [n, n]).filter((_, k) => k % every === 0);
-    } else if (this.tickvals) {
-      const text = (value, k) => this.ticktext?.[k] ?? logarithmic(value);
-      const all = this.tickvals.map((value, k) => [value, text(value, k)]).filter(([value]) => inside(value));
-      for (const every of [1, 2, 3, 6]) yield all.filter((_, k) => k % every === 0);
     } else if (this.kind === "log") {
       for (const [leading, every] of [[[1, 2, 3, 4, 5, 6, 7, 8, 9], 1], [[1, 2, 5], 1], [[1], 1], [[1], 2], [[1], 4]]) {
         const found = [];
@@ -159,8 +154,7 @@ class Axis {
         if (count > 13) continue;
         if (count < 2) return;
         const decimals = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
-        const text = (value) => (this.kind === "date" ? day(value) : digits(value, `.${decimals}f`));
-        yield Array.from({ length: count }, (_, k) => (first + k) * step).map((value) => [value, text(value)]);
+        yield Array.from({ length: count }, (_, k) => (first + k) * step).map((value) => [value, digits(value, `.${decimals}f`)]);
       }
   }
 }
@@ -172,75 +166,42 @@ function logarithmic(value) {
   return (leading === 1 ? "" : `${leading}·`) + `10${raised(power)}`;
 }
 
-function day(days) {
-  return new Date(864e5 * days).toISOString().slice(0, 10);
-}
-
-function axisOf(figure, name, marks) {
+function axisOf(figure, name) {
   const given = figure.spec.axes[name];
   if (figure.zoom[name]) return new Axis(given, figure.zoom[name]);
   if (given.range) return new Axis(given, given.range);
   if (given.kind === "category") return new Axis(given, [-0.5, given.names.length - 0.5]);
   const side = name[0];
-  const other = side === "y" ? "x" : "y";
-  let [low, high] = [Infinity, -Infinity];
+  let [low, high, round] = [Infinity, -Infinity, false];
   const hold = (value) => {
     const seen = given.kind === "log" ? Math.log10(value) : value;
     if (!Number.isFinite(seen)) return;
     low = Math.min(low, seen);
     high = Math.max(high, seen);
   };
-  let [round, tight] = [false, false];
-  for (const mark of marks) {
-    if (mark.axes[side] !== name || figure.hidden.has(mark.key)) continue;
-    if (mark.kind === "heatmap") {
-      [low, high] = [Math.min(low, ...borders(mark[side])), Math.max(high, ...borders(mark[side]))];
-      tight = true;
-      continue;
-    }
-    const along = mark.kind === "bar" && side === "y";
-    if (along) hold(0);
-    const window = figure.zoom[mark.axes[other]];
+  const window = side === "y" && figure.zoom.x;
+  for (const mark of figure.spec.marks) {
+    if ((side === "y" && mark.axis !== name) || figure.hidden.has(mark.key)) continue;
     for (let k = 0; k < mark[side].length; k += 1) {
-      if (window && !(mark[other][k] >= window[0] && mark[other][k] <= window[1])) continue;
+      if (window && !(mark.x[k] >= window[0] && mark.x[k] <= window[1])) continue;
       hold(mark[side][k]);
       if (mark.across === side) {
-        hold(mark[side][k] + (mark.high[k] || 0));
-        hold(mark[side][k] - (mark.low[k] || 0));
+        hold(mark[side][k] + (mark.error[k] || 0));
+        hold(mark[side][k] - (mark.error[k] || 0));
       }
     }
-    if (mark.kind === "bar" && !along) round = mark.width ?? true;
-    if (mark.symbol) round = round || true;
+    if (mark.size) round = true;
   }
   for (const shape of figure.spec.shapes) if (shape.axis === name) shape.ends.forEach(hold);
-  if (given.zero) hold(0);
   if (!(low <= high)) [low, high] = [0, 1];
   if (low === high) [low, high] = [low - (Math.abs(low) * 0.1 || 0.5), high + (Math.abs(high) * 0.1 || 0.5)];
-  const air = (high - low) * (tight ? 0 : side === "y" ? 0.06 : round ? 0.025 : 0);
-  return new Axis(given, [given.zero && low === 0 ? 0 : low - air, high + air]);
+  const air = (high - low) * (side === "y" ? 0.06 : round ? 0.025 : 0);
+  return new Axis(given, [low - air, high + air]);
 }
 
 // ------------------------------------------------------------------------------------------------------------------ layout
 
 const BELOW = 26; // pixels that the labels of an x axis take
-
-// Positions of the panels: stacked over one axis, or side by side, as many as fit the width.
-function arranged(figure, full) {
-  const { panels, height } = figure.spec;
-  const columns = new Set(panels.map((panel) => panel.left)).size;
-  if (columns === 1)
-    return panels.map((panel) => ({ ...panel, across: [0, 1], down: panel.top * height, tall: panel.tall * height, first: true }));
-  const fitting = Math.min(columns, Math.max(1, Math.floor(full / 150)));
-  let [row, column, before] = [-1, fitting, panels[0].top];
-  return panels.map((panel) => {
-    if (fitting === columns ? panel.top !== before || row < 0 : column >= fitting) [row, column] = [row + 1, 0];
-    before = panel.top;
-    const placed = { ...panel, across: [column / fitting, (column + 1) / fitting], first: column === 0, gap: 12, row };
-    column += 1;
-    const pitch = panel.tall * height + 64;
-    return { ...placed, down: 24 + row * pitch, tall: panel.tall * height };
-  });
-}
 
 function paint(figure, forced) {
   const { spec, host, place } = figure;
@@ -249,88 +210,68 @@ function paint(figure, forced) {
   Object.assign(figure, { width: full, stale: false });
   figure.note.hidden = true;
   const axes = {};
-  for (const name of Object.keys(spec.axes)) axes[name] = axisOf(figure, name, spec.marks);
-  const placed = arranged(figure, full);
+  for (const name of Object.keys(spec.axes)) axes[name] = axisOf(figure, name);
+  const placed = spec.panels.map((panel) => ({ ...panel }));
   // The y labels are on the left; those of categories are above their rows if they would take too much of the width.
   let [room, titled] = [0, 0];
   const labels = {};
-  for (const panel of placed.filter((each) => each.first)) {
+  for (const panel of placed) {
     const axis = axes[panel.y];
     labels[panel.y] = axis.ticks(panel.tall, () => (axis.kind === "category" ? 0 : 24));
     const widest = Math.max(0, ...labels[panel.y].flatMap(([, text]) => text.split("\n")).map((line) => wide(line, FONT.tick)));
-    panel.above = axis.kind === "category" && !spec.marks.some((mark) => mark.kind === "heatmap") && widest > 0.34 * full;
+    panel.above = axis.kind === "category" && widest > 0.34 * full;
     if (!panel.above) room = Math.max(room, widest + 9);
     const lines = folded(axis.title, panel.tall, FONT.title).length;
     titled = Math.max(titled, 17 * lines + 4);
   }
   let left = room + titled;
-  const heat = spec.marks.find((mark) => mark.kind === "heatmap" && axes[mark.axes.x].kind === "category");
-  let width = Math.max(full, heat ? left + 40 * axes[heat.axes.x].names.length + 20 : 0);
-  for (const { x } of placed) {
+  const { kind, names } = axes.x;
+  if (kind === "category") {
     // Labels that do not fit side by side are turned, and extend to the left.
-    const { kind, names } = axes[x];
-    if (kind !== "category") continue;
-    const step = (width - left - 12) / names.length;
+    const step = (full - left - 12) / names.length;
     const reach = names.map((name, k) => 0.77 * wide(name, FONT.tick) - (k + 0.5) * step);
     if (names.some((name) => wide(name, FONT.tick) + 14 > step)) left = Math.max(left, ...reach.map((each) => each + 8));
   }
-  if (spec.equal) width = Math.min(width, left + placed[0].tall + 12);
-  const right = width - (placed.length > 1 && placed[0].gap ? 0 : 12);
+  const right = full - 12;
   let bottom = 0;
-  const xs = {};
   for (const panel of placed) {
-    panel.x0 = left + panel.across[0] * (right - left) + (panel.first ? 0 : panel.gap ?? 0);
-    panel.x1 = left + panel.across[1] * (right - left);
-    panel.y0 = panel.down + 8;
-    panel.y1 = panel.y0 + panel.tall;
+    Object.assign(panel, { x0: left, x1: right, y1: panel.y0 + panel.tall });
     bottom = Math.max(bottom, panel.y1);
-    const last = placed.filter((each) => each.x === panel.x).every((each) => each.down <= panel.down);
-    if (last) xs[panel.x] = panel;
   }
-  const root = svg("svg", { width, height: 10, role: "img", "aria-label": host.dataset.title });
+  const root = svg("svg", { width: full, height: 10, role: "img", "aria-label": host.dataset.title });
   place.replaceChildren(root);
   const clips = svg("defs", {}, root);
   placed.forEach((panel, k) => {
-    const [x, y] = [axes[panel.x].over(panel.x0, panel.x1), axes[panel.y].over(panel.y1, panel.y0)];
+    const [x, y] = [axes.x.over(panel.x0, panel.x1), axes[panel.y].over(panel.y1, panel.y0)];
     panel.axes = { x, y };
     const clip = svg("clipPath", { id: `${host.id}-${k}` }, clips);
     svg("rect", { x: panel.x0, y: panel.y0 - 1, width: panel.x1 - panel.x0, height: panel.tall + 2 }, clip);
-    const under = frame(root, panel, xs[panel.x] === panel, labels[panel.y], width);
-    bottom = Math.max(bottom, under);
+    bottom = Math.max(bottom, frame(root, panel, k === placed.length - 1, labels[panel.y], full));
     const inner = svg("g", { "clip-path": `url(#${host.id}-${k})` }, root);
-    const own = spec.marks.filter((mark) => mark.axes.x === panel.x && mark.axes.y === panel.y && !figure.hidden.has(mark.key));
-    const shapes = spec.shapes.filter((shape) => belongs(shape, panel) && !figure.hidden.has(shape.key));
-    for (const shape of shapes) shaped(inner, shape, panel);
-    own.forEach((mark) => PAINTERS[mark.kind](inner, mark, panel, own));
-    for (const shape of shapes) if (shape.edge) shape.ends.forEach((end) => level(inner, shape, panel, end, shape.edge));
-    if (panel.heading) {
-      const middle = (panel.x0 + panel.x1) / 2;
-      svg("text", { x: middle, y: panel.y0 - 7, "text-anchor": "middle", class: "heading" }, root, panel.heading);
-    }
+    const own = spec.marks.filter((mark) => mark.axis === panel.y && !figure.hidden.has(mark.key));
+    const shapes = spec.shapes.filter((shape) => ["x", panel.y].includes(shape.axis) && !figure.hidden.has(shape.key));
+    for (const shape of shapes) if (shape.fill) shaded(inner, shape, panel);
+    own.forEach((mark) => line(inner, mark, panel, own));
+    for (const shape of shapes) for (const end of shape.ends) level(inner, shape, panel, end);
   });
   // The titles of the axes: of y in the margin, of x below the labels.
-  for (const panel of placed.filter((each) => each.first)) {
+  for (const panel of placed) {
     const lines = folded(panel.axes.y.title, panel.tall, FONT.title);
     const [x, y] = [13, (panel.y0 + panel.y1) / 2];
     const text = svg("text", { transform: `translate(${x} ${y}) rotate(-90)`, "text-anchor": "middle", class: "title" }, root);
     lines.forEach((line, k) => svg("tspan", { x: 0, y: 17 * k }, text, line));
   }
-  const titles = [...new Set(placed.map((panel) => panel.axes.x.title).filter(Boolean))];
-  folded(titles[0] ?? "", width - 16, FONT.title).forEach((line) => {
+  folded(axes.x.title, full - 16, FONT.title).forEach((line) => {
     bottom += 18;
-    const middle = wide(line, FONT.title) < right - left ? (left + right) / 2 : width / 2;
+    const middle = wide(line, FONT.title) < right - left ? (left + right) / 2 : full / 2;
     svg("text", { x: middle, y: bottom, "text-anchor": "middle", class: "title" }, root, line);
   });
   root.setAttribute("height", bottom + 8);
   attend(figure, root, placed);
 }
 
-function belongs(shape, panel) {
-  return shape.axis === (shape.axis[0] === "y" ? panel.y : panel.x) && (!shape.other || shape.other === panel[shape.axis[0] === "y" ? "x" : "y"]);
-}
-
 // Grid, axes and labels of a panel; returns how far down the labels reach.
-function frame(root, panel, labelled, yLabels, edge) {
+function frame(root, panel, labelled, rows, edge) {
   const { x, y } = panel.axes;
   const { x0, x1, y0, y1 } = panel;
   const back = svg("g", { class: "frame" }, root);
@@ -342,27 +283,24 @@ function frame(root, panel, labelled, yLabels, edge) {
     found = x.ticks(x1 - x0, () => 20);
   }
   const across = x.kind === "category";
-  for (const [value] of found) if (!across && !x.bare) vertical(back, x.at(value), panel, "grid");
-  const rows = yLabels ?? y.ticks(y1 - y0, () => 24);
-  for (const [value] of rows) if (!y.bare && y.kind !== "category") horizontal(back, y.at(value), panel, "grid");
-  if (x.zeroline && x.low < 0 && x.high > 0) vertical(back, x.at(0), panel, "zero");
-  if (y.zeroline && y.low < 0 && y.high > 0) horizontal(back, y.at(0), panel, "zero");
+  for (const [value] of found) if (!across) vertical(back, x.at(value), panel, "grid");
+  for (const [value] of rows) if (y.kind !== "category") horizontal(back, y.at(value), panel, "grid");
+  if (y.kind === "linear" && y.low < 0 && y.high > 0) horizontal(back, y.at(0), panel, "zero");
   vertical(back, x0, panel, "axis");
   horizontal(back, y1, panel, "axis");
-  if (panel.first)
-    for (const [value, text] of rows) {
-      const lines = text.split("\n");
-      const height = y.at(value);
-      if (panel.above) {
-        const half = Math.abs(y.to - y.from) / y.names.length / 2;
-        while (lines.length > 1 && x0 + 6 + wide(lines.join(" · "), FONT.tick) > edge) lines.pop(); // the table has it
-        svg("text", { x: x0 + 4, y: height - half + 12, class: "tick row" }, root, lines.join(" · "));
-        continue;
-      }
-      const at = { x: x0 - 7, "text-anchor": "end", class: "tick" };
-      lines.forEach((line, k) => svg("text", { ...at, y: height + 4 + 14 * (k - (lines.length - 1) / 2) }, root, line));
-      if (y.kind !== "category") svg("path", { d: `M${x0 - 4} ${height}h4`, class: "axis" }, back);
+  for (const [value, text] of rows) {
+    const lines = text.split("\n");
+    const height = y.at(value);
+    if (panel.above) {
+      const half = Math.abs(y.to - y.from) / y.names.length / 2;
+      while (lines.length > 1 && x0 + 6 + wide(lines.join(" · "), FONT.tick) > edge) lines.pop(); // the table has it
+      svg("text", { x: x0 + 4, y: height - half + 12, class: "tick row" }, root, lines.join(" · "));
+      continue;
     }
+    const at = { x: x0 - 7, "text-anchor": "end", class: "tick" };
+    lines.forEach((line, k) => svg("text", { ...at, y: height + 4 + 14 * (k - (lines.length - 1) / 2) }, root, line));
+    if (y.kind !== "category") svg("path", { d: `M${x0 - 4} ${height}h4`, class: "axis" }, back);
+  }
   if (!labelled) return y1;
   let reach = 0;
   for (const [value, text] of found) {
@@ -389,50 +327,16 @@ function horizontal(parent, y, panel, kind) {
 
 const DASHES = { dot: "2 3", dash: "7 4", dashdot: "8 3 2 3" };
 
-const PAINTERS = {
-  line(parent, mark, panel, own) {
-    const points = placedAt(mark, panel);
-    if (mark.fill === "zero") area(parent, mark, points, [[points[points.length - 1][0], panel.axes.y.at(0)], [points[0][0], panel.axes.y.at(0)]]);
-    if (mark.fill === "self") area(parent, mark, points, []);
-    if (mark.fill === "previous") area(parent, mark, points, placedAt(own[own.indexOf(mark) - 1], panel).reverse());
-    if (mark.wide) {
-      const style = `stroke:${mark.colour};stroke-width:${mark.wide};opacity:${mark.opacity ?? 1}`;
-      svg("path", { d: path(points, mark.held), class: "mark line", "stroke-dasharray": DASHES[mark.dash], style }, parent);
-    }
-    if (mark.across) whiskers(parent, mark, panel);
-    if (mark.symbol) points.forEach(([x, y], k) => symbol(parent, mark, x, y, mark.tint ? tinted(mark, mark.tint[k]) : mark.colour));
-  },
-
-  bar(parent, mark, panel) {
-    const { x, y } = panel.axes;
-    const unit = Math.abs(x.to - x.from) / (x.high - x.low);
-    const step = x.kind === "category" ? 1 : mark.width ?? Math.abs(mark.x[1] - mark.x[0]);
-    const thick = step * unit * (1 - mark.gap);
-    const base = y.kind === "log" ? y.from : y.at(0);
-    for (let k = 0; k < mark.x.length; k += 1) {
-      const end = y.at(mark.y[k]);
-      if (!Number.isFinite(end)) continue;
-      const box = { x: x.at(mark.x[k]) - thick / 2, y: Math.min(base, end), width: Math.max(thick, 0.5), height: Math.abs(end - base) };
-      svg("rect", { ...box, class: "mark", style: `fill:${mark.colour};opacity:${mark.opacity ?? 1}` }, parent);
-    }
-  },
-
-  heatmap(parent, mark, panel) {
-    const { x, y } = panel.axes;
-    const [right, down] = [edges(mark.x, x), edges(mark.y, y)];
-    const columns = mark.x.length;
-    for (let row = 0; row < mark.y.length; row += 1)
-      for (let column = 0; column < columns; column += 1) {
-        const value = mark.z[row * columns + column];
-        if (!Number.isFinite(value)) continue;
-        const [left, top] = [Math.min(right[column], right[column + 1]), Math.min(down[row], down[row + 1])];
-        const [across, tall] = [Math.abs(right[column + 1] - right[column]), Math.abs(down[row + 1] - down[row])];
-        const share = (value - mark.least) / (mark.most - mark.least);
-        const box = { x: left, y: top, width: across + 0.6, height: tall + 0.6 };
-        svg("rect", { ...box, class: "mark", style: `fill:${mixed(mark.stops, share)}` }, parent);
-      }
-  },
-};
+function line(parent, mark, panel, own) {
+  const points = placedAt(mark, panel);
+  if (mark.fill) area(parent, mark, points, placedAt(own[own.indexOf(mark) - 1], panel).reverse());
+  if (mark.wide) {
+    const style = `stroke:${mark.colour};stroke-width:${mark.wide}`;
+    svg("path", { d: path(points, mark.held), class: "mark line", "stroke-dasharray": DASHES[mark.dash], style }, parent);
+  }
+  if (mark.across) whiskers(parent, mark, panel);
+  if (mark.size) for (const [x, y] of points) symbol(parent, mark, x, y);
+}
 
 function placedAt(mark, panel) {
   const { x, y } = panel.axes;
@@ -453,77 +357,38 @@ function path(points, held) {
 }
 
 function area(parent, mark, points, back) {
-  svg("path", { d: `${path([...points, ...back].filter((p) => p.every(Number.isFinite)))}Z`, class: "mark", style: `fill:${mark.veil}` }, parent);
+  svg("path", { d: `${path([...points, ...back].filter((p) => p.every(Number.isFinite)))}Z`, class: "mark", style: `fill:${mark.fill}` }, parent);
 }
 
 function whiskers(parent, mark, panel) {
   const flat = mark.across === "x";
   const axis = panel.axes[mark.across];
   placedAt(mark, panel).forEach(([x, y], k) => {
-    const [low, high] = [mark[mark.across][k] - mark.low[k], mark[mark.across][k] + mark.high[k]].map((end) => axis.at(end));
+    const [low, high] = [mark[mark.across][k] - mark.error[k], mark[mark.across][k] + mark.error[k]].map((end) => axis.at(end));
     if (![x, y, low, high].every(Number.isFinite)) return;
     const d = flat ? `M${low} ${y}H${high}M${low} ${y - 4}v8M${high} ${y - 4}v8` : `M${x} ${low}V${high}M${x - 4} ${low}h8M${x - 4} ${high}h8`;
     svg("path", { d, class: "mark line", style: `stroke:${mark.colour};stroke-width:1.6` }, parent);
   });
 }
 
-function outline(kind, x, y, half) {
-  if (kind === "circle") return `M${x - half} ${y}a${half} ${half} 0 1 0 ${2 * half} 0a${half} ${half} 0 1 0 ${-2 * half} 0`;
-  if (kind === "diamond") return `M${x} ${y - 1.3 * half}l${half} ${1.3 * half}l${-half} ${1.3 * half}l${-half} ${-1.3 * half}z`;
-  if (kind === "x") return `M${x - half} ${y - half}l${2 * half} ${2 * half}m0 ${-2 * half}l${-2 * half} ${2 * half}`;
-  return kind === "line-ns" ? `M${x} ${y - half}v${2 * half}` : `M${x - half} ${y}h${2 * half}`;
-}
-
-function symbol(parent, mark, x, y, colour) {
+function symbol(parent, mark, x, y) {
   if (!Number.isFinite(x) || !Number.isFinite(y)) return;
-  const [kind, open] = [mark.symbol.replace("-open", ""), /open|^x$/.test(mark.symbol)];
-  const style = open
-    ? `fill:none;stroke:${colour};stroke-width:${kind.startsWith("line") ? 3 : 1.6};opacity:${mark.opacity ?? 1}`
-    : `fill:${colour};opacity:${mark.opacity ?? 1}`;
-  svg("path", { d: outline(kind, +x.toFixed(1), +y.toFixed(1), mark.size / 2), class: "mark", style }, parent);
-}
-
-function edges(values, axis) {
-  if (axis.kind === "category") return [...Array(values.length + 1).keys()].map((k) => axis.from + ((k - 0.5 - axis.low) / (axis.high - axis.low)) * (axis.to - axis.from));
-  return borders(values).map((value) => axis.at(value));
-}
-
-function borders(values) {
-  const last = values.length - 1;
-  if (!last) return [values[0] - 0.5, values[0] + 0.5];
-  const inner = Array.from({ length: last }, (_, k) => (values[k] + values[k + 1]) / 2);
-  return [2 * values[0] - inner[0], ...inner, 2 * values[last] - inner[last - 1]];
-}
-
-function mixed(stops, share) {
-  const at = Math.min(1, Math.max(0, share));
-  const upper = Math.max(1, stops.findIndex(([place]) => place >= at));
-  const [[low, from], [high, to]] = [stops[upper - 1], stops[upper]];
-  const part = (100 * (at - low)) / (high - low);
-  return `color-mix(in srgb, ${to} ${part.toFixed(1)}%, ${from})`;
-}
-
-function tinted(mark, value) {
-  return mixed(mark.stops, (value - mark.least) / (mark.most - mark.least));
+  const half = mark.size / 2;
+  if (mark.bar) svg("path", { d: `M${x} ${y - half}v${mark.size}`, class: "mark line", style: `stroke:${mark.colour};stroke-width:3` }, parent);
+  else svg("circle", { cx: x.toFixed(1), cy: y.toFixed(1), r: half, class: "mark", style: `fill:${mark.colour}` }, parent);
 }
 
 // A line across the panel: a shape of its own, or the edge of a band.
-function level(parent, shape, panel, end, colour) {
+function level(parent, shape, panel, end) {
   const at = panel.axes[shape.axis[0]].at(end);
-  const d = shape.axis[0] === "y" ? `M${panel.x0} ${at}H${panel.x1}` : `M${at} ${panel.y0}V${panel.y1}`;
-  svg("path", { d, class: "line", "stroke-dasharray": DASHES[shape.dash], style: `stroke:${colour};stroke-width:${shape.wide}` }, parent);
+  const d = shape.axis === "x" ? `M${at} ${panel.y0}V${panel.y1}` : `M${panel.x0} ${at}H${panel.x1}`;
+  const style = `stroke:${shape.colour};stroke-width:${shape.wide}`;
+  svg("path", { d, class: "line", "stroke-dasharray": DASHES[shape.dash], style }, parent);
 }
 
-function shaped(parent, shape, panel) {
-  const axis = panel.axes[shape.axis[0]];
-  const [low, high] = shape.ends.map((end) => axis.at(end));
-  const lying = shape.axis[0] === "y";
-  if (shape.line) return level(parent, shape, panel, shape.ends[0], shape.colour);
-  const [from, size] = [Math.min(low, high), Math.abs(high - low)];
-  const box = lying
-    ? { x: panel.x0, y: from, width: panel.x1 - panel.x0, height: size }
-    : { x: from, y: panel.y0, width: size, height: panel.y1 - panel.y0 };
-  svg("rect", { ...box, style: `fill:${shape.colour};opacity:${shape.opacity ?? 1}` }, parent);
+function shaded(parent, shape, panel) {
+  const [high, low] = shape.ends.map((end) => panel.axes.y.at(end)).sort((a, b) => a - b);
+  svg("rect", { x: panel.x0, y: high, width: panel.x1 - panel.x0, height: low - high, style: `fill:${shape.fill}` }, parent);
 }
 
 // ------------------------------------------------------------------------------------------------------------------ legend
@@ -532,12 +397,12 @@ function legendEntry(figure, keys, entry) {
   const button = make("button", "key", keys);
   button.type = "button";
   const swatch = svg("svg", { width: 26, height: 12, "aria-hidden": "true" }, button);
-  if (entry.box) svg("rect", { x: 2, y: 1, width: 22, height: 10, style: `fill:${entry.colour};opacity:${entry.opacity ?? 1}` }, swatch);
-  if (entry.wide) {
-    const style = `stroke:${entry.colour};stroke-width:${Math.max(entry.wide, 1.5)};opacity:${Math.max(entry.opacity ?? 1, 0.6)}`;
+  if (entry.fill) svg("rect", { x: 2, y: 1, width: 22, height: 10, style: `fill:${entry.fill}` }, swatch);
+  else if (entry.wide) {
+    const style = `stroke:${entry.colour};stroke-width:${Math.max(entry.wide, 1.5)}`;
     svg("path", { d: "M1 6H25", class: "line", "stroke-dasharray": DASHES[entry.dash], style }, swatch);
   }
-  if (entry.symbol) symbol(swatch, { ...entry, size: Math.min(entry.size, 9) }, 13, 6, entry.colour);
+  if (entry.size) symbol(swatch, { ...entry, size: Math.min(entry.size, 9) }, 13, 6);
   make("span", "", button, entry.name);
   button.addEventListener("click", () => {
     if (!figure.hidden.delete(entry.key)) figure.hidden.add(entry.key);
@@ -545,14 +410,6 @@ function legendEntry(figure, keys, entry) {
     figure.stale = true;
     paint(figure);
   });
-}
-
-function colourBar(keys, scale) {
-  const bar = make("div", "scale", keys);
-  make("span", "", bar, digits(scale.least, ".3~r"));
-  const ramp = make("span", "ramp", bar);
-  ramp.style.background = `linear-gradient(to right, ${scale.stops.map(([at, colour]) => `${colour} ${100 * at}%`).join(", ")})`;
-  make("span", "", bar, `${digits(scale.most, ".3~r")}  ${scale.title}`);
 }
 
 // ------------------------------------------------------------------------------------------------------- pointing, zooming
@@ -572,7 +429,7 @@ function attend(figure, root, placed) {
     guide.setAttribute("d", "");
     figure.note.hidden = true;
     if (begun) {
-      const flat = figure.spec.hover === "x";
+      const flat = figure.spec.unified;
       const from = [Math.min(x, begun.x), flat ? begun.panel.y0 : Math.min(y, begun.y)];
       const size = [Math.abs(x - begun.x), flat ? begun.panel.tall : Math.abs(y - begun.y)];
       const box = { x: from[0], y: from[1], width: size[0], height: size[1], visibility: "visible" };
@@ -599,8 +456,8 @@ function attend(figure, root, placed) {
       figure.zoom[name] = [Math.max(axis.low, Math.min(...ends)), Math.min(axis.high, Math.max(...ends))];
       figure.stale = true;
     };
-    zoom(panel.x, panel.axes.x, begun.x, x);
-    if (figure.spec.hover !== "x") zoom(panel.y, panel.axes.y, begun.y, y);
+    zoom("x", panel.axes.x, begun.x, x);
+    if (!figure.spec.unified) zoom(panel.y, panel.axes.y, begun.y, y);
     begun = null;
     frame.setAttribute("visibility", "hidden");
     paint(figure);
@@ -620,41 +477,31 @@ function attend(figure, root, placed) {
 function tell(figure, placed, panel, x, y, guide) {
   const { spec } = figure;
   const lines = [];
-  if (spec.hover === "x") {
-    const own = placed.filter((each) => each.x === panel.x);
+  if (spec.unified) {
     let at = null;
-    for (const each of own)
-      for (const mark of seen(figure, each).filter((one) => one.kind !== "heatmap")) {
+    for (const each of placed)
+      for (const mark of seen(figure, each)) {
         const k = nearest(mark, each, x);
         if (k < 0) continue;
         if (at === null) {
           at = mark.x[k];
           lines.push([`${panel.axes.x.kind === "category" ? at : digits(at, panel.axes.x.format)}${unit(panel.axes.x)}`]);
         }
-        lines.push([`${mark.name}: ${mark.told ? filled(mark.told, mark, k) : digits(mark.y[k], each.axes.y.format) + unit(each.axes.y)}`, mark.colour]);
+        lines.push([`${mark.name}: ${digits(mark.y[k], each.axes.y.format)}${unit(each.axes.y)}`, mark.colour]);
       }
-    const [top, low] = [Math.min(...own.map((each) => each.y0)), Math.max(...own.map((each) => each.y1))];
-    if (lines.length) guide.setAttribute("d", `M${x} ${top}V${low}`);
+    if (lines.length) guide.setAttribute("d", `M${x} ${placed[0].y0}V${placed[placed.length - 1].y1}`);
   } else {
     let [best, found] = [30, null];
-    for (const mark of seen(figure, panel)) {
-      if (mark.kind === "heatmap") {
-        const [column, row] = [cell(mark.x, panel.axes.x, x), cell(mark.y, panel.axes.y, y)];
-        const k = row * mark.x.length + column;
-        if (Number.isFinite(mark.z[k])) found = [mark, { x: mark.x[column], y: mark.y[row], z: mark.z[k], k }];
-        continue;
-      }
+    for (const mark of seen(figure, panel))
       placedAt(mark, panel).forEach(([px, py], k) => {
-        const far = mark.kind === "bar" ? Math.abs(px - x) : Math.hypot(px - x, py - y);
-        if (far < best) [best, found] = [far, [mark, { x: mark.x[k], y: mark.y[k], k }]];
+        const far = Math.hypot(px - x, py - y);
+        if (far < best) [best, found] = [far, [mark, k]];
       });
-    }
     if (!found) return;
-    const [mark, values] = found;
+    const [mark, k] = found;
     if (mark.name) lines.push([mark.name, mark.colour]);
     const named = (axis, value) => (axis.kind === "category" ? value : digits(value, axis.format) + unit(axis));
-    const text = mark.told ? filled(mark.told, mark, values.k, values) : `${named(panel.axes.y, values.y)} at ${named(panel.axes.x, values.x)}`;
-    text.split("\n").forEach((line) => lines.push([line]));
+    `${named(panel.axes.y, mark.y[k])} at ${named(panel.axes.x, mark.x[k])}`.split("\n").forEach((line) => lines.push([line]));
   }
   if (!lines.length) return;
   figure.note.replaceChildren();
@@ -672,9 +519,7 @@ function tell(figure, placed, panel, x, y, guide) {
 }
 
 function seen(figure, panel) {
-  return figure.spec.marks.filter(
-    (mark) => mark.axes.x === panel.x && mark.axes.y === panel.y && !mark.mute && !figure.hidden.has(mark.key),
-  );
+  return figure.spec.marks.filter((mark) => mark.axis === panel.y && !mark.mute && !figure.hidden.has(mark.key));
 }
 
 function nearest(mark, panel, x) {
@@ -687,21 +532,7 @@ function nearest(mark, panel, x) {
   return found;
 }
 
-function cell(values, axis, place) {
-  const all = edges(values, axis);
-  for (let k = 0; k < values.length; k += 1) if ((all[k] - place) * (all[k + 1] - place) <= 0) return k;
-  return -1;
-}
-
 function unit(axis) {
   const found = /\[([^\]]+)\]$/.exec(axis.title);
   return found && found[1] !== "-" ? ` ${found[1]}` : "";
-}
-
-// A template such as "%{y:.3f} N", filled with the values of a point
-function filled(template, mark, k, values = { x: mark.x[k], y: mark.y[k] }) {
-  return template.replace(/%\{(\w+)(?::([^}]*))?\}/g, (_, key, format) => {
-    const value = key === "text" ? mark.text[k] : values[key];
-    return format && typeof value === "number" ? digits(value, format) : typeof value === "number" ? digits(value, ".4~r") : value;
-  });
 }

@@ -7,9 +7,7 @@ from importlib.metadata import version
 from importlib.resources import files
 from textwrap import dedent
 
-from plotly import graph_objects as go
-
-from vpp_fmu.app.report.drawing import SCRIPT, Arrays, drawing, heading
+from vpp_fmu.app.report.canvas import MOST, SCRIPT, Figure
 from vpp_fmu.app.report.style import FONT, SCHEME
 from vpp_fmu.date import now
 from vpp_fmu.digits import TABLE, number
@@ -17,9 +15,8 @@ from vpp_fmu.digits import TABLE, number
 _NUMBER = re.compile(r"[<>≈~±+\-−]?\s*(?!\d{4}-\d\d-\d\d)\d|[–∞]?$|−∞$")
 """Start of a number. A date is not a number, nor is a name that begins with a date."""
 
-_WORDS, _PROSE = 20, 90
-"""Number of letters from which a text wraps at a readable width, and number from which a column of texts is wider, if no other
-column is."""
+_WORDS = 20
+"""Number of letters from which a text wraps at a readable width."""
 
 _UNIT = re.compile(r"(?<=\d) (?=(?:N|rpm|deg|s|ms|Hz|V|A|W|K|%|nats?|N\.m|rpm/s|deg/s|m/s|kHz|mm|kg|min)(?![\w]))")
 """Space between a number and its unit."""
@@ -80,8 +77,8 @@ class Page:
         self._findings = ""
         self._parts: list[str] = []
         self._sections: list[str] = []
-        self.figures: list[go.Figure] = []
-        self._arrays = Arrays()
+        self.figures: list[Figure] = []
+        self._arrays: dict[str, int] = {}
         self._tables = 0
 
     def tiles(self, tiles: Sequence[tuple[str, object, str]]) -> None:
@@ -102,26 +99,27 @@ class Page:
         self._sections.append(title)
         self._parts.append(f'<h2 id="section-{len(self._sections)}">{escape(title)}</h2>\n{_paragraphs(text)}')
 
-    def figure(self, fig: go.Figure, caption: str) -> int:
-        """A figure, as wide as the page; returns its number."""
+    def figure(self, fig: Figure, caption: str = "") -> None:
+        """A figure, as wide as the page."""
+        if fig.samples > MOST:
+            caption += f" Drawn are at most {MOST} of the {fig.samples} samples, the extremes of every line among them."
         self.figures.append(fig)
         name = f"figure-{len(self.figures)}"
-        title = heading(fig)
+        title = escape(fig.title)
         self._parts.append(
-            f'<figure><h3>{escape(title)}</h3>\n<div id="{name}" class="plot" data-title="{escape(title)}"></div>\n'
-            f"<script>draw({name!r},{drawing(fig, self._arrays)})</script>\n"
+            f'<figure><h3>{title}</h3>\n<div id="{name}" class="plot" data-title="{title}"></div>\n'
+            f"<script>draw({name!r},{fig.drawing(self._arrays)})</script>\n"
             f"<figcaption><b>Figure {len(self.figures)}.</b> {escape(caption)}</figcaption></figure>"
         )
-        return len(self.figures)
 
     def table(self, columns: Sequence[str], rows: Sequence[Sequence], caption: str) -> None:
         """A table; the columns' names include the units. Reals have four significant digits."""
         self._tables += 1
         self._parts.append(_table(columns, rows, f"<b>Table {self._tables}.</b> {escape(caption)}"))
 
-    def note(self, text: str, *links: Link) -> None:
-        """An important remark, and files that it names."""
-        self._parts.append(f"<aside>{_paragraphs(text)}{''.join(f'<p>{_html(link)}</p>' for link in links)}</aside>")
+    def note(self, text: str) -> None:
+        """An important remark."""
+        self._parts.append(f"<aside>{_paragraphs(text)}</aside>")
 
     def remarks(self, lines: Sequence[str]) -> None:
         """Add remarks, given without capital and full stop, as paragraphs of one note."""
@@ -171,8 +169,6 @@ def _table(columns: Sequence[str], rows: Sequence[Sequence], caption: str) -> st
     """A table of texts and numbers; columns of numbers are aligned right. `caption` is HTML."""
     cells = [[value if isinstance(value, Link) else number(value, TABLE) for value in row] for row in rows]
     kinds = [_kind([row[k] for row in cells]) for k in range(len(columns))]
-    if kinds.count("prose") > 1:
-        kinds = ["words" if kind == "prose" else kind for kind in kinds]
     marks = [f' class="{kind}"' if kind else "" for kind in kinds]
 
     def line(tag: str, texts: Sequence[str]) -> str:
@@ -194,7 +190,6 @@ def _kind(cells: Sequence[str]) -> str:
     """The class of a column in the style sheet."""
     if all(map(_NUMBER.match, cells)):
         return "number"
-    longest = max(map(len, cells))
-    if longest > _WORDS:
-        return "prose" if longest > _PROSE else "words"
+    if max(map(len, cells)) > _WORDS:
+        return "words"
     return "" if any(" " in cell for cell in cells) else "name"

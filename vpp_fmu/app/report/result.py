@@ -12,11 +12,12 @@ from identification.fit.problem import Prior
 from vpp_fmu import __version__
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.date import now
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.notebook import table_html
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.structured import as_json
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,13 +31,26 @@ class Knowledge:
 
 
 class Result(ABC):
-    """The result of a verb. `verb`: its name; `found`: all of it; `save` writes its files."""
+    """The result of a verb: answer, files and report are made of `headline`, `key_figures`, `to_dict` and `fill`. `found`: all
+    of it; `save` writes its files.
+
+    `verb`: its name; `writes`: its files that hold `to_dict` (.json) and the report (.html). `title`, `source`: of the report;
+    the latter is the measurement and its date."""
 
     verb: ClassVar[str]
+    writes: ClassVar[tuple[str, ...]] = ("report.html",)
+    title = ""
 
-    def __init__(self, found: Any, parameters: ParameterSet | None = None, file: str | os.PathLike[str] | None = None):
+    def __init__(
+        self,
+        found: Any,
+        parameters: ParameterSet | None = None,
+        file: str | os.PathLike[str] | None = None,
+        source: str = "",
+    ):
         """`parameters`: those of the plant in its files; `file`: that they were read from, if any."""
         self.found, self._parameters, self._file = found, parameters, file
+        self._source = source or (parameters.label if parameters else "")
 
     @abstractmethod
     def headline(self) -> str:
@@ -51,16 +65,38 @@ class Result(ABC):
         """All numbers, as the verb's JSON file holds them; strictly valid JSON."""
 
     @abstractmethod
+    def fill(self, page: Page) -> None:
+        """Add figures and tables to the report, below the headline and the tiles."""
+
+    @property
+    def source(self) -> str:
+        """The measurement and its date, above the report."""
+        return self._source
+
+    def tiles(self) -> list[tuple[str, str, str]]:
+        """Key figures on top of the report."""
+        return self.key_figures()
+
     def page(self) -> Page:
         """The report."""
+        page = Page(self.title, self.headline(), self.source)
+        page.tiles(self.tiles())
+        self.fill(page)
+        return page
 
-    @abstractmethod
     def write(self, folder: OutputFolder) -> None:
         """Write the verb's files."""
+        for name in self.writes:
+            folder.write(name, self.page().html() if name.endswith(".html") else as_json(self.to_dict()))
 
     def lines(self) -> list[str]:
         """Warnings and other important lines."""
         return []
+
+    @property
+    def failure(self) -> VppError | None:
+        """An error that is reported after the answer."""
+        return None
 
     def details(self) -> list[str]:
         """Lines for --verbose only."""
@@ -89,7 +125,7 @@ class Result(ABC):
         if not 1 <= figure <= len(figures):
             allowed = f"1 to {len(figures)}" if figures else "none, there is nothing to draw"
             raise BadInput(type(self).__name__, "figure", figure, allowed)
-        return figures[figure - 1]
+        return figures[figure - 1].plotly()
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({'; '.join(f'{label}: {value}' for label, value, _ in self.key_figures())})"

@@ -47,12 +47,6 @@ def titled(name: str) -> str:
     return words(name).capitalize()
 
 
-def labelled(names: Sequence[str], parameters: Sequence[Parameter]) -> list[str]:
-    """Names of parameters in words with their units, for a figure."""
-    units = {p.name: p.unit for p in parameters}
-    return [f"{words(name)} [{units[name]}]".removesuffix(" [1]") for name in names]
-
-
 def limited(parameter: Parameter, value: float) -> str:
     """A parameter's value with its unit, or "no limit"."""
     free = parameter.unlimited is not None and math.isclose(value, parameter.unlimited, rel_tol=1e-3)

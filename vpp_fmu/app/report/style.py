@@ -1,14 +1,12 @@
-"""Common style of all figures: the palette, in which each colour has one meaning, the plotly template, and the labels.
+"""Common style of all figures: the palette, in which each colour has one meaning, and the labels.
 
 The colours are Okabe and Ito's, which colour-blind readers can distinguish (jfly.uni-koeln.de/color).
 """
 
-import html
 import re
 from collections.abc import Iterable
 
 import numpy as np
-from plotly import graph_objects as go
 from plotly.colors import sample_colorscale
 
 MEASURED = "#4d4d4d"
@@ -48,13 +46,9 @@ ROLES = {
     "measured": MEASURED,
     "rig": MEASURED,
     "before": BEFORE,
-    "initial": BEFORE,
     "start": BEFORE,
-    "base": BEFORE,
     "after": AFTER,
-    "final": AFTER,
     "fitted": AFTER,
-    "augmented": AFTER,
 }
 """Words in a line's name that determine its colour."""
 
@@ -73,38 +67,6 @@ LABELS = {
 """Axis labels of the columns of a record."""
 
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
-_AXIS = {
-    "showline": True,
-    "linecolor": "#9aa5b1",
-    "gridcolor": "#e8ecef",
-    "zeroline": False,
-    "ticks": "outside",
-    "ticklen": 4,
-    "tickcolor": "#9aa5b1",
-    "automargin": True,
-    "title": {"standoff": 8, "font": {"size": 13}},
-    "hoverformat": ".5~g",
-    "zerolinecolor": "#9aa5b1",
-    "exponentformat": "none",  # without it 20000 rpm are "20k", and 0.0001 N "100μ"
-}
-
-SHOWN = ".4~r"
-"""d3 format of a measured quantity under the pointer: four significant digits."""
-
-TEMPLATE = go.layout.Template(
-    layout={
-        "font": {"family": FONT, "size": 13, "color": "#1f2933"},
-        "separators": ".",  # a decimal point, no thousands separator, as in the text
-        "paper_bgcolor": "white",
-        "plot_bgcolor": "white",
-        "colorway": OTHERS,
-        "xaxis": _AXIS,
-        "yaxis": _AXIS,
-        "hoverlabel": {"bgcolor": "rgba(255,255,255,0.94)", "bordercolor": "#9aa5b1", "font": {"size": 12}, "namelength": -1},
-        "modebar": {"bgcolor": "rgba(255,255,255,0.9)", "color": "#9aa5b1", "activecolor": AFTER},
-    },
-    data={"heatmap": [{"colorbar": {"thickness": 14, "exponentformat": "none", "title": {"font": {"size": 13}}}}]},
-)
 
 
 def ink(colour: str) -> str:
@@ -122,19 +84,9 @@ def shades(count: int) -> list[str]:
     return sample_colorscale(name, np.linspace(low, high, count).tolist())
 
 
-def sequence() -> list[list]:
-    """The colour scale of a heat map."""
-    return [[float(at), colour] for at, colour in zip(np.linspace(0.0, 1.0, 9), shades(9), strict=True)]
-
-
 def label(name: str) -> str:
     """The axis label "quantity [unit]" of a record's column; any other name must include its unit."""
-    return LABELS.get(name, escaped(name))
-
-
-def escaped(text: str) -> str:
-    """`text` escaped for plotly, which would interpret tags in a label."""
-    return html.escape(str(text), quote=False)
+    return LABELS.get(name, name)
 
 
 def colours(names: Iterable[str]) -> dict[str, str]:

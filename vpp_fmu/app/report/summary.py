@@ -5,9 +5,7 @@ import os
 import numpy as np
 
 from identification.assessment.model_error import model_error
-from identification.assessment.prediction import predict, summaries
-from identification.assessment.quality import fit_percent, rmse
-from identification.assessment.sections import sections
+from identification.assessment.prediction import Prediction, predict, summaries
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.judgement import MIN_EVIDENCE, Judgement
 from identification.diagnose.learned.description import FILE as LEARNED
@@ -145,21 +143,13 @@ def errors(found: Diagnosis, fit: Fit) -> dict:
         return {"record": found.unseen.name, "from": "validation", **found.prediction(fit, found.unseen.record).summary()}
     held_out = found.held_out_before if fit is found.base else found.held_out_after
     record, residual = found.fitted[0].record, held_out.thrust[0]
-    parts = {name: mask & np.isfinite(residual) for name, mask in sections(record).items()}
+    measured, unknown = record["thrust"] + 0.0 * residual, np.full(len(record), np.nan)  # the readings that were held out
+    shown = Prediction(record.with_columns(thrust=measured), measured + residual, unknown, unknown)
     return {
         "record": found.fitted[0].name,
         "from": "cross-validation",
-        "rmse_thrust": rmse(residual),
+        **shown.summary(),
         "rmse_omega": held_out.rmse_omega,
-        "fit_thrust": fit_percent(record["thrust"], record["thrust"] + residual),
-        "sections": {
-            name: {
-                "rmse_thrust": rmse(residual[mask]),
-                "fit_thrust": fit_percent(record["thrust"][mask], (record["thrust"] + residual)[mask]),
-            }
-            for name, mask in parts.items()
-            if mask.any()
-        },
     }
 
 

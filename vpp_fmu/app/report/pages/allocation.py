@@ -6,14 +6,14 @@ import numpy as np
 
 from identification.fit.uncertainty import NORMAL_95
 from identification.power.allocation import COLUMNS, Allocation, allocated_controller, table
-from vpp_fmu.app.report.figures.map import best_pairs, least_power
+from vpp_fmu.app.report import style
+from vpp_fmu.app.report.canvas import panels
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
 from vpp_fmu.app.report.sentences import size
 from vpp_fmu.digits import number
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.parameters import ParameterSet, to_json
-from vpp_fmu.structured import as_json
 
 FORMAT = "vpp-allocation/1"
 
@@ -22,6 +22,8 @@ class AllocateResult(Result):
     """The pair of speed and pitch of least power for each thrust. `found`: the whole allocation."""
 
     verb = "allocate"
+    writes = ("allocation.json", "report.html")
+    title = "Speed and pitch for each thrust"
     found: Allocation
 
     @property
@@ -80,38 +82,28 @@ class AllocateResult(Result):
         folder.write("allocation.csv", "\n".join(rows) + "\n")
         folder.write("allocation.h", as_c(self.found))
         folder.write("gains.json", to_json(self._dated(self.gains)))
-        folder.write("allocation.json", as_json(self.to_dict()))
-        folder.write("report.html", self.page().html())
+        super().write(folder)
 
-    def page(self) -> Page:
+    def fill(self, page: Page) -> None:
         found = self.found
         goal = "the least power" if found.weight == 0.0 else f"power and reserve of thrust at a weight of {found.weight:g}"
-        text = f"For each thrust the pair of speed and pitch of {goal}, within the rig's limits. Between pairs of the same "
-        text += f"thrust, {found.model.kind} power differs."
-        page = Page("Speed and pitch for each thrust", text, found.model.parameters.label)
-        page.tiles(self.key_figures())
+        page.section("The pairs", f"For each thrust the pair of speed and pitch of {goal}, within the rig's limits.")
         share = f"{100.0 * abs(found.saving):.1f} %"
         verb = f"save {share} of the power" if found.saving >= 0.0 else f"take {share} more power"
         title = f"The pairs {verb} against the best fixed pitch, {found.fixed_beta:.3g} deg"
         half = NORMAL_95 * found.power_std
-        fixed = {f"best fixed pitch, {found.fixed_beta:.3g} deg": found.fixed}
-        caption = "95 % interval: of the power's parameters; the choice of a map's terms is not part of it."
-        page.figure(least_power(found.thrust, found.power, half, fixed, title), caption)
-        speeds, pitches, thrust = found.surface.grid
-        few = slice(None, None, max(1, len(speeds) // 100))
-        watts = found.model.at(*np.meshgrid(speeds[few], pitches, indexing="ij"))
-        title = "Pairs of equal thrust cross lines of equal power: the best ones lie on the line"
-        lines = np.linspace(0.0, float(found.thrust[-1]), 7)[1:-1]
-        figure = best_pairs(speeds[few], pitches, watts.T, thrust[few].T, lines, (found.omega, found.beta), title)
-        values = ", ".join(number(level, 3) for level in lines)
-        caption = f"Colours: power. Thin lines: equal thrust, {values} N. Thick line: the pairs, from least to greatest thrust."
-        page.figure(figure, caption)
+        fig = panels(title, ["power [W]", "speed [rpm]", "pitch [deg]"], [260, 130, 130], "thrust [N]")
+        fig.envelope(found.thrust, found.power - half, found.power + half, "95 % interval", style.NOISE)
+        fixed = f"best fixed pitch, {found.fixed_beta:.3g} deg"
+        fig.line(found.thrust, found.fixed, fixed, style.BEFORE, 1.6, dash="dash")
+        for panel, values in enumerate((found.power, found.omega, found.beta)):
+            fig.line(found.thrust, values, "best pairs", style.AFTER, 2.2, panel)
+        page.figure(fig, "95 % interval: of the power's parameters; the choice of a map's terms is not part of it.")
         bands = [f"{low:.3g} to {high:.3g}" for low, high in found.beta_band]
         cells = found.thrust, found.omega, found.beta, bands, found.power, NORMAL_95 * found.power_std, found.reserve
         rows = [tuple(map(number, row, (4, 5, 3, 4, 4, 2, 3))) for row in zip(*cells, strict=True)]
         columns = ("thrust [N]", "speed [rpm]", "pitch [deg]", "pitch, 95 % [deg]", "power [W]", "± 95 % [W]", "reserve [N]")
         page.table(columns, rows[:: max(1, len(rows) // 20)], "Pairs; allocation.csv has all of them.")
-        return page
 
 
 def as_c(found: Allocation) -> str:

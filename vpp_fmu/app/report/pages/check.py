@@ -9,8 +9,7 @@ from identification.logger import Logger
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
 from vpp_fmu.campaign import Campaign
-from vpp_fmu.files import OutputFolder
-from vpp_fmu.structured import as_json
+from vpp_fmu.errors import BadInput
 
 FORMAT = "vpp-check/1"
 
@@ -22,6 +21,7 @@ class CheckResult(Result):
     None if no model can be fitted."""
 
     verb = "check"
+    writes = ("check.json",)
     found: tuple[Finding, ...]
 
     def __init__(
@@ -33,7 +33,7 @@ class CheckResult(Result):
         found: tuple[Finding, ...],
         logger: Logger | None,
     ):
-        super().__init__(found)
+        super().__init__(found, source=campaign.label)
         self.campaign, self.files, self.held, self.missing, self.logger = campaign, files, held, missing, logger
 
     @property
@@ -50,6 +50,13 @@ class CheckResult(Result):
     def findings(self) -> tuple[str, ...]:
         """Quality problems of the data, one per line, errors first."""
         return tuple(finding.text for finding in self.found)
+
+    @property
+    def failure(self) -> BadInput | None:
+        if not (codes := [f.code for f in self.errors]):
+            return None
+        what = f"{len(codes)} error{'s' * (len(codes) > 1)}: {', '.join(dict.fromkeys(codes))}"
+        return BadInput(self.campaign.folder, "quality", what, "no errors", "vpp check --help, which explains each code")
 
     def headline(self) -> str:
         errors, files, findings = len(self.errors), len(self.held), len(self.found)
@@ -86,12 +93,10 @@ class CheckResult(Result):
         lines += said_of_size(self.files, self.campaign.rig.rotor.get("diameter"))
         return [*lines, *(self.findings or ["quality: nothing found against these data"])]
 
-    def page(self) -> Page:
-        page = Page(f"Check of {self.campaign.folder.name}", "; ".join(self.campaign.rig.lines()), self.campaign.label)
-        page.tiles(self.key_figures())
-        for line in self.findings:
-            page.note(line)
-        return page
+    @property
+    def title(self) -> str:
+        return f"Check of {self.campaign.folder.name}"
 
-    def write(self, folder: OutputFolder) -> None:
-        folder.write("check.json", as_json(self.to_dict()))
+    def fill(self, page: Page) -> None:
+        for line in (*self.campaign.rig.lines(), *self.findings):
+            page.note(line)

@@ -4,12 +4,11 @@ from typing import Any
 
 from identification.demo import Demo
 from identification.thrust_steps import step_profile
-from vpp_fmu.app.report.canvas import thinning
-from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted
+from vpp_fmu.app.report.figures import measured_against_predicted
 from vpp_fmu.app.report.page import Page
-from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult, add_diagnosis, findings
+from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult, findings
 from vpp_fmu.app.report.pages.identification import add_map
-from vpp_fmu.app.report.pages.loop import STEP_COLUMNS, LoopResult, row, sentence
+from vpp_fmu.app.report.pages.loop import LoopResult, add_loops, sentence
 from vpp_fmu.app.report.result import Result, dated
 from vpp_fmu.app.report.sentences import change, size
 from vpp_fmu.app.report.summary import write_diagnosis
@@ -24,11 +23,12 @@ class DemoResult(Result):
     """All steps on the campaign that ships with the project, in `seconds`."""
 
     verb = "demo"
+    title = "From rig data to FMUs"
     found: Demo
 
     def __init__(self, found: Demo, seconds: float):
         self.diagnosis = DiagnoseResult(found.diagnosis)
-        super().__init__(found, self.diagnosis.parameters)
+        super().__init__(found, self.diagnosis.parameters, source=self.diagnosis.source)
         self.loops, self._seconds = {name: LoopResult(loop, "") for name, loop in found.loops.items()}, seconds
 
     def headline(self) -> str:
@@ -45,7 +45,8 @@ class DemoResult(Result):
         return content | {"rmse_thrust_fmu": {**self.found.rmse, "unit": "N"}}
 
     def lines(self) -> list[str]:
-        return [f"{name}: {sentence(step)}" for name, loop in self.loops.items() for step in loop.steps]
+        steps = [f"{name}: {sentence(step)}" for name, loop in self.loops.items() for step in loop.steps]
+        return [*steps, f"{self._seconds:.1f} s"]
 
     def write(self, folder: OutputFolder) -> None:
         done, found = self.found, self.found.diagnosis
@@ -60,14 +61,15 @@ class DemoResult(Result):
             write_record(folder, file, Record({**commands, "thrust": done.thrust[name]}, "vpp demo"))
         for name, loop in done.loops.items():
             write_record(folder, f"run_{name.replace(' ', '_')}.csv", loop)
-        folder.write("report.html", self.page().html())
+        super().write(folder)
 
-    def page(self) -> Page:
+    def tiles(self) -> list[tuple[str, str, str]]:
+        return _through_fmus(self.found, self.diagnosis.tiles())
+
+    def fill(self, page: Page) -> None:
         done = self.found
         found, validation = done.diagnosis, done.validation
         before, after = (size(done.rmse[when], "N") for when in ("before", "after"))
-        page = Page("From rig data to FMUs", self.headline(), found.campaign.label)
-        page.tiles(_through_fmus(done, self.diagnosis.tiles()))
         page.findings(findings(found))
         page.section("The plant FMUs against measurement")
         title = (
@@ -75,22 +77,19 @@ class DemoResult(Result):
         )
         lines = {f"FMU {name}": thrust for name, thrust in done.thrust.items()}
         figure = measured_against_predicted(validation, lines, title, found.noise.floor)
-        page.figure(figure, f"validation.csv. {thinning(len(validation))}")
+        page.figure(figure, "validation.csv.")
         self._add_loops(page)
-        add_diagnosis(page, found)
+        self.diagnosis.fill_effects(page)
         if found.identification.static is not None:
             page.section("The map")
             add_map(page, found.identification)
-        return page
 
     def _add_loops(self, page: Page) -> None:
-        page.section("The closed loop of both FMUs")
         settling = {name: loop.steps[-1].settling for name, loop in self.loops.items()}
         words = {name: "not in time" if s is None else f"in {number(s, 3)} s" for name, s in settling.items()}
         title = f"Step down: both actuators settle {words['dual']}, speed alone {words['speed only']}"
-        page.figure(closed_loop(self.found.loops, title), "The paper's gains on the augmented plant.")
-        rows = [(name, *row(step)) for name, loop in self.loops.items() for step in loop.steps]
-        page.table(("loop", *STEP_COLUMNS), rows, "Settled: within 2 % of the step from then on.")
+        page.section("The closed loop of both FMUs", "The paper's gains on the augmented plant.")
+        add_loops(page, self.found.loops, {name: loop.steps for name, loop in self.loops.items()}, title=title)
 
 
 def _through_fmus(done: Demo, figures: list[tuple[str, str, str]]) -> list[tuple[str, str, str]]:

@@ -5,24 +5,24 @@ from typing import Any
 
 import numpy as np
 
+from identification.assessment.quality import rmse
 from identification.diagnose.diagnose import UNEXPLAINED, Diagnosis
 from identification.diagnose.guess import Guess
-from identification.diagnose.judgement import ALPHA
 from identification.diagnose.learned.description import sentence as described
 from identification.fit.noise import blocks
 from identification.fit.problem import Prior
 from identification.fit.uncertainty import NORMAL_95
-from vpp_fmu.app.report.canvas import thinning
-from vpp_fmu.app.report.figures.parameters import parameter_change
-from vpp_fmu.app.report.figures.time import measured_against_predicted
+from vpp_fmu.app.report import style
+from vpp_fmu.app.report.canvas import Figure, figure
+from vpp_fmu.app.report.figures import measured_against_predicted
 from vpp_fmu.app.report.page import Link, Page
-from vpp_fmu.app.report.pages.effect import add_attempt, add_effects, add_learned, around
+from vpp_fmu.app.report.pages.effect import add_effects, add_learned, around
 from vpp_fmu.app.report.pages.identification import add_quality, quality_tile
 from vpp_fmu.app.report.pages.residual import add_correlations, add_spectrum
 from vpp_fmu.app.report.result import Knowledge, Result
-from vpp_fmu.app.report.sentences import change, clause, labelled, limited, sentence, size, thrust_error, titled, words
-from vpp_fmu.app.report.summary import LEFT_OUT, NEXT, artefact, summary, why_not, write_diagnosis
-from vpp_fmu.digits import chance, interval, number, signed, with_uncertainty
+from vpp_fmu.app.report.sentences import change, clause, limited, sentence, size, thrust_error, titled, words
+from vpp_fmu.app.report.summary import LEFT_OUT, NEXT, artefact, summary, why_not, why_not_term, write_diagnosis
+from vpp_fmu.digits import chance, interval, number, with_uncertainty
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.linear import Linearisable
 from vpp_fmu.parameters import ParameterSet
@@ -44,18 +44,19 @@ ZOOM, SMOOTHED = 3.0, 0.2
 WORSE = 1.5
 """Ratio of the unseen record's error to that of held-out parts, from which other conditions are suspected."""
 
-MOST_TILES = 6
-
 TRUSTED = 0.8
 """Share of the error beyond the noise that two or more effects must explain before their names are trusted."""
 
 MOST_ALIKE = 12
-"""Maximum number of pairs in the table of similar effects."""
+"""Maximum number of pairs of similar effects that a page names."""
+
+MOST_TRIED = 6
+"""Rejected learned terms that a page lists with reasons."""
 
 
-def not_tried(found: Diagnosis) -> str:
-    """Steps of the search for which the time budget did not suffice, in words; empty without any."""
-    return f"not tried within the time budget: {'; '.join(found.not_tried)}" if found.not_tried else ""
+def not_tried(found: Diagnosis) -> list[str]:
+    """A line with the steps of the search for which the time budget did not suffice; none without any."""
+    return [f"not tried within the time budget: {'; '.join(found.not_tried)}"] if found.not_tried else []
 
 
 class DiagnoseResult(Result, Linearisable):
@@ -142,18 +143,12 @@ class DiagnoseResult(Result, Linearisable):
     def key_figures(self) -> list[tuple[str, str, str]]:
         return [*self._sizes(), *self._errors()]
 
-    def tiles(self) -> list[tuple[str, str, str]]:
-        """At most six key figures for the page: the errors, and the first sizes of the effects."""
-        errors = self._errors()
-        return [*self._sizes()[: MOST_TILES - len(errors)], *errors]
-
     def to_dict(self) -> dict[str, Any]:
         return summary(self.found)
 
     def lines(self) -> list[str]:
         found = self.found
-        lines = [*(finding.text for finding in found.quality), *findings(found)]
-        lines += [text] if (text := not_tried(found)) else []
+        lines = [*(finding.text for finding in found.quality), *findings(found), *not_tried(found)]
         if found.power:
             from vpp_fmu.app.report.pages.power import power_line  # noqa: PLC0415 most campaigns measure no power
 
@@ -163,32 +158,52 @@ class DiagnoseResult(Result, Linearisable):
 
     def write(self, folder: OutputFolder) -> None:
         write_diagnosis(folder, self.found, self._file)
-        folder.write("report.html", self.page().html())
+        super().write(folder)
 
-    def page(self) -> Page:
+    @property
+    def title(self) -> str:
+        return f"Diagnosis of {self.found.campaign.folder.name}"
+
+    @property
+    def source(self) -> str:
+        return self.found.campaign.label
+
+    def fill(self, page: Page) -> None:
         found = self.found
-        page = Page(f"Diagnosis of {found.campaign.folder.name}", self.headline(), found.campaign.label)
-        page.tiles(self.tiles())
         page.findings(findings(found))
-        if text := not_tried(found):
-            page.note(f"{text[0].upper()}{text[1:]}.")
-        for effect in found.left_out:
-            page.note(f"{titled(effect)}: {LEFT_OUT}.")
-        for effect in found.final.effects:
-            if text := artefact(found, effect):
-                page.note(f"{titled(effect)}: {text}.")
+        page.remarks(not_tried(found))
+        page.remarks([f"{words(effect)}: {LEFT_OUT}" for effect in found.left_out])
+        page.remarks([f"{words(name)}: {text}" for name in found.final.effects if (text := artefact(found, name))])
         add_quality(page, found.quality)
-        _add_effect(page, found)
-        page.section("Before and after" if found.final.effects else "The model")
-        _add_whole(page, found)
-        _add_rest(page, found)
+        self.fill_effects(page, _whole(found))
         if found.power:
             from vpp_fmu.app.report.pages.power import add_power  # noqa: PLC0415 most campaigns measure no power
 
             add_power(page, found.power)
         lines = [*(f"Rig: {line}." for line in found.rig.lines()), *(f"Logger: {line}." for line in found.logger.lines)]
         page.section("The rig and its logger", "\n\n".join(lines))
-        return page
+
+    def fill_effects(self, page: Page, *figures: tuple[Figure, str]) -> None:
+        """Add the effects, the model before and after, with further `figures` and their captions, what was tried, and the
+        residual, whose details are shown if it is not explained."""
+        found = self.found
+        if found.final.effects:
+            page.section("The effect" if len(found.final.effects) == 1 else "The effects")
+            if found.learned:
+                add_learned(page, found)
+            add_effects(page, found)
+        page.section("Before and after" if found.final.effects else "The model")
+        for drawn, caption in (*figures, _worst(found)):
+            page.figure(drawn, caption)
+        if found.final.effects:
+            _add_shift(page, found)
+        page.section("What was tried")
+        _add_tried(page, found)
+        page.section("Residual")
+        add_spectrum(page, found)
+        if found.verdict in UNEXPLAINED:
+            add_correlations(page, found)
+            _add_alike(page, found)
 
 
 def _guessed(guess: Guess) -> str:
@@ -329,54 +344,25 @@ def _where(found: Diagnosis) -> str:
     return f"{band} Hz, {note}; up to {number(abs(largest['thrust']), 3)} N; input: {location['input']}"
 
 
-def add_diagnosis(page: Page, found: Diagnosis) -> None:
-    """Add figures and tables of a diagnosis to a page that already shows the unseen record."""
-    _add_effect(page, found)
-    page.section("Before and after" if found.final.effects else "The model")
-    _add_rest(page, found)
+def _predicted(found: Diagnosis) -> dict[str, np.ndarray]:
+    """Thrust (rows,) [N] of the shown record, by fit."""
+    return {name: found.prediction(fit, found.shown).thrust for name, fit in found.fits.items()}
 
 
-def _add_effect(page: Page, found: Diagnosis) -> None:
-    if found.final.effects:
-        page.section("The effect" if len(found.final.effects) == 1 else "The effects")
-        if found.learned:
-            add_learned(page, found)
-        add_effects(page, found)
-
-
-def _add_rest(page: Page, found: Diagnosis) -> None:
-    """Add the worst moment, the parameters, the candidates and the residual; its details if it is not explained."""
-    _add_worst(page, found)
-    if found.final.effects:
-        add_shift(page, found)
-    page.section("What was tried")
-    add_evidence(page, found)
-    add_attempt(page, found)
-    page.section("Residual")
-    add_spectrum(page, found)
-    if found.verdict in UNEXPLAINED:
-        add_correlations(page, found)
-        _add_lack(page, found)
-        _add_location(page, found)
-        _add_alike(page, found)
-
-
-def _add_whole(page: Page, found: Diagnosis) -> None:
-    record = found.shown
-    shown = {name: found.prediction(fit, record) for name, fit in found.fits.items()}
-    errors_shown = [f"{number(p.rmse_thrust)} N" for p in shown.values()]
-    error = f"{errors_shown[0]} before and {errors_shown[1]} after" if len(errors_shown) > 1 else errors_shown[0]
+def _whole(found: Diagnosis) -> tuple[Figure, str]:
+    """The shown record beside the models, and the caption."""
+    lines = _predicted(found)
+    errors = [f"{number(rmse(thrust - found.shown['thrust']))} N" for thrust in lines.values()]
+    error = " before and ".join(errors) + " after" * (len(errors) > 1)
     seen = "no fit saw" if found.unseen is not None else "was fitted"
     title = f"On a record that {seen} the thrust error is {error}; the noise alone is {number(found.noise.floor)} N"
-    lines = {name: p.thrust for name, p in shown.items()}
-    figure = measured_against_predicted(record, lines, title, found.noise.floor)
-    page.figure(figure, f"{found.shown_name}.csv. {thinning(len(record))}")
+    figure = measured_against_predicted(found.shown, lines, title, found.noise.floor)
+    return figure, f"{found.shown_name}.csv."
 
 
-def _add_worst(page: Page, found: Diagnosis) -> None:
-    """The largest error of the model before."""
-    record = found.shown
-    lines = {name: found.prediction(fit, record).thrust for name, fit in found.fits.items()}
+def _worst(found: Diagnosis) -> tuple[Figure, str]:
+    """The largest error of the model before, and the caption."""
+    record, lines = found.shown, _predicted(found)
     at = blocks(record, SMOOTHED)
     means = {name: np.abs(at.mean(thrust - record["thrust"])) for name, thrust in lines.items()}
     block = int(np.nanargmax(next(iter(means.values()))))
@@ -385,33 +371,7 @@ def _add_worst(page: Page, found: Diagnosis) -> None:
     title = f"The worst moment, around {at.time[block]:.0f} s: the error is {there}"
     part = {name: thrust[near] for name, thrust in lines.items()}
     figure = measured_against_predicted(record.part(near), part, title, found.noise.floor)
-    shown = number(float(np.ptp(record.time[near])), 2)
-    page.figure(figure, f"{shown} s of {found.shown_name}.csv around the worst mean over {SMOOTHED:g} s.")
-
-
-def _add_lack(page: Page, found: Diagnosis) -> None:
-    before, after = found.before, found.after
-    old, new = before.score, after.score
-    tests = [("score test on the commands and time", "-", old.gain, old.p, new.gain, new.p)]
-    for one, other in zip(before.bands, after.bands, strict=True):
-        tests.append((f"pure error, {one.low:g} to {one.high:g} Hz", "N²", one.power, one.p, other.power, other.p))
-    if before.speed or after.speed:
-        tests.append(("structured share of the speed residual", "-", before.speed, None, after.speed, None))
-    if before.transient_size or after.transient_size:
-        tests.append(("share of the thrust residual absent at rest", "-", before.moving, None, after.moving, None))
-    one, other = before.turning, after.turning
-    tests.append(("line at the rotor frequency", "N", one.size, one.p, other.size, other.p))
-    rows = [(what, unit, first, _chance(p), last, _chance(now)) for what, unit, first, p, last, now in tests]
-    columns = ("test", "unit", "before", "p", "after", "p ")
-    page.table(
-        columns,
-        rows,
-        "Tests of lack of fit: log-likelihood of the score test, pure error of repeated records by band, structured residuals.",
-    )
-
-
-def _chance(p: float | None) -> str:
-    return "" if p is None else chance(p)
+    return figure, f"{2.0 * ZOOM:g} s of {found.shown_name}.csv around the worst mean over {SMOOTHED:g} s."
 
 
 def _moving(section: str) -> str:
@@ -420,59 +380,39 @@ def _moving(section: str) -> str:
     )
 
 
-def _add_location(page: Page, found: Diagnosis) -> None:
-    location, what = found.location, "error of the base model" if not found.final.effects else "residual"
-    strongest, largest = location["strongest_correlate"], location["largest"]
-    page.table(
-        ("quantity", "value"),
+def _add_alike(page: Page, found: Diagnosis) -> None:
+    """Effects that the commands do not distinguish, and the invisible ones."""
+    pairs, unseen = found.distinguishability.alike(), found.distinguishability.invisible()
+    alike = "; ".join(f"{words(one)} and {words(other)} ({overlap:.2f})" for one, other, overlap in pairs[:MOST_ALIKE])
+    page.remarks(
         [
-            ("strongest correlation", f"{strongest['signal']}, {strongest['correlation']:+.2f}"),
-            ("input", location["input"]),
-            ("largest", f"{signed(largest['thrust'], 3)} N at {largest['time']:.1f} s"),
-            *((f"share at {band} Hz", f"{100 * share:.0f} %") for band, share in location["share_by_band_hz"].items()),
-            *((f"mean square, {n}", f"{number(max(p, 0.0), 3)} N²") for n, p in location["mean_square_by_section"].items()),
-        ],
-        f"Location of the {what}, its repeatable part.",
+            f"these commands do not distinguish ({min(len(pairs), MOST_ALIKE)} of {len(pairs)} pairs, squared cosine): {alike}",
+            f"not visible at a plausible size under these commands: {', '.join(map(words, unseen)) or 'none'}",
+        ]
     )
 
 
-def _add_alike(page: Page, found: Diagnosis) -> None:
-    """Effects that the commands do not distinguish, and the invisible ones."""
-    similarity = found.distinguishability
-    if pairs := similarity.alike():
-        rows = [(words(one), words(other), f"{overlap:.2f}") for one, other, overlap in pairs[:MOST_ALIKE]]
-        caption = f"Pairs of effects that these commands do not distinguish ({len(rows)} of {len(pairs)}), by similarity."
-        page.table(("effect", "other effect", "squared cosine [-]"), rows, caption)
-    unseen = ", ".join(map(words, similarity.invisible())) or "none"
-    page.note(f"Not visible at a plausible size under these commands: {unseen}.")
-
-
-def add_evidence(page: Page, found: Diagnosis) -> None:
-    """The table of the effects that were refitted, each in its best form, and the statistics of the accepted ones."""
-    rows, best = [], {}
+def _add_tried(page: Page, found: Diagnosis) -> None:
+    """The table of the effects that were refitted, each in its best form, and of the learned terms."""
+    best: dict[str, tuple] = {}
     fitted = [t for each in found.selection.rounds for t in each if t.fit is not None]
     for tried in sorted(fitted, key=lambda t: (why_not(found, t) is None, t.evidence), reverse=True):
-        best.setdefault(tried.candidate.name, tried)
-    for tried in best.values():
         candidate, fit = tried.candidate, tried.fit
-        beside = " + ".join(tried.beside) or "nothing"
         form = ", ".join(f"{v:g}" for v in candidate.form.values()) or "only"
         own = [p for p in fit.problem.model.parameters if p.name in candidate.free]
         sizes = ", ".join(f"{p.name.partition('.')[2]} {limited(p, fit.values[p.name])}" for p in own)
-        rows.append((candidate.name, form, beside, f"{tried.evidence:.1f}", sizes, why_not(found, tried) or "accepted"))
+        cells = form, " + ".join(tried.beside) or "nothing", f"{tried.evidence:.1f}", sizes
+        best.setdefault(candidate.name, (candidate.name, *cells, why_not(found, tried) or "accepted"))
+    rows = list(best.values())
+    for term, judged in found.attempt.tried[:MOST_TRIED]:
+        why = why_not_term(found, term, judged) or "accepted"
+        rows.append((described(term), term.lead.shape, "", f"{judged.evidence:.1f}", "", why))
     columns = ("effect", "form", "beside", "evidence [nat]", "parameters", "verdict")
-    caption = "Effects that were refitted in full, each in its best form; diagnosis.json has all forms and rounds."
+    caption = "Effects that were refitted, each in its best form, and learned terms; diagnosis.json has all forms and rounds."
     page.table(columns, rows, caption)
-    for effect, judged in found.selection.judgements.items():
-        gains = ", ".join(f"{channel} {signed(gain)}" for channel, gain in judged.gain.items())
-        page.note(
-            f"{titled(effect)}: the log-likelihood increases by {number(judged.likelihood_gain)}; chance exceeds "
-            f"{number(judged.needed)} in one rig of {1.0 / ALPHA:.0f}. In cross-validation: {gains}. It changes "
-            f"the thrust by {judged.size:.3g} N rms; the minimum size of interest is {judged.least:.2g} N."
-        )
 
 
-def add_shift(page: Page, found: Diagnosis) -> None:
+def _add_shift(page: Page, found: Diagnosis) -> None:
     """The bias of the base parameters without the effects."""
     shift = summary(found)["base_parameters"]
     names = list(shift)
@@ -483,8 +423,20 @@ def add_shift(page: Page, found: Diagnosis) -> None:
     before, after = (np.array(list(values.values())) for values in (before, after))
     reach = NORMAL_95 * np.array([shift[n]["std"] or np.nan for n in names], float)
     k = int(np.argmax(np.abs(before - after) / np.maximum(np.abs(after), 1e-9)))
-    names = labelled(names, found.final.problem.model.parameters)
+    units = {p.name: p.unit for p in found.final.problem.model.parameters}
+    names = [f"{words(name)} [{units[name]}]".removesuffix(" [1]") for name in names]
     title = f"Without the effect {names[k]} is biased to {number(before[k])}; with it, it is {number(after[k])}"
-    figure = parameter_change(names, before, after, after - reach, after + reach, title)
-    caption = "Start: the best fit without the effects; fitted: with them, 95 % intervals. Lags in the order of the latter."
-    page.figure(figure, caption)
+    scale = np.where(before == 0.0, np.nan, np.abs(before)) / 100.0
+    ends = [interval(a - r, a + r) if np.isfinite(r) else "interval unknown" for a, r in zip(after, reach, strict=True)]
+    rows = [f"{name}  {number(b)} → {number(a)}\n{end}" for name, b, a, end in zip(names, before, after, ends, strict=True)]
+    change, widths = (after - before) / scale, reach / scale
+    fig = figure(title, 44 * len(rows), "change from the start [%]")
+    fig.points(0.0 * scale, rows, "start", style.BEFORE, 16, bar=True)
+    fig.points(change, rows, "fitted, 95 % interval", style.AFTER, 9, across="x", error=widths)
+    # Every change and the typical interval are shown: one unidentifiable parameter does not set the range.
+    most = np.nanmax(np.abs(change), initial=0.5) + np.nanmedian([0.0, *widths[np.isfinite(widths)]])
+    fig.axes["x"] |= {"range": [-1.1 * most, 1.1 * most], "format": "+.4~r"}
+    fig.axes["y0"]["reversed"] = True
+    page.figure(
+        fig, "Start: the best fit without the effects; fitted: with them, 95 % intervals. Lags in the order of the latter."
+    )

@@ -11,12 +11,11 @@ from identification.diagnose.learned.laws import curve_of
 from identification.diagnose.search.fits import Fit
 from identification.fit.noise import blocks
 from identification.fit.uncertainty import NORMAL_95
-from vpp_fmu.app.report.figures.map import behind_against_before, reached_against_commanded
-from vpp_fmu.app.report.figures.parameters import learned_curve
-from vpp_fmu.app.report.figures.time import stacked
+from vpp_fmu.app.report import style
+from vpp_fmu.app.report.canvas import Figure, figure, panels
+from vpp_fmu.app.report.figures import stacked
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.sentences import titled
-from vpp_fmu.app.report.summary import why_not_term
 from vpp_fmu.digits import number
 from vpp_fmu.kernel.learned import DRIVERS, PORTS
 from vpp_fmu.kernel.learned.shapes import LAWS, SHAPES
@@ -36,11 +35,8 @@ NEAR = 1.5
 AT_REST = 0.01
 """Minimum share of the range that counts as an influence at rest."""
 
-POINTS = 200
-"""Points of a law's line."""
-
-MOST_TRIED = 6
-"""Rejected terms that a page lists with reasons."""
+POINTS, BINS = 200, 60
+"""Points of a law's line; bins of a histogram."""
 
 
 def add_effects(page: Page, found: Diagnosis) -> None:
@@ -51,12 +47,9 @@ def add_effects(page: Page, found: Diagnosis) -> None:
         on, off = _with_and_without(found.final, effect, found.shown)
         change = {n: on[n] - off[n] for n in on}
         channel = next((n for n, (*_, least) in QUANTITIES.items() if np.max(np.abs(change[n])) > least), "thrust")
-        if channel == "thrust":
-            _add_thrust(page, effect, found.shown, off, change)
-        else:
-            moved.setdefault(channel, {})[effect] = change
+        moved.setdefault(channel, {})[effect] = change
     for channel, changes in moved.items():
-        if not _add_at_rest(page, found, list(changes), channel):
+        if channel == "thrust" or not _add_at_rest(page, found, list(changes), channel):
             for effect, change in changes.items():
                 _add_in_time(page, found, effect, channel, change)
 
@@ -83,47 +76,31 @@ def _add_at_rest(page: Page, found: Diagnosis, effects: Sequence[str], channel: 
     """Reached against commanded values, up and down; False and nothing if the effects have no influence at rest."""
     word, unit, _ = QUANTITIES[channel]
     record, command = found.shown, f"{channel}_ref"
-    beside = "beta_ref" if channel == "omega" else "omega_ref"
-    levels = sorted({float(v) for v in np.percentile(record[beside], [0, 50, 100])}) if channel == "omega" else [None]
-    reached, stairs = {}, _stairs(record[command])
-    for level in levels:
-        held = {beside: float(np.median(record[beside])) if level is None else level}
-        suffix = "" if level is None else f", pitch {number(level, 3)} deg"
-        fits = found.fits if level in (None, levels[-1]) else {"after": found.final}
-        reached |= {f"{name}{suffix}": at_rest(fit, record, command, stairs, held)[channel] for name, fit in fits.items()}
-    off = max(float(np.max(np.abs(v - stairs))) for name, v in reached.items() if name.startswith("after"))
+    up = np.linspace(record[command].min(), record[command].max(), STAIRS + 1)
+    stairs = np.concatenate([up, up[-2::-1]])
+    reached = {name: at_rest(fit, record, command, stairs)[channel] for name, fit in found.fits.items()}
+    off = float(np.max(np.abs(list(reached.values())[-1] - stairs)))
     if off < AT_REST * np.ptp(stairs):
         return False
     title = f"{titled(' and '.join(effects))}: at rest the {word} deviates by up to {number(off, 3)} {unit} from its command"
-    figure = reached_against_commanded(stairs, reached, title, word, unit)
-    page.figure(figure, f"The settled models on stairs of {number(stairs[1] - stairs[0], 2)} {unit}, up and down.")
+    fig = figure(title, 320, f"{word} commanded [{unit}]", f"{word} reached [{unit}]")
+    fig.line(up[[0, -1]], up[[0, -1]], "as commanded", style.SET_POINT, 1.4, dash="dot", mute=True)
+    colours = style.colours(reached)
+    for name, values in reached.items():
+        fig.line(stairs, values, name, colours[name])
+    page.figure(fig, f"The settled models on stairs of {number(stairs[1] - stairs[0], 2)} {unit}, up and down.")
     return True
 
 
-def _stairs(command: np.ndarray) -> np.ndarray:
-    up = np.linspace(command.min(), command.max(), STAIRS + 1)
-    return np.concatenate([up, up[-2::-1]])
-
-
-def at_rest(fit: Fit, record: Record, command: str, stairs: np.ndarray, held) -> dict[str, np.ndarray]:
-    """Outputs (stairs,) at the end of each stair of a command, all other inputs constant."""
+def at_rest(fit: Fit, record: Record, command: str, stairs: np.ndarray) -> dict[str, np.ndarray]:
+    """Outputs (stairs,) at the end of each stair of a command, all other inputs at their means."""
     rows = round(HOLD / STEP)
     n = len(stairs) * rows
     inputs = [u.name for u in fit.problem.model.inputs if not u.clock]
-    columns = {name: np.full(n, held.get(name, float(np.mean(record[name])))) for name in inputs if name != command}
+    columns = {name: np.full(n, np.mean(record[name])) for name in inputs if name != command}
     columns[command] = np.repeat(stairs, rows)
     outputs = _simulated(fit, columns, np.full(n - 1, STEP))
     return {name: values[rows - 1 :: rows] for name, values in outputs.items()}
-
-
-def _add_thrust(page: Page, effect: str, record: Record, off: Mapping, change: Mapping) -> None:
-    rows = slice(None, None, max(1, len(record) // 2000))
-    largest = float(np.max(np.abs(change["thrust"])))
-    title = f"{titled(effect)}: the thrust changes by up to {number(largest, 3)} N"
-    figure = behind_against_before(off["thrust"][rows], change["thrust"][rows], record.time[rows], title)
-    page.figure(
-        figure, "Difference between the model with the effect and without it, on the commands of the record shown above."
-    )
 
 
 def _add_in_time(page: Page, found: Diagnosis, effect: str, channel: str, change: Mapping) -> None:
@@ -132,21 +109,21 @@ def _add_in_time(page: Page, found: Diagnosis, effect: str, channel: str, change
     center = float(at.time[np.argmax(np.abs(at.mean(change[channel])))])
     near = np.flatnonzero(around(record.time, center, NEAR))
     shown = {name: found.prediction(fit, record) for name, fit in found.fits.items()}
-    word, unit, _ = QUANTITIES[channel]
-    lines = {f"{word} command": record[f"{channel}_ref"][near]}
-    lines |= {"measured": record[channel][near]} if channel in record else {}
-    lines |= {name: getattr(p, channel)[near] for name, p in shown.items()}
     thrusts = {"measured": record["thrust"][near]} | {name: p.thrust[near] for name, p in shown.items()}
-    rows = {f"{word} [{unit}]": lines, "thrust [N]": thrusts}
-    sizes = f"{number(np.max(np.abs(change[channel][near])), 3)} {unit} of {word}"
-    size = float(np.max(np.abs(change["thrust"][near])))
-    title = f"{titled(effect)} has its largest influence around {center:.0f} s: {sizes}, {number(size, 3)} N of thrust"
+    rows, sizes = {"thrust [N]": thrusts}, [f"{number(np.max(np.abs(change['thrust'][near])), 3)} N of thrust"]
+    if channel != "thrust":
+        word, unit, _ = QUANTITIES[channel]
+        lines = {f"{word} command": record[f"{channel}_ref"][near]}
+        lines |= {"measured": record[channel][near]} if channel in record else {}
+        rows = {f"{word} [{unit}]": lines | {name: getattr(p, channel)[near] for name, p in shown.items()}, **rows}
+        sizes.insert(0, f"{number(np.max(np.abs(change[channel][near])), 3)} {unit} of {word}")
+    title = f"{titled(effect)} has its largest influence around {center:.0f} s: {', '.join(sizes)}"
     page.figure(stacked(record.time[near], rows, title), "Before: the best model without the effect.")
 
 
 def add_learned(page: Page, found: Diagnosis) -> None:
-    """Add the curve, the laws and the rivals."""
-    learned, stds = found.learned, found.std
+    """Add the curve and the rivals."""
+    learned = found.learned
     term, curve = learned.term, learned.curve
     page.note(f"A term outside the library {sentence(term)}. It is in the FMU, and in {FILE} for --effects-from.")
     if curve.lead.shape == "curve":
@@ -158,32 +135,40 @@ def add_learned(page: Page, found: Diagnosis) -> None:
             level = np.interp(at[0], at, f) - law(term, at[:1])[0] if _free(curve) else 0.0
             lines[f"law: {term.lead.shape}"] = fine, law(term, fine) + level
         title = f"The term at {port.words} over {driver.words}, as learned"
-        figure = learned_curve(
+        fig = learned_curve(
             at, f, NORMAL_95 * std, lines, data(found), title, (driver.words, driver.unit), (port.words, port.unit)
         )
-        page.figure(figure, "Band: 95 % at each knot. Below: histogram of the fitted records. Constant beyond both ends.")
-    own = [(p, term.effect.full(p.name)) for p in term.effect.parameters if p.name in term.values]
-    rows = [
-        (p.name, p.unit, "fitted" if n in term.fit.free else "fixed", term.values[p.name], number(stds.get(n), 2))
-        for p, n in own
-    ]
-    page.table(("parameter", "unit", "how", "value", "std"), rows, f"Parameters of {term.effect.name}.")
-    if learned.laws:
-        laws = [(name, SHAPES[name].equation, f"{evidence:.1f}") for name, evidence in learned.laws]
-        page.table(("law", "f over the driver v", "evidence over the table [nat]"), laws, "Simple laws in place of the curve.")
+        page.figure(fig, "Band: 95 % at each knot. Below: histogram of the fitted records. Constant beyond both ends.")
     if learned.rivals:
         others = ", ".join(dict.fromkeys(rival_words(t) for t in learned.rivals))
         page.note(f"These records hardly distinguish it from: {others}. The commands of next_experiment.csv do.")
 
 
-def add_attempt(page: Page, found: Diagnosis) -> None:
-    """Add the rejected terms: the port of the best one suggests where to look."""
-    attempt = found.attempt
-    if attempt.learned or not attempt.tried:
-        return
-    rows = [(sentence(term), judged.evidence, why_not_term(found, term, judged)) for term, judged in attempt.tried[:MOST_TRIED]]
-    caption = f"Terms outside the library: the best of {attempt.comparisons} by cross-validated gain. None is accepted."
-    page.table(("the term", "evidence [nat]", "why it is rejected"), rows, caption)
+def learned_curve(
+    at: np.ndarray,
+    value: np.ndarray,
+    half: np.ndarray,
+    lines: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    data: np.ndarray,
+    title: str,
+    driver: tuple[str, str],
+    term: tuple[str, str],
+) -> Figure:
+    """A curve `value` (knots,) +- `half` over `at`, further `lines` (x, y) by name, and a histogram of the `data` (n,) below.
+
+    `driver`, `term`: (words, unit) of the axes.
+    """
+    labels = [f"{term[0]} [{'-' if term[1] == '1' else term[1]}]", "share of time [%]"]
+    fig = panels(title, labels, [320, 110], f"{driver[0]} [{driver[1]}]")
+    fig.envelope(at, value - half, value + half, "95 %", style.VEIL)
+    colours = style.colours(lines)
+    for name, (x, y) in lines.items():
+        fig.line(x, y, name, colours[name], size=6 * (len(x) == len(at)))
+    count, edges = np.histogram(data, BINS)
+    share = 100.0 * count / max(count.sum(), 1)
+    fig.line(edges, np.append(share, 0.0), "data", style.MEASURED, panel=1, group="data", held=True)
+    fig.axes["x"]["format"] = ".4~g"
+    return fig
 
 
 def _free(curve) -> bool:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vpp_fmu.app.report.figures.time import two_records
+from vpp_fmu.app.report.figures import two_records
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.sentences import titled, words
 from vpp_fmu.digits import number

@@ -2,28 +2,29 @@
 
 import csv
 import io
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
-from plotly import graph_objects as go
 
 from identification.diagnose.diagnose import Diagnosis
 from identification.fit.uncertainty import NORMAL_95
 from identification.static.static_map import TERMS, design
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_points, figure
+from vpp_fmu.app.report.canvas import Figure, panels
 from vpp_fmu.app.report.page import Link, Page
 from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult
-from vpp_fmu.app.report.sentences import size, titled, words
+from vpp_fmu.app.report.result import Result
+from vpp_fmu.app.report.sentences import titled, words
 from vpp_fmu.app.report.summary import summary
 from vpp_fmu.campaign import measured_on
 from vpp_fmu.digits import TABLE, number
-
-WIDE = 20.0
-"""Ratio of the largest to the smallest error from which the axis is logarithmic."""
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import OutputFolder
 
 
 @dataclass(frozen=True)
@@ -172,38 +173,72 @@ def as_parquet(entries: Sequence[Entry]) -> bytes | None:
     return packed.getvalue()
 
 
-def fleet_page(entries: Sequence[Entry]) -> Page:
-    """The report: verdicts, errors before and after, sizes over the dates."""
-    entries = sorted(entries, key=lambda e: e.date)
-    done = [e for e in entries if not e.refused]
-    several = {name: own for name in parameters(done) if len(own := [e for e in done if name in e.sizes]) > 1}
-    dates = [e.date[:10] for e in entries if e.date]
-    apart = "; ".join(said for name, own in several.items() if (said := _farthest(name, own)))
-    verdicts = {word: sum(e.verdict == word for e in done) for word in dict.fromkeys(e.verdict for e in done)}
-    page = Page(
-        f"Diagnosis of {len(entries)} campaigns",
-        f"{apart or 'No parameter differs between the campaigns by more than its uncertainty'}. Each was diagnosed alone.",
-        " to ".join(dict.fromkeys(dates[:1] + dates[-1:])),
-    )
-    page.tiles([(word, count, f"of {len(entries)} campaigns") for word, count in verdicts.items()])
-    if len(done) < len(entries):
-        page.tiles([("refused", len(entries) - len(done), "the table says why")])
-    if done:
-        page.section("Errors", "Held-out thrust error of the base and of the exported model.")
-        page.figure(_errors(done), "If the two are equal, nothing was added to the model.")
-    if several:
-        page.section("Sizes", "Parameters that more than one campaign has, and the thrust of their maps at the same commands.")
-    for name, own in several.items():
-        _add_size(page, name, own)
-    page.section("All campaigns")
-    rows = []
-    for e in entries:
-        linked = e.name if e.refused else Link(e.name, quote(f"{e.name}/report.html"))
-        errors = ("" if value is None else number(value, TABLE) for value in (e.error_before, e.error_after, e.noise))
-        rows.append((linked, e.date, e.verdict or "refused", " + ".join(e.effects) or e.refused, *errors, e.warnings))
-    heads = ("campaign", "date", "verdict", "effects", "before [N]", "after [N]", "noise [N]", "warnings")
-    page.table(heads, rows, "One line per campaign, with the thrust error before and after; fleet.csv has the parameters, too.")
-    return page
+class FleetResult(Result):
+    """Campaigns that were each diagnosed alone. `found`: their entries."""
+
+    verb = "diagnose"
+    found: Sequence[Entry]
+
+    @property
+    def title(self) -> str:
+        return f"Diagnosis of {len(self.found)} campaigns"
+
+    @property
+    def source(self) -> str:
+        dates = sorted(e.date[:10] for e in self.found if e.date)
+        return " to ".join(dict.fromkeys(dates[:1] + dates[-1:]))
+
+    def _verdicts(self) -> list[tuple[str, int]]:
+        return Counter(e.verdict or "refused" for e in self.found).most_common()
+
+    def _several(self) -> dict[str, list[Entry]]:
+        """The entries by parameter, if more than one has it, by date."""
+        done = sorted((e for e in self.found if not e.refused), key=lambda e: e.date)
+        return {name: own for name in parameters(done) if len(own := [e for e in done if name in e.sizes]) > 1}
+
+    def headline(self) -> str:
+        text = f"{len(self.found)} campaigns: {', '.join(f'{count} {verdict}' for verdict, count in self._verdicts())}."
+        apart = "; ".join(said for name, own in self._several().items() if (said := _farthest(name, own)))
+        return f"{text} {apart or 'No parameter differs between them by more than its uncertainty'}."
+
+    def key_figures(self) -> list[tuple[str, str, str]]:
+        return []
+
+    def tiles(self) -> list[tuple[str, str, str]]:
+        return [(word, str(count), f"of {len(self.found)} campaigns") for word, count in self._verdicts()]
+
+    def lines(self) -> list[str]:
+        return [one.line for one in self.found]
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"format": "vpp-fleet/1", "campaigns": [asdict(e) for e in self.found]}
+
+    @property
+    def failure(self) -> BadInput | None:
+        if not (refused := [e.name for e in self.found if e.refused]):
+            return None
+        what = f"{len(refused)} refused: {', '.join(refused)}"
+        return BadInput("fleet", "campaigns", what, "campaigns that can be diagnosed", "vpp check on each of them")
+
+    def write(self, folder: OutputFolder) -> None:
+        folder.write("fleet.csv", as_csv(self.found))
+        if (packed := as_parquet(self.found)) is not None:
+            folder.write("fleet.parquet", packed)
+        super().write(folder)
+
+    def fill(self, page: Page) -> None:
+        rows = []
+        for e in sorted(self.found, key=lambda e: e.date):
+            linked = e.name if e.refused else Link(e.name, quote(f"{e.name}/report.html"))
+            errors = ("" if value is None else number(value, TABLE) for value in (e.error_before, e.error_after, e.noise))
+            rows.append((linked, e.date, e.verdict or "refused", " + ".join(e.effects) or e.refused, *errors, e.warnings))
+        heads = ("campaign", "date", "verdict", "effects", "before [N]", "after [N]", "noise [N]", "warnings")
+        caption = "Held-out thrust error of the base and of the exported model; fleet.csv has the parameters, too."
+        page.table(heads, rows, caption)
+        if several := self._several():
+            text = "Parameters that more than one campaign has, and the thrust of their maps at the same commands."
+            page.section("Sizes", text)
+            page.figure(_sizes(several), "Bars are 95 % intervals.")
 
 
 def _farthest(name: str, own: Sequence[Entry]) -> str:
@@ -218,42 +253,14 @@ def _farthest(name: str, own: Sequence[Entry]) -> str:
     return f"{titled(name)}: {own[k].name} is {100.0 * far[k] / abs(middle):.1f} % {way} {of}"
 
 
-def _errors(done: Sequence[Entry]) -> go.Figure:
-    improved = sum(bool(e.effects) for e in done)
-    title = f"The thrust error decreases in {improved} of {len(done)} campaigns"
-    fig = figure(title, 380, "campaign", "thrust error [N]")
-    names = [style.escaped(e.name) for e in done]
-    add_points(fig, names, [e.error_before for e in done], "before", style.BEFORE, 10)
-    add_points(fig, names, [e.error_after for e in done], "after", style.AFTER, 10, "diamond")
-    add_points(fig, names, [e.noise for e in done], "noise of one reading", style.SET_POINT, 10, "line-ew-open")
-    errors = [error for e in done for error in (e.error_before, e.error_after) if error]
-    wide = bool(errors) and max(errors) > WIDE * min(errors)
-    fig.update_xaxes(type="category")
-    fig.update_yaxes(**({"type": "log"} if wide else {"rangemode": "tozero"}))
+def _sizes(several: Mapping[str, Sequence[Entry]]) -> Figure:
+    """A panel for each parameter with its 95 % intervals, over the campaigns by date."""
+    units = {name: own[0].sizes[name][2] for name, own in several.items()}
+    labels = [words(name) + ("" if unit == "1" else f" [{unit}]") for name, unit in units.items()]
+    far = [said for name, own in several.items() if (said := _farthest(name, own))]
+    title = "; ".join(far) or "No parameter differs between the campaigns by more than its uncertainty"
+    fig = panels(title, labels, [150] * len(labels), "campaign, by date")
+    for panel, (name, own) in enumerate(several.items()):
+        values, errors = [e.sizes[name][0] for e in own], [NORMAL_95 * (e.sizes[name][1] or 0.0) for e in own]
+        fig.points([e.name for e in own], values, words(name), style.AFTER, 8, panel, "sizes", across="y", error=errors)
     return fig
-
-
-def _add_size(page: Page, name: str, having: Sequence[Entry]) -> None:
-    """A parameter over the dates, or over the campaigns if a date is unknown."""
-    unit = having[0].sizes[name][2]
-    dated = all(e.date for e in having) and len({e.date for e in having}) > 1
-    own = sorted(having, key=lambda e: e.date) if dated else list(having)
-    values = [e.sizes[name][0] for e in own]
-    names = [style.escaped(e.name) for e in own]
-    what = f"{titled(name)}: {number(min(values))} to {size(max(values), unit)}"
-    label = words(name) + ("" if unit == "1" else f" [{unit}]")
-    far = _farthest(name, own).partition(": ")[2]
-    fig = figure(
-        f"{what} in {len(own)} campaigns{far and f'; {far}'}", 340, "date" if dated else "campaign", label, legend=False
-    )
-    fig.add_scatter(
-        x=[e.date for e in own] if dated else names,
-        y=values,
-        mode="lines+markers" if dated else "markers",
-        error_y={"type": "data", "array": [NORMAL_95 * (e.sizes[name][1] or 0.0) for e in own]},
-        text=names,
-        line={"color": style.AFTER, "width": 1},
-        marker={"size": 8},
-    )
-    fig.update_xaxes(type="date" if dated else "category")
-    page.figure(fig, "Bars are 95 % intervals.")

@@ -5,41 +5,39 @@ from typing import Any
 
 import numpy as np
 
-from identification.assessment.pairs import forms
 from identification.fit.problem import Prior
 from identification.fit.uncertainty import NORMAL_95, Uncertainty
 from identification.gate.finding import ERROR, Finding
 from identification.identify import Identification
-from identification.static.selection import Selection, select_terms
-from identification.static.static_map import TERMS, StaticFit, design
+from identification.static.static_map import design
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import thinning
-from vpp_fmu.app.report.figures.map import map_lines, map_section
-from vpp_fmu.app.report.figures.parameters import parameter_change
-from vpp_fmu.app.report.figures.residual import correlations
-from vpp_fmu.app.report.figures.time import measured_against_predicted, step_responses
+from vpp_fmu.app.report.canvas import figure, panels
+from vpp_fmu.app.report.figures import measured_against_predicted
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Knowledge, Result, dated
-from vpp_fmu.app.report.sentences import labelled, size, titled, words
-from vpp_fmu.campaign import StaticMap
+from vpp_fmu.app.report.sentences import size, titled, words
 from vpp_fmu.digits import interval, number
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.linear import Linearisable
 from vpp_fmu.parameters import ParameterSet, to_json, to_ssv
-from vpp_fmu.structured import as_json
 
 TELLING = 0.2
 """Minimum component of the weakest direction for its parameter to be named."""
+
+SETTLED, ROOM, BEFORE = 0.02, 1.5, 0.13
+"""Share of a step within which a fit counts as settled; the drawn time as a multiple of that settling time, and before it."""
 
 
 class IdentifyResult(Result, Linearisable):
     """A campaign's parameters and their uncertainty. `found`: the whole identification, with predictions and the search."""
 
     verb = "identify"
+    writes = ("identification.json", "report.html")
+    title = "Identification"
     found: Identification
 
     def __init__(self, found: Identification):
-        super().__init__(found, found.parameters)
+        super().__init__(found, found.parameters, source=found.campaign.label)
 
     @property
     def parameters(self) -> ParameterSet:
@@ -98,13 +96,10 @@ class IdentifyResult(Result, Linearisable):
     def write(self, folder: OutputFolder) -> None:
         folder.write("parameters.json", to_json(dated(self.parameters)))
         folder.write("parameters.ssv", to_ssv(self.parameters, "parameters"))
-        folder.write("identification.json", as_json(self.to_dict()))
-        folder.write("report.html", self.page().html())
+        super().write(folder)
 
-    def page(self) -> Page:
+    def fill(self, page: Page) -> None:
         found = self.found
-        page = Page("Identification", self.headline(), found.campaign.label)
-        page.tiles(self.key_figures())
         add_quality(page, found.quality)
         page.remarks(remarks(found))
         if found.predictions:
@@ -112,13 +107,14 @@ class IdentifyResult(Result, Linearisable):
             for name in _shown(found):
                 page.figure(*_record_figure(found, name))
             _add_sections(page, found)
-            _add_tests(page, found)
-        add_found(page, found)
+            share = 100.0 * found.tests.outside["itself"]
+            page.note(f"The residual correlates with itself at {share:.0f} % of the lags; chance gives 5 %.")
+        _add_parameters(page, found)
         if found.static is not None:
-            add_static(page, found)
+            page.section("The static map")
+            add_map(page, found)
         if found.steps is not None:
             _add_steps(page, found)
-        return page
 
 
 def _newton(value: float | None) -> str:
@@ -174,7 +170,7 @@ def _record_figure(found: Identification, name: str):
     share = found.coverage[name]
     within = "An unknown share of" if share is None else f"{100 * share:.1f} % of"
     coverage = f"{within} the readings of {name} are within the 95 % prediction band"
-    return figure, f"{coverage}, from parameters and residual. {thinning(len(p.record))}"
+    return figure, f"{coverage}, from parameters and residual."
 
 
 def _add_sections(page: Page, found: Identification) -> None:
@@ -182,53 +178,54 @@ def _add_sections(page: Page, found: Identification) -> None:
     for name, p in found.predictions.items():
         used, summary = "fitted" if name in found.fitted else "unseen", p.summary()
         for section, figures in ({"all": summary} | summary["sections"]).items():
-            share, fit = found.coverage[name], figures["fit_thrust"]
-            within = f"{100 * share:.1f}" if section == "all" and share is not None else ""
-            rows.append((name, used, section, figures["rmse_thrust"], None if fit is None else f"{fit:.1f}", within))
-    columns = ("record", "used", "section", "rmse [N]", "fit [%]", "readings in the 95 % band [%]")
-    page.table(columns, rows, "Thrust error by moving command.")
-
-
-def _add_tests(page: Page, found: Identification) -> None:
-    tests, outside = found.tests, found.tests.outside
-    crossed = {style.label(name).partition(" [")[0]: values for name, values in tests.crossed.items()}
-    rows = {name: {"residual": values} for name, values in {"itself": tests.own, **crossed}.items()}
-    title = f"The residual correlates with itself at {100 * outside['itself']:.0f} % of the lags; chance gives 5 %"
-    caption = f"Thrust residual of {found.fitted[0]}, means over 20 ms, with its past and with earlier changes of the commands."
-    page.figure(correlations(tests.lags, rows, tests.band, title), caption)
+            rows.append((name, used, section, figures["rmse_thrust"], figures["fit_thrust"]))
+    page.table(("record", "used", "section", "rmse [N]", "fit [%]"), rows, "Thrust error by moving command.")
 
 
 def _add_steps(page: Page, found: Identification) -> None:
+    """Normalised thrust over the time from the step, of the used runs of each channel; a panel per direction."""
     steps = found.steps
     page.section("The step responses")
-    for channel, unit, level in (("omega", "rpm", "deg"), ("beta", "deg", "rpm")):
-        runs = [run for run in steps.runs if run.channel == channel]
-        if runs:
-            slow, fast = (steps.start.get(f"tau_{channel}_{k}") for k in (1, 2))
-            kept = sum(not run.reason for run in runs)
-            lags = "" if slow is None else f": lags of {number(slow)} and {number(fast)} s on average"
-            title = f"{kept} of {len(runs)} steps of {'speed' if channel == 'omega' else 'pitch'} are used{lags}"
-            figure = step_responses(runs, title, unit, level, steps.delayed(channel))
-            page.figure(figure, "Thrust as a share of the step; black: two lags through the static map.")
+    for channel, word in (("omega", "speed"), ("beta", "pitch")):
+        every = [run for run in steps.runs if run.channel == channel]
+        if not (runs := [run for run in every if not run.reason]):
+            continue
+        slow, fast = (steps.start.get(f"tau_{channel}_{k}") for k in (1, 2))
+        lags = "" if slow is None else f": lags of {number(slow)} and {number(fast)} s on average"
+        ways = list(dict.fromkeys(run.direction for run in runs))
+        labels = [f"thrust, steps {way} [share of step]" for way in ways]
+        fig = panels(f"{len(runs)} of {len(every)} steps of {word} are used{lags}", labels, [260] * len(ways))
+        shares = [run.normalised(steps.delayed(channel)) for run in runs]
+        settled = [run.time[np.abs(fit - 1.0) > SETTLED].max(initial=0.0) for run, (_, fit) in zip(runs, shares, strict=True)]
+        after = ROOM * max(settled) or runs[0].time[-1]
+        for place, name, colour in ((0, "measured", style.FAINT), (1, "fitted", style.AFTER)):
+            for run, share in zip(runs, shares, strict=True):
+                near = (run.time >= -BEFORE * after) & (run.time <= after)
+                fig.line(run.time[near], share[place][near], name, colour, 1.0, ways.index(run.direction), mute=True)
+        page.figure(fig, "Thrust as a share of the step; fitted: two lags through the static map.")
     rows = [(run.source.rsplit("/", 1)[-1], run.reason) for run in steps.outliers]
     if rows:
         page.table(("run", "reason"), rows, "Step responses that are not used.")
 
 
-def add_found(page: Page, found: Identification) -> None:
-    """Add figures and tables of the parameters of an identification."""
+def _add_parameters(page: Page, found: Identification) -> None:
+    """Values of the parameters and their correlation."""
     uncertainty = found.uncertainty
+    units = {p.name: p.unit for p in found.parameters.model.parameters}
     page.section("Parameters")
-    if found.refinement is not None:
-        _add_change(page, found)
-    _add_values(page, found)
+    rows = []
+    for k, name in enumerate(uncertainty.names):
+        by = "on its bound" if name in found.at_bounds else uncertainty.kind(name)
+        std, ends = number(float(uncertainty.std[k]), 3), interval(*uncertainty.intervals[k].tolist())
+        rows.append((name, units[name], found.start[name], float(uncertainty.values[k]), std, ends, by))
+    columns = ("parameter", "unit", "start", "value", "std", "95 % interval", "by")
+    page.table(columns, rows, "Unit 1: normalised; std accounts for the autocorrelation of the residuals.")
     page.remarks(not_identifiable(found))
     if uncertainty.profiled:
         page.note(
             f"The cost is not quadratic in {', '.join(map(words, uncertainty.profiled))}: their 95 % intervals are from the "
             "profile likelihood."
         )
-    _add_forms(page, uncertainty)
     if len(uncertainty.names) > 1:
         page.note(_weakest(uncertainty))
 
@@ -241,44 +238,6 @@ def not_identifiable(found: Identification) -> list[str]:
         reasons.setdefault(why, []).append(f"{words(name)} ({state} {number(found.parameters.values[name])})")
     lines = [f"not identifiable from these data: {', '.join(names)}: {why}" for why, names in reasons.items()]
     return lines + [f"on a bound: {words(name)}, which ended at {number(bound)}" for name, bound in found.at_bounds.items()]
-
-
-def _add_change(page: Page, found: Identification) -> None:
-    uncertainty = found.uncertainty
-    start, (low, high) = np.array([found.start[n] for n in uncertainty.names]), uncertainty.intervals.T
-    moved = _most_moved(uncertainty.names, start, uncertainty)
-    caption = "Change in % of the start values from steps and static map; 95 % intervals."
-    names = labelled(uncertainty.names, found.parameters.model.parameters)
-    page.figure(parameter_change(names, start, uncertainty.values, low, high, moved), caption)
-
-
-def _add_values(page: Page, found: Identification) -> None:
-    uncertainty, rows = found.uncertainty, []
-    units = {p.name: p.unit for p in found.parameters.model.parameters}
-    for k, name in enumerate(uncertainty.names):
-        bound = "on its bound" if name in found.at_bounds else uncertainty.kind(name)
-        ends = interval(*uncertainty.intervals[k].tolist())
-        estimate = (float(uncertainty.values[k]), number(float(uncertainty.std[k]), 3), ends)
-        rows.append((name, units[name], found.start[name], *estimate, bound, number(uncertainty.inflation[k], 3)))
-    if found.refinement is not None:
-        columns = ("parameter", "unit", "start", "final", "std", "95 % interval", "by", "std over white")
-        page.table(columns, rows, "Unit 1: normalised; std accounts for the autocorrelation of the residuals.")
-    else:
-        columns = ("parameter", "unit", "value", "std", "95 % interval")
-        page.table(columns, [(*row[:2], *row[3:6]) for row in rows], "Unit 1: normalised.")
-
-
-def _add_forms(page: Page, uncertainty: Uncertainty) -> None:
-    """Sum and product of a pair of lags, which do not depend on their order."""
-    rows = [
-        (f"{'speed' if channel == 'omega' else 'pitch'}, {form} [{unit}]", estimates[form]["value"], estimates[form]["std"])
-        for channel, estimates in forms(uncertainty).items()
-        for form, unit in (("sum", "s"), ("product", "s²"))
-    ]
-    if rows:
-        relative = [(name, value, number(std, 3), number(100 * std / value, 2)) for name, value, std in rows]
-        caption = "The order of a channel's lags is not identifiable; their sum and product are identified best."
-        page.table(("lags", "value", "std", "std [%]"), relative, caption)
 
 
 def _weakest(uncertainty: Uncertainty) -> str:
@@ -296,96 +255,29 @@ def _weakest(uncertainty: Uncertainty) -> str:
     return f"{pair}: {correlation[i, j]:.2f}. {weakest}; condition number {number(condition, 3)}."
 
 
-def _most_moved(names, start: np.ndarray, uncertainty: Uncertainty) -> str:
-    """Title: the parameter with the largest change, in standard errors."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        far = np.nan_to_num(np.abs(uncertainty.values - start) / uncertainty.std, posinf=0.0)
-    k = int(np.argmax(far))
-    change = f"by {number(far[k], 2)} standard errors, from {number(start[k])} to {number(uncertainty.values[k])}"
-    return f"The fit changes {words(names[k])} the most: {change}"
-
-
-def add_static(page: Page, found: Identification) -> None:
-    """The static map of an identification that has one, and the selection of its terms."""
-    static, points = found.static, found.campaign.static
-    page.section("The static map")
-    add_map(page, found)
-    if static.not_identifiable:
-        speeds, pitches = points.omega_ref[static.used], points.beta_ref[static.used]
-        where = f"{static.used.sum()} steady points at {_count(speeds, 'speed')} and {_count(pitches, 'pitch')}"
-        page.note(
-            f"{where} identify only combinations of {', '.join(map(words, static.not_identifiable))} with others: they stay "
-            "near the paper's."
-        )
-    elif static.used.sum() > len(TERMS) and static.r2_adjusted is not None:
-        _add_selection(page, select_terms(points, found.parameters.values))
-
-
 def add_map(page: Page, found: Identification) -> None:
-    """The fitted map with the steady points, in one figure; a single point as a table."""
-    static, points = found.static, found.campaign.static
-    speeds, pitches = points.omega_ref[static.used], points.beta_ref[static.used]
-    if np.ptp(speeds) > 0.0 and np.ptp(pitches) > 0.0:
-        _add_grid(page, static, points, found.parameters.values)
-    elif static.used.sum() > 1:
-        _add_line(page, static, points, found.parameters.values)
-    else:
-        _add_point(page, static, points)
-
-
-def _count(values: np.ndarray, word: str) -> str:
-    count = len(np.unique(values))
-    return f"one {word}" if count == 1 else f"{count} {'pitches' if word == 'pitch' else 'speeds'}"
-
-
-def _quality(static: StaticFit) -> str:
-    return "" if static.r2_adjusted is None else f" (adjusted R² {static.r2_adjusted:.4f})"
-
-
-def _add_grid(page: Page, static: StaticFit, points: StaticMap, scales) -> None:
-    """The map over both commands."""
-    beta = np.linspace(*static.pitch, 31)
-    used = points.omega_ref[static.used], points.beta_ref[static.used], points.thrust[static.used]
-    levels = np.unique(used[0])
-    # One line for each commanded speed, at the mean measured speed, which may differ from the command.
-    speeds = np.array([points.omega[static.used][used[0] == level].mean() for level in levels])
-    thrust = _mapped(static, scales, *np.meshgrid(speeds, beta, indexing="ij"))
-    title = f"A cubic fits {static.used.sum()} steady points to {number(static.rmse)} N{_quality(static)}"
-    page.figure(
-        map_lines(speeds, beta, thrust, (points.omega[static.used], *used[1:]), title), "Lines: fitted; points: measured."
-    )
-
-
-def _mapped(static: StaticFit, scales, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
-    """Thrust [N] of the map at speeds [rpm] and pitches [deg] of equal shape."""
-    normalised = design(omega.ravel(), beta.ravel(), scales) @ list(static.coefficients.values())
-    return normalised.reshape(omega.shape) * scales["thrust_scale"]
-
-
-def _add_line(page: Page, static: StaticFit, points: StaticMap, scales) -> None:
-    """The map along the only varied command."""
-    speeds, pitches = points.omega_ref[static.used], points.beta_ref[static.used]
-    along_speed = np.ptp(speeds) > 0.0
-    at = np.linspace(*((speeds.min(), speeds.max()) if along_speed else (pitches.min(), pitches.max())), 61)
-    omega, beta = (at, np.full(61, pitches[0])) if along_speed else (np.full(61, speeds[0]), at)
-    label, held = ("speed [rpm]", f"{number(pitches[0])} deg") if along_speed else ("pitch [deg]", f"{number(speeds[0])} rpm")
-    title = f"At {held} the map fits {static.used.sum()} steady points to {number(static.rmse)} N{_quality(static)}"
-    measured = (speeds if along_speed else pitches), points.thrust[static.used]
-    band = static.uncertainty(omega, beta, scales)
-    figure = map_section(at, _mapped(static, scales, omega, beta), measured, title, label, band)
-    page.figure(figure, f"All steady points are at {held}: they do not identify the influence of that command.")
-
-
-def _add_point(page: Page, static: StaticFit, points: StaticMap) -> None:
-    k = int(np.flatnonzero(static.used)[0])
-    row = (points.omega_ref[k], points.beta_ref[k], points.thrust[k], points.thrust_std[k])
-    columns = ("speed [rpm]", "pitch [deg]", "thrust [N]", "std of a reading [N]")
-    page.table(columns, [row], "The only steady point: it determines one thrust, and no map.")
-
-
-def _add_selection(page: Page, chosen: Selection) -> None:
-    rank = chosen.rank(chosen.of(), "bic") if chosen.of() else None
-    papers = "these points do not identify the paper's" if rank is None else f"the paper's set has rank {rank} of its size"
-    rows = [(size, name, f"{bic:.1f}", f"{r2:.6f}", loo) for size, name, bic, r2, loo in chosen.rows()]
-    columns = ("terms", "best set", "BIC", "adjusted R²", "leave-one-out rmse [N]")
-    page.table(columns, rows, f"The best of each number of terms w^i b^j; {papers}.")
+    """The fitted map with the steady points: over the pitch, or over the speed if that alone varies."""
+    static, points, scales = found.static, found.campaign.static, found.parameters.values
+    used = static.used
+    speed, pitch, thrust = points.omega_ref[used], points.beta_ref[used], points.thrust[used]
+    along = ("pitch [deg]", pitch), ("speed [rpm]", speed)
+    (label, at), (_, beside) = along if np.ptp(pitch) > 0.0 or np.ptp(speed) == 0.0 else along[::-1]
+    over = np.linspace(at.min(), at.max(), 61)
+    quality = "" if static.r2_adjusted is None else f" (adjusted R² {static.r2_adjusted:.4f})"
+    fig = figure(f"A cubic fits {used.sum()} steady points to {number(static.rmse)} N{quality}", 400, label, "thrust [N]")
+    levels = np.unique(beside)
+    for level, shade in zip(levels, style.shades(len(levels)), strict=True):
+        # Each line is at the mean measured speed, which may differ from the command.
+        own = beside == level
+        other = np.full(61, points.omega[used][own].mean() if beside is speed else level)
+        omega, beta = (other, over) if beside is speed else (over, other)
+        fitted = design(omega, beta, scales) @ list(static.coefficients.values()) * scales["thrust_scale"]
+        name = f"{number(float(other[0]))} {'rpm' if beside is speed else 'deg'}"
+        fig.line(over, fitted, name, shade, 1.6)
+        fig.points(at[own], thrust[own], name, shade)
+    page.figure(fig, "Lines: fitted; points: measured.")
+    if static.not_identifiable:
+        page.note(
+            f"The steady points identify only combinations of {', '.join(map(words, static.not_identifiable))} with others: "
+            "they stay near the paper's."
+        )

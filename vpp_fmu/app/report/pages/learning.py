@@ -5,9 +5,7 @@ from typing import Any
 import numpy as np
 
 from identification.tune.learn import LearnedLaw
-from vpp_fmu.app.report.figures.loop import cost_ranks
-from vpp_fmu.app.report.figures.parameters import learning_curve
-from vpp_fmu.app.report.figures.time import closed_loop
+from vpp_fmu.app.report.figures import closed_loop
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
 from vpp_fmu.app.report.sentences import change
@@ -24,6 +22,8 @@ class LearnResult(Result):
     """A learned control law beside the tuned PID. `found`: the search, and the comparison on held-out plants."""
 
     verb = "learn"
+    writes = ("learning.json", "report.html")
+    title = "A learned control law"
     found: LearnedLaw
 
     @property
@@ -83,25 +83,15 @@ class LearnResult(Result):
         folder.write(POLICY, as_json(found.policy.to_dict()))
         rows = [f"{n},{c:.7g}" for n, c in zip(found.evaluations, found.cost, strict=True)]
         folder.write("learning_curve.csv", "\n".join(["evaluations,cost", *rows]) + "\n")
-        folder.write("learning.json", as_json(self.to_dict()))
-        folder.write("report.html", self.page().html())
+        super().write(folder)
 
-    def page(self) -> Page:
+    def fill(self, page: Page) -> None:
         found = self.found
         size = " x ".join(map(str, found.policy.size))
         text = f"A network of {size} units in the controller's place. Its weights were searched on plants drawn from the "
         text += "uncertainty of the parameters. The PID was tuned on set-points of the same kind, unless gains were given. The "
         text += "comparison flies plants, set-points and noise that are not part of the search."
-        page = Page("A learned control law", text, self._parameters.label)
-        page.tiles(self.key_figures())
-        errors = {NAMES[name]: f.errors.tolist() for name, f in found.flights.items()}
-        verb = "less" if found.better > 0.5 else "more"
-        title = f"The learned law has {verb} error than the tuned PID on most of the held-out plants"
-        page.figure(cost_ranks(errors, title), "Integral of the squared normalised thrust error of each plant, in order.")
+        page.section("The comparison", text)
         runs = {NAMES[name]: run for name, run in found.example.items()}
         title = "A flight of the identified plant with held-out set-points"
         page.figure(closed_loop(runs, title), "Thrust is the plant's, not its reading.")
-        title = f"The median cost of a generation ends at {number(float(found.cost[-1]), 3)}"
-        caption = "Each generation flies other plants and set-points, so that its cost varies."
-        page.figure(learning_curve(found.evaluations, found.cost, title), caption)
-        return page

@@ -8,25 +8,28 @@ import numpy as np
 
 from identification.assessment.prediction import Prediction
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import thinning
-from vpp_fmu.app.report.figures.loop import ADAPTED, adapted_parameters, residual_in_band
-from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted, two_records
+from vpp_fmu.app.report.canvas import Figure, panels
+from vpp_fmu.app.report.figures import closed_loop, measured_against_predicted, two_records
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
-from vpp_fmu.app.report.sentences import size
+from vpp_fmu.app.report.sentences import size, words
 from vpp_fmu.comparison import Comparison
 from vpp_fmu.digits import number
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.record import QUANTITIES, Record, write_record
 from vpp_fmu.response import UNITS, Step, steps
 
-STEP_COLUMNS = ("at [s]", "from [N]", "to [N]", "settled after [s]", "overshoot [%]")
+ADAPTED, STD = "adapted.", "std."
+"""Prefixes of a twin's outputs."""
+
+STEP_COLUMNS = ("loop", "at [s]", "from [N]", "to [N]", "settled after [s]", "overshoot [%]")
 
 
 class LoopResult(Result):
     """A closed loop's run: `record` holds `time, thrust_set, omega_ref, beta_ref, thrust, omega, beta`, each (n,)."""
 
     verb = "cosim"
+    title = "Closed loop"
 
     def __init__(
         self,
@@ -36,9 +39,9 @@ class LoopResult(Result):
         twin: tuple[Mapping[str, np.ndarray], Mapping[str, str]] | None = None,
     ):
         """`limits` as of `vpp_fmu.response.steps`; `twin`: outputs of a twin beside the loop, and their units."""
-        super().__init__(record)
+        super().__init__(record, source=title.removesuffix("."))
         self.record = Record({**record.columns, **twin[0]}, record.source) if twin else record
-        self._title, self._limits, self._twin = title, limits, twin
+        self._limits, self._twin = limits, twin
 
     @property
     def steps(self) -> list[Step]:
@@ -61,31 +64,27 @@ class LoopResult(Result):
 
     def write(self, folder: OutputFolder) -> None:
         write_record(folder, "run.csv", self.record)
-        folder.write("report.html", self.page().html())
+        super().write(folder)
 
-    def page(self) -> Page:
-        done, found = self.record, self.steps
-        page = Page("Closed loop", self.headline(), self._title.removesuffix("."))
-        if found:
-            settled = [step.settling for step in found if step.settling is not None]
-            slowest = f"{number(max(settled))} s" if settled else "none"
-            error = float(np.sqrt(np.mean((done["thrust_set"] - done["thrust"]) ** 2)))
-            page.tiles([("slowest settling", slowest, f"{len(settled)} of {len(found)} steps settle")])
-            page.tiles([("largest overshoot", percent(max(step.overshoot for step in found)), "of the step")])
-            page.tiles([("error", f"{number(error)} N", "rms of set-point less thrust, the steps themselves included")])
-        title = sentence(found[0]) if found else "Thrust under a constant set-point"
-        drawn = closed_loop({"loop": done}, title, self._limits)
-        page.figure(drawn, "Thrust with its set-point, speed and pitch with their commands.")
-        page.table(STEP_COLUMNS, [row(step) for step in found], "Every change of the set-point.")
+    def tiles(self) -> list[tuple[str, str, str]]:
+        error = float(np.sqrt(np.mean((self.record["thrust_set"] - self.record["thrust"]) ** 2)))
+        return [
+            *step_tiles(self.steps),
+            ("error", size(error, "N"), "rms of set-point less thrust, the steps themselves included"),
+        ]
+
+    def fill(self, page: Page) -> None:
+        add_loops(page, {"loop": self.record}, {"loop": self.steps}, self._limits)
         if self._twin:
-            add_adaptive(page, done.time, *self._twin, "the twin's", "The twin's adapted parameters.")
-        return page
+            add_adaptive(page, self.record.time, *self._twin, "the twin's", "The twin's adapted parameters.")
 
 
 class SimulateResult(Result):
     """A record, and the model's open-loop response to its commands. `found`: the prediction."""
 
     verb = "simulate"
+    writes = ()
+    title = "Open loop"
     found: Prediction
 
     @property
@@ -119,17 +118,95 @@ class SimulateResult(Result):
         fit = None if self.rmse_thrust is None else p.fit_thrust
         return content | {"rmse_thrust": self.rmse_thrust, "rmse_omega": p.rmse_omega, "fit_thrust": fit}
 
-    def page(self) -> Page:
+    @property
+    def source(self) -> str:
+        return self.found.record.source
+
+    def fill(self, page: Page) -> None:
         p = self.found
-        page = Page("Open loop", self.headline(), p.record.source)
         title = "Thrust, as the model predicts it"
         if self.rmse_thrust is not None:
             title = f"The model errs by {size(self.rmse_thrust, 'N')}"
-        page.figure(measured_against_predicted(p.record, {"model": p.thrust}, title), thinning(len(p.record)))
-        return page
+        page.figure(measured_against_predicted(p.record, {"model": p.thrust}, title))
 
     def write(self, folder: OutputFolder) -> None:
         write_record(folder, "prediction.csv", self.record)
+
+
+class CompareResult(Result):
+    """Two records, at the times of the first. `found`: their common part."""
+
+    verb = "compare"
+    writes = ("comparison.json", "report.html")
+    title = "Two records"
+    found: Comparison
+
+    def __init__(self, found: Comparison, first: str, second: str):
+        """`first`, `second`: their files."""
+        super().__init__(found, source=f"{second} beside {first}, at the times of the latter")
+        self._names = first, second
+
+    def _said(self) -> dict[str, str]:
+        """The difference of each column in words."""
+        found = {}
+        for name, figures in self.found.summary()["columns"].items():
+            sizes = f"{size(figures['rms'], _unit(name))} rms, at most {size(figures['largest'], _unit(name))}"
+            found[name] = f"{style.label(name).partition(' [')[0]} differs by {sizes}"
+        return found
+
+    def headline(self) -> str:
+        said = next(iter(self._said().values()), "no shared column")
+        return f"Over {self.found.time[-1] - self.found.time[0]:.4g} s that both records have: {said}."
+
+    def key_figures(self) -> list[tuple[str, str, str]]:
+        return []
+
+    def lines(self) -> list[str]:
+        return list(self._said().values())[1:]
+
+    def to_dict(self) -> dict[str, Any]:
+        return self.found.summary()
+
+    def fill(self, page: Page) -> None:
+        found, rows = self.found, []
+        for name, title in self._said().items():
+            figures = found.summary()["columns"][name]
+            rows.append((f"{name} [{_unit(name)}]", figures["rms"], figures["mean"], figures["largest"]))
+            values = zip(self._names, (found.first[name], found.second[name]), strict=True)
+            pair = ((file, found.time, column) for file, column in values)
+            quantity = style.label(name).partition(" [")[0]
+            page.figure(two_records(*pair, title, quantity, _unit(name)), "Second less first below.")
+        page.table(("column", "rms", "mean", "largest"), rows, "Differences, second less first.")
+
+
+def _unit(name: str) -> str:
+    return QUANTITIES[name].unit if name in QUANTITIES else "as recorded"
+
+
+def step_tiles(found: Sequence[Step], of: str = "") -> list[tuple[str, str, str]]:
+    """Key figures (label, value, note) of the steps, if there are any; `of`: which loop."""
+    if not found:
+        return []
+    settled = [step.settling for step in found if step.settling is not None]
+    note = f"{len(settled)} of {len(found)} steps settle; overshoot up to {percent(max(step.overshoot for step in found))}"
+    return [(f"slowest settling{of}", f"{number(max(settled))} s" if settled else "none", note)]
+
+
+def add_loops(
+    page: Page,
+    loops: Mapping[str, Record],
+    judged: Mapping[str, Sequence[Step]],
+    limits: Mapping[str, tuple[float, float]] | None = None,
+    title: str = "",
+    within: str = "within 2 % of the step",
+) -> None:
+    """Closed loops over one profile and their steps, by name; `limits` of the commands by name, drawn if known."""
+    first = next(iter(judged.values()))
+    title = title or (sentence(first[0]) if first else "Thrust under a constant set-point")
+    caption = "Thrust with its set-point, speed and pitch with their commands."
+    page.figure(closed_loop(loops, title, limits), caption)
+    table = [(name, *row(step)) for name, steps in judged.items() for step in steps]
+    page.table(STEP_COLUMNS, table, f"Every change of the set-point. Settled: {within} from then on.")
 
 
 def row(step: Step) -> tuple:
@@ -186,20 +263,29 @@ def add_adaptive(
 ) -> None:
     """Residual and parameters of an adaptive twin from its outputs (rows,) by name, with their units; `model`: whose thrust is
     subtracted, `caption`: of the parameters."""
-    page.figure(residual_in_band(time, outputs), f"Measured thrust less {model}. {thinning(len(time))}")
+    page.figure(residual_in_band(time, outputs), f"Measured thrust less {model}.")
     own = {name.removeprefix(ADAPTED): unit for name, unit in units.items() if name.startswith(ADAPTED)}
     page.figure(adapted_parameters(time, outputs, own), caption)
 
 
-def comparison_page(found: Comparison, first: str, second: str) -> tuple[Page, list[str]]:
-    """The page of two records, named by their files, and its figures' titles."""
-    page, rows, titles = Page("Two records", f"{second} beside {first}, at the times of the latter."), [], []
-    for name, figures in found.summary()["columns"].items():
-        unit = QUANTITIES[name].unit if name in QUANTITIES else "as recorded"
-        rows.append((f"{name} [{unit}]", figures["rms"], figures["mean"], figures["largest"]))
-        quantity = style.label(name).partition(" [")[0]
-        titles.append(f"{quantity} differs by {number(figures['rms'])} {unit} rms, at most {number(figures['largest'])} {unit}")
-        pair = (first, found.time, found.first[name]), (second, found.time, found.second[name])
-        page.figure(two_records(*pair, titles[-1], quantity, unit), "Second less first below.")
-    page.table(("column", "rms", "mean", "largest"), rows, "Differences, second less first.")
-    return page, titles
+def residual_in_band(time: np.ndarray, twin: Mapping[str, np.ndarray]) -> Figure:
+    """Measured thrust less the twin's [N] over time [s], with the 95 % band; (n,) by the twin's outputs."""
+    alarms = time[np.diff(twin["alarm"], prepend=0.0) > 0.5]
+    said = f"alarm at {', '.join(f'{at:.1f}' for at in alarms[:5])} s" if len(alarms) else "no alarm"
+    fig = panels(f"Twin: {said}, {twin['changes'][-1]:.0f} changes followed", ["residual [N]"], [240])
+    fig.envelope(time, -twin["band"], twin["band"], "95 % of readings expected", style.BAND)
+    fig.line(time, twin["residual"], "rig − twin", style.MEASURED, 1)
+    for at in alarms:
+        fig.level("x", at, "alarm", style.BEFORE)
+    return fig
+
+
+def adapted_parameters(time: np.ndarray, twin: Mapping[str, np.ndarray], units: Mapping[str, str]) -> Figure:
+    """Each adapted parameter over time [s] with +-2 standard deviations; `units` by its name."""
+    names = [name.removeprefix(ADAPTED) for name in twin if name.startswith(ADAPTED)]
+    fig = panels("Adapted parameters", [f"{words(name)} [{units[name]}]" for name in names], [150] * len(names))
+    for panel, name in enumerate(names):
+        value, reach = twin[ADAPTED + name], 2.0 * twin[STD + name]
+        fig.envelope(time, value - reach, value + reach, "± 2 standard deviations", style.BAND, panel)
+        fig.line(time, value, words(name), style.AFTER, 1.6, panel, "adapted")
+    return fig

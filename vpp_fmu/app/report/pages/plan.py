@@ -4,12 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from identification.fit.uncertainty import NORMAL_95
 from identification.plan.excitation import PAPERS_HOLD
 from identification.plan.plan import Plan
-from vpp_fmu.app.report.canvas import thinning
-from vpp_fmu.app.report.figures.parameters import interval_widths
-from vpp_fmu.app.report.figures.time import planned_commands
+from vpp_fmu.app.report.figures import stacked
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
 from vpp_fmu.app.report.sentences import titled, words
@@ -17,7 +14,6 @@ from vpp_fmu.files import OutputFolder
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record, write_record
 from vpp_fmu.rig import DECLARED
-from vpp_fmu.structured import as_json
 
 UNKNOWN = 10.0
 """Ratio of standard deviation to size above which a parameter counts as unknown."""
@@ -31,6 +27,8 @@ class PlanResult(Result):
     """The next experiment. `found`: the whole plan."""
 
     verb = "plan"
+    writes = ("plan.json", "report.html")
+    title = "The next experiment"
 
     def __init__(self, found: Plan, parameters: ParameterSet, inflation: float = 1.0, noise: str = ""):
         super().__init__(found, parameters)
@@ -86,51 +84,40 @@ class PlanResult(Result):
 
     def write(self, folder: OutputFolder) -> None:
         write_record(folder, "plan.csv", self.found.commands)
-        folder.write("plan.json", as_json(self.to_dict()))
-        folder.write("report.html", self.page().html())
+        super().write(folder)
 
-    def page(self) -> Page:
+    def fill(self, page: Page) -> None:
         """Assumptions and remarks are above the figures."""
-        found, after = self.found, self.found.after
-        page = Page(
-            "The next experiment",
-            f"{self.headline()} This holds if a thrust reading every {1e3 * found.step:g} ms has white noise of "
-            f"{found.noise_std:.3g} N. Effects that the model does not have, and any colour of the noise, widen all intervals.",
-            self._parameters.label,
-        )
-        page.tiles(self.key_figures())
+        found = self.found
         page.remarks(self._basis())
+        page.note(
+            f"The forecast holds if a thrust reading every {1e3 * found.step:g} ms has white noise of {found.noise_std:.3g} N. "
+            "Effects that the model does not have, and any colour of the noise, widen all intervals."
+        )
         for remark in self._remarks():
             page.note(remark)
         for name, why in found.not_identifiable.items():
             page.note(f"{titled(name)} is not planned for and counts as known: {why}.")
-        title = f"The paper's plan leaves {_percent(found.paper.weakest()[1])} in the weakest direction, this one"
-        widths = {"before": found.before, "the paper's plan": found.paper, "after this plan": after}
-        shown = {name: 100.0 * NORMAL_95 * forecast.relative for name, forecast in widths.items() if forecast is not None}
-        hold = [time * found.rig.scales.time_scale for time in PAPERS_HOLD]
-        page.figure(
-            interval_widths(after.names, shown, f"{title} {_percent(after.weakest()[1])}"),
-            "Predicted 95 % intervals. The paper's plan: as long, a third speed only, a third pitch only, a third both, "
-            f"levels held for {hold[0]:g} to {hold[1]:g} s."
-            + ("" if found.before is None else " Both plans add to what is known before."),
-        )
+        _add_forecast(page, found)
         columns = found.commands.columns
         changes = int(np.sum(np.any(np.diff([columns["omega_ref"], columns["beta_ref"]]) != 0.0, axis=0)))
         title = f"Commands change at {changes} of {len(found.commands)} rows; thrust is predicted between "
         title += f"{found.thrust.min():.3g} and {found.thrust.max():.3g} N"
-        drawn = planned_commands(columns["time"], columns["omega_ref"], columns["beta_ref"], found.thrust, title)
-        page.figure(drawn, f"plan.csv. {thinning(len(found.commands))}")
-        _add_tables(page, found)
-        return page
+        lines = {"speed [rpm]": {"speed command": columns["omega_ref"]}, "pitch [deg]": {"pitch command": columns["beta_ref"]}}
+        lines["predicted thrust [N]"] = {"thrust": found.thrust}
+        page.figure(stacked(columns["time"], lines, title), "plan.csv.")
 
 
-def _add_tables(page: Page, found: Plan) -> None:
+def _add_forecast(page: Page, found: Plan) -> None:
     before, paper, after = found.before, found.paper, found.after
     known = [None] * len(after.names) if before is None else np.where(before.relative < UNKNOWN, before.std, np.nan)
     units = [found.units[name] for name in after.names]
     rows = zip(after.names, units, after.values, known, paper.std, after.std, *after.intervals.T, strict=True)
     columns = ("parameter", "unit", "value", "std before", "std, paper's plan", "std after", "95 % from", "to")
-    page.table(columns, list(rows), "Unit 1: normalised.")
+    low, high = (time * found.rig.scales.time_scale for time in PAPERS_HOLD)
+    caption = "Unit 1: normalised. The paper's plan: as long, a third speed only, a third pitch only, a third both, levels "
+    caption += f"held for {low:g} to {high:g} s." + ("" if before is None else " Both plans add to what is known before.")
+    page.table(columns, list(rows), caption)
 
 
 def combination(names, direction: np.ndarray) -> str:

@@ -2,8 +2,7 @@
 
 from identification.power.diagnose import PowerDiagnosis
 from identification.power.effects import PowerEffect
-from vpp_fmu.app.report.canvas import thinning
-from vpp_fmu.app.report.figures.time import measured_against_predicted
+from vpp_fmu.app.report.figures import measured_against_predicted
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.sentences import change, sentence, size
 from vpp_fmu.digits import chance, interval, number
@@ -43,7 +42,7 @@ def add_power(page: Page, found: PowerDiagnosis) -> None:
         f"{name}.csv, means over {number(found.block, 2)} s. Model: the identified one, its map refined on the fitted records. "
     )
     caption += f"Lack of fit: p {chance(lack.p, '= ')}, {number(lack.size, 2)} W; minimum size {number(lack.least, 2)} W. "
-    page.figure(measured_against_predicted(columns, lines, title, reading="power"), caption + thinning(len(columns["time"])))
+    page.figure(measured_against_predicted(columns, lines, title, reading="power"), caption)
     sizes = [
         (effect, name, p["value"], interval(*p["interval"], p["unit"]))
         for effect, own in found.parameters.items()

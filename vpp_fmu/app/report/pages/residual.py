@@ -6,7 +6,8 @@ from identification.assessment.residual_tests import NORMAL_95, lagged_correlati
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.locate import RATE, cross_spectrum
 from identification.fit.noise import Noise, blocks
-from vpp_fmu.app.report.figures.residual import correlations, residual_spectrum
+from vpp_fmu.app.report import style
+from vpp_fmu.app.report.canvas import figure, panels
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.digits import chance, number
 from vpp_fmu.record import Record
@@ -52,8 +53,14 @@ def add_correlations(page: Page, found: Diagnosis) -> None:
     now = f", after the effects at {last:.0f} %" if len(errors) > 1 else ""
     what = "itself" if worst == "itself" else f"the {worst}"
     title = f"The residual correlates with {what} at {first:.0f} % of the lags{now}; chance gives 5 %"
-    caption = f"Correlation of the open-loop thrust residual with earlier values, means over {1000 * RATE:.0f} ms."
-    page.figure(correlations(lags, rows, band, title), caption)
+    fig = panels(title, [f"{name} [-]" for name in rows], [110] * len(rows), "lag [s]")
+    colours = style.colours(errors)
+    for panel, lines in enumerate(rows.values()):
+        for name, values in lines.items():
+            fig.line(lags, values, name, colours[name], 1.6, panel)
+        fig.band(panel, band, f"± {band:.2g}: no evidence")
+    fig.axes["x"]["format"] = ".2f"
+    page.figure(fig, f"Correlation of the open-loop thrust residual with earlier values, means over {1000 * RATE:.0f} ms.")
 
 
 def add_spectrum(page: Page, found: Diagnosis) -> None:
@@ -69,7 +76,14 @@ def add_spectrum(page: Page, found: Diagnosis) -> None:
     title = f"Lack of fit below 10 Hz: {number(before.size, 2)} N rms (p {chance(before.p, '= ')}){now}"
     how = "Cross-spectrum of both records' residuals" if repeat is not None else "Spectrum of the residual, noise included"
     noise = _noise_density(found.noise, centres, float(np.median(np.diff(blocks(record, found.noise.block).time))))
-    page.figure(residual_spectrum(centres, power, noise, title), f"{how}, averaged over bins; gaps: no positive power.")
+    fig = figure(title, 300, "frequency [Hz]", "power density [N²/Hz]")
+    fig.line(centres, noise, "noise of one reading", style.MEASURED, 1.6, dash="dash")
+    colours = style.colours(power)
+    for name, values in power.items():
+        fig.line(centres, values, name, colours[name], size=6)
+    fig.axes["x"] |= {"kind": "log", "format": ".2f"}
+    fig.axes["y0"] |= {"kind": "log", "format": ".2e"}
+    page.figure(fig, f"{how}, averaged over bins; gaps: no positive power.")
 
 
 def _binned(one: np.ndarray, other: np.ndarray, step: float) -> np.ndarray:

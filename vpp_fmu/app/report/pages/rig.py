@@ -4,24 +4,25 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hil.calibrate import LoadCell, Measured, PitchTable
+from hil.calibrate import Measured
 from hil.calibration import Calibration
 from hil.columns import LEARNED
 from hil.outcome import SPAN, Outcome, difference, energy_words, judged_steps, said
 from hil.replay import Replay
 from hil.run import profile_start
 from hil.selftest import SelfTest
-from hil.timing import EDGES, Timing
+from hil.timing import PERCENTILES, Timing
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import figure, places, thinning
-from vpp_fmu.app.report.figures.time import closed_loop, stacked, two_records
+from vpp_fmu.app.report.canvas import figure
+from vpp_fmu.app.report.figures import stacked, two_records
 from vpp_fmu.app.report.page import Page
-from vpp_fmu.app.report.pages.loop import add_adaptive, headline, percent, row
+from vpp_fmu.app.report.pages.loop import add_adaptive, add_loops, headline, step_tiles
 from vpp_fmu.digits import number, signed
 from vpp_fmu.record import QUANTITIES, Record
 from vpp_fmu.response import smoothed
 
-STEP_COLUMNS = ("loop", "at [s]", "from [N]", "to [N]", "within 5 % after [s]", "overshoot [%]")
+WITHIN = f"the thrust's mean over {SPAN:g} s stays within 5 % of the step"
+"""When a step counts as settled: with noise 2 % is too narrow."""
 
 
 def run_page(found: Outcome) -> Page:
@@ -37,7 +38,7 @@ def run_page(found: Outcome) -> Page:
     if content["ended"]:
         page.note(f"The run ended early. {content['ended']}.")
     if loops:
-        _add_loops(page, loops, "Pitch is not measured on the rig.", found.reach)
+        _add_loops(page, loops, found.reach)
     if len(loops) > 1:
         _add_difference(page, *reversed(loops.items()))
     if log is not None and content.get("twin"):
@@ -51,7 +52,7 @@ def run_page(found: Outcome) -> Page:
 def fmu_page(plant: str, record: Record, profile: str, limits: Mapping[str, tuple[float, float]]) -> Page:
     """The page of a run with a plant FMU in the rig's place; `plant`, `profile`: their files; `limits` of the commands."""
     page = Page("Hardware in the loop, with a plant FMU", f"{plant} over {profile}.")
-    _add_loops(page, {"plant FMU": record}, "", limits)
+    _add_loops(page, {"plant FMU": record}, limits)
     return page
 
 
@@ -70,26 +71,18 @@ def selftest_page(found: SelfTest, content: Mapping, seconds: float) -> Page:
 
 def replay_page(found: Replay, text: str) -> Page:
     """Each command as recorded and as replayed, under a `text`."""
-    page, time = Page("Replay", text), found.record.time
-    for name, quantity in (("omega_ref", "speed command"), ("beta_ref", "pitch command")):
-        unit = QUANTITIES[name].unit
-        title = f"The replayed {quantity} differs by at most {found.largest[name]:.3g} {unit}"
-        pair = ("recorded", time, found.recorded[name]), ("replayed", time, found.record[name])
-        fig = two_records(*pair, title, quantity, unit)
-        page.figure(fig, f"Of every row, {quantity} as recorded and as replayed.")
+    page = Page("Replay", text)
+    names = {"omega_ref": "speed [rpm]", "beta_ref": "pitch [deg]"}
+    rows = {label: {"recorded": found.recorded[name], "replayed": found.record[name]} for name, label in names.items()}
+    apart = " and ".join(f"{found.largest[name]:.3g} {QUANTITIES[name].unit}" for name in names)
+    page.figure(stacked(found.record.time, rows, f"The replayed commands differ by at most {apart}"))
     return page
 
 
-def _add_loops(page: Page, loops: Mapping[str, Record], notes: str, limits: Mapping[str, tuple[float, float]]) -> None:
-    """The closed loops over one profile, by name, and their steps; `limits` of the commands by name, drawn if known."""
+def _add_loops(page: Page, loops: Mapping[str, Record], limits: Mapping[str, tuple[float, float]]) -> None:
     judged = {name: judged_steps(loop, limits) for name, loop in loops.items()}
-    first, found = next(iter(judged.items()))
-    title = said(found[0], first) if found else "Thrust under a constant set-point"
-    rows = max(len(loop) for loop in loops.values())
-    caption = f"Thrust with its set-point, speed and pitch with their commands. {notes} {thinning(rows)}"
-    page.figure(closed_loop(loops, title, limits), caption)
-    table = [(name, *row(step)) for name, found in judged.items() for step in found]
-    page.table(STEP_COLUMNS, table, f"Every change of the set-point, judged on the thrust's mean over {SPAN:g} s.")
+    name, found = next(iter(judged.items()))
+    add_loops(page, loops, judged, limits, said(found[0], name) if found else "", WITHIN)
 
 
 def _add_difference(page: Page, first: tuple[str, Record], second: tuple[str, Record]) -> None:
@@ -99,20 +92,17 @@ def _add_difference(page: Page, first: tuple[str, Record], second: tuple[str, Re
     title = f"{name_b} and {name_a} differ by {number(float(rms))} N rms, {signed(mean)} N on average"
     fig = two_records((name_a, a.time, a["thrust"]), (name_b, b.time, b["thrust"]), title, "thrust", "N")
     largest = float(np.max(np.abs(smoothed(between, SPAN)["thrust"])))
-    page.figure(fig, f"Smoothed over 0.1 s the difference is {number(largest)} N at most. {thinning(len(a))}")
+    page.figure(fig, f"Smoothed over 0.1 s the difference is {number(largest)} N at most.")
 
 
 def _add_timing(page: Page, found: Timing, granted: str) -> None:
-    """Number of ticks by lateness; `granted`: real-time rights of the loop."""
-    p999 = 1e6 * found.late[2]
-    title = f"99.9 % of {found.ticks} ticks began within {p999:.0f} us of their time, {found.missed} slots were missed"
-    fig = figure(title, 340, "late by at least [s]", "ticks [-]", legend=False)
-    last = max(k for k, count in enumerate(found.counts) if count) + 2
-    labels, counts = [_edge(low) for low in EDGES[:-1]], [count or None for count in found.counts]
-    fig.add_bar(x=labels[:last], y=counts[:last], marker_color=style.AFTER)
-    fig.update_xaxes(type="category")
-    fig.update_yaxes(type="log", dtick=1)
-    page.figure(fig, f"How late each tick began, on logarithmic axes. The loop had: {granted}.")
+    """Lateness and work of the ticks; `granted`: real-time rights of the loop."""
+    late, busy = ([f"{1e6 * value:.0f}" for value in values] for values in (found.late, found.busy))
+    columns = ("us", *(f"{p:g} %" if p < 100.0 else "most" for p in PERCENTILES))
+    caption = (
+        f"How late the {found.ticks} ticks began, and how long each worked: percentiles. {found.missed} slots were missed."
+    )
+    page.table(columns, [("late", *late), ("work", *busy)], f"{caption} The loop had: {granted}.")
 
 
 def _add_counts(page: Page, content: Mapping, begin: float = 0.0) -> None:
@@ -156,11 +146,7 @@ def _tiles(page: Page, run: Outcome) -> None:
     """Key figures of the control, then of the timing and the devices."""
     content, found = run.content, run.timing
     for name, loop in run.loops.items():
-        if judged := judged_steps(loop, run.reach):
-            settled = [step.settling for step in judged if step.settling is not None]
-            slowest = f"{number(max(settled))} s" if settled else "none"
-            of = f"{len(settled)} of {len(judged)} steps settle; overshoot up to {percent(max(s.overshoot for s in judged))}"
-            page.tiles([(f"slowest settling, {name}", slowest, of)])
+        page.tiles(step_tiles(judged_steps(loop, run.reach), f", {name}"))
     if "energy" in content:
         page.tiles([("energy from the supply", *energy_words(content["energy"]))])
     if "beside" in content:
@@ -186,9 +172,8 @@ def campaign_page(content: Mapping, summary: str, records: Mapping[str, Record])
     page.table(("part", "rows of the log", "lost", "attempts", "ended"), rows, "The parts, each with its log.")
     for name, record in records.items():
         lines = {"omega_ref": "command", "beta_ref": "command", "thrust": "measured"}
-        kept = places([record[signal] for signal in lines])
-        rows = {style.label(signal): {kind: record[signal][kept]} for signal, kind in lines.items()}
-        page.figure(stacked(record.time[kept], rows, f"Commands and thrust of {name}"), thinning(len(record)))
+        rows = {style.label(signal): {kind: record[signal]} for signal, kind in lines.items()}
+        page.figure(stacked(record.time, rows, f"Commands and thrust of {name}"))
     return page
 
 
@@ -204,10 +189,19 @@ def calibration_page(before: Calibration, found: Calibration, measured: Measured
         page.tiles([("residuals", f"{number(max(map(abs, cell.residuals)))} N", f"hysteresis {number(cell.hysteresis)} N")])
         rows += [("force per count [mN]", 1e3 * before.newton_per_count, 1e3 * cell.newton_per_count, f"{change:+.2f} %")]
         rows += [("zero [counts]", before.zero, cell.zero, f"{cell.zero - before.zero:+.1f}")]
-        _add_cell(page, cell)
+        top, off = int(np.argmax(np.abs(cell.forces))), 1e3 * np.array(cell.residuals)
+        title = f"The load cell is straight within {number(max(map(abs, cell.residuals)))} N"
+        fig = figure(title, 230, "force of the weights, thrust positive [N]", "line − weight [mN]")
+        fig.line(cell.forces[: top + 1], off[: top + 1], "rising", style.AFTER, size=6)
+        fig.line(cell.forces[top:], off[top:], "falling", style.BEFORE, size=6)
+        page.figure(fig, "What the straight line says above what hung there. Rising and falling apart: friction.")
     if pitch:
         page.tiles([("play of the pitch", f"{pitch.play:.2f} deg", "at most, from one side against the other")])
-        _add_pitch_table(page, pitch)
+        title = f"The pitch goes from {min(pitch.pitches):g} to {max(pitch.pitches):g} deg, with {pitch.play:.2f} deg of play"
+        fig, pulses = figure(title, 230, "pulse [us]", "blade pitch [deg]"), [1e6 * pulse for pulse in pitch.pulses]
+        fig.line(pulses, pitch.up, "rising pulses", style.AFTER, size=6)
+        fig.line(pulses, pitch.down, "falling pulses", style.BEFORE, size=6)
+        page.figure(fig, "As read off at 75 % of the radius. The table takes the mean of both, the middle of the play.")
     if throttle:
         page.tiles([("the motor starts at", f"{1e6 * throttle[0]:g} us", f"idle pulse {1e6 * found.esc_idle:g} us")])
         change = 1e6 * (found.esc_idle - before.esc_idle)
@@ -218,32 +212,3 @@ def calibration_page(before: Calibration, found: Calibration, measured: Measured
     known = [(name, entry["who"], entry["when"]) for name, entry in sources if isinstance(entry, dict) and "who" in entry]
     page.table(("section", "who", "when"), known, "Who measured what.")
     return page
-
-
-def _add_cell(page: Page, cell: LoadCell) -> None:
-    """The load cell's residuals, with rising and with falling weights."""
-    top = int(np.argmax(np.abs(cell.forces)))
-    residuals = [1e3 * value for value in cell.residuals]
-    title = f"The load cell is straight within {number(max(map(abs, cell.residuals)))} N"
-    fig = figure(title, 340, "force of the weights, thrust positive [N]", "line − weight [mN]")
-    for rows, name, colour in ((slice(0, top + 1), "rising", style.AFTER), (slice(top, None), "falling", style.BEFORE)):
-        fig.add_scatter(x=cell.forces[rows], y=residuals[rows], mode="lines+markers", name=name, line={"color": colour})
-    page.figure(fig, "What the straight line says above what hung there. Rising and falling apart: friction.")
-    rows = list(zip(cell.forces, cell.counts, cell.residuals, strict=True))
-    page.table(("force [N]", "counts", "residual [N]"), rows, "Means over 4 s each.")
-
-
-def _add_pitch_table(page: Page, found: PitchTable) -> None:
-    """Pitch over the pulses, for rising and falling pulses."""
-    low, high, pulses = min(found.pitches), max(found.pitches), [1e6 * pulse for pulse in found.pulses]
-    title = f"The pitch goes from {low:g} to {high:g} deg, with {found.play:.2f} deg of play"
-    fig = figure(title, 380, "pulse [us]", "blade pitch [deg]")
-    for pitches, name, colour in ((found.up, "rising pulses", style.AFTER), (found.down, "falling pulses", style.BEFORE)):
-        fig.add_scatter(x=pulses, y=pitches, mode="lines+markers", name=name, line={"color": colour})
-    page.figure(fig, "As read off at 75 % of the radius. The table takes the mean of both, the middle of the play.")
-    rows = list(zip(pulses, found.up, found.down, found.pitches, strict=True))
-    page.table(("pulse [us]", "rising [deg]", "falling [deg]", "table [deg]"), rows, "The pitch table.")
-
-
-def _edge(seconds: float) -> str:
-    return f"{1e6 * seconds:.0f} us" if seconds < 1e-3 else f"{1e3 * seconds:.0f} ms" if seconds < 1.0 else f"{seconds:.0f} s"

@@ -1,13 +1,11 @@
 """The report of a tuning: improvement by the search, benefit of the second actuator, stability margins, robustness."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from identification.tune.linear import MOVE
-from identification.tune.operating import open_loop
 from identification.tune.summary import (
     NAMES,
     against,
@@ -21,15 +19,15 @@ from identification.tune.summary import (
 )
 from identification.tune.tune import JUDGED, Tuned, Tuning
 from identification.tune.verdict import UNITS
-from vpp_fmu.app.report.figures.loop import cost_ranks, margins_over_thrust, nyquist
-from vpp_fmu.app.report.figures.time import closed_loop as loop_figure
+from vpp_fmu.app.report import style
+from vpp_fmu.app.report.canvas import panels
+from vpp_fmu.app.report.figures import closed_loop as loop_figure
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.result import Result
 from vpp_fmu.digits import number
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.parameters import ParameterSet, to_json
 from vpp_fmu.record import write_record
-from vpp_fmu.structured import as_json
 
 FILES = {"dual": "gains.json", "speed_only": "gains_speed_only.json", "allocated": "gains.json"}
 
@@ -38,6 +36,8 @@ class TuneResult(Result):
     """Gains for both actuators and for speed alone. `found`: the whole tuning."""
 
     verb = "tune"
+    writes = ("tuning.json", "report.html")
+    title = "Gains for the model"
     found: Tuning
 
     def __init__(
@@ -94,17 +94,15 @@ class TuneResult(Result):
     def write(self, folder: OutputFolder) -> None:
         for name, gains in self.gains.items():
             folder.write(FILES[name], to_json(self._dated(gains)))
-        folder.write("tuning.json", as_json(self.to_dict()))
         write_record(folder, "profile.csv", self.found.task.profile)
-        folder.write("report.html", self.page().html())
+        super().write(folder)
 
-    def page(self) -> Page:
-        found = self.found
-        task = found.task
+    def tiles(self) -> list[tuple[str, str, str]]:
+        return [each for each in self.key_figures() if "gains" not in each[0]]  # the notes have those
+
+    def fill(self, page: Page) -> None:
+        found, task = self.found, self.found.task
         assumed = ", ".join(f"{name} = {task.parameters.values[name]:g}" for name in task.assumed)
-        page = Page("Gains for the model", headline(found), task.parameters.label)
-        figures = key_figures(found)
-        page.tiles([each for each in figures if each[0].startswith(("step", "cost", "phase"))])
         for name, tuned in found.tuned.items():
             _add_controller(page, found, name, tuned)
         if len(found.tuned) > 1:
@@ -118,8 +116,6 @@ class TuneResult(Result):
             f"the operating points {task.sensitivity:g}, and the settling and ringing of each step under the initial gains."
             + (f" Assumed for the design: {assumed}." if assumed else ""),
         )
-        page.table(("figure", "value", "note"), figures, "All figures of this tuning.")
-        return page
 
 
 def _names(found: Tuning, tuned: Tuned) -> dict[str, str]:
@@ -136,110 +132,55 @@ def _add_controller(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
     page.table(("gain, normalised", *names.values()), rows, "Gains and their cost on the nominal plant.")
     for which, verdict in tuned.verdicts.items():
         page.note(f"{which.capitalize()} gains: {verdict.words()}.")
-        page.table(("step", "settling", "overshoot", "ringing"), change_rows(verdict), _judged_by(found, tuned, which))
-        if rows := margin_rows(verdict):
-            page.table(
-                ("margin", "before → after"), rows, f"The smallest over all operating points, {found.task.reference} → {which}."
-            )
+        page.table(
+            ("step", "settling", "overshoot", "ringing"),
+            change_rows(verdict),
+            f"Each step without noise, {found.task.reference} → {which}.",
+        )
     runs = {names[which]: objective.run(gains) for which, gains in tuned.gains.items()}
     title = f"{NAMES[name].capitalize()}: cost {number(start)} before the search, {number(cost)} after"
     own = objective.settings
     limits = {f"{n}_ref": (own[f"{n}_min"], own[f"{n}_max"]) for n in ("omega", "beta")}
     page.figure(loop_figure(runs, title, limits), f"{found.task.profile.source}. Thrust is the plant's, not its reading.")
-    rows = [
-        (names[which], s.time, s.before, s.after, settling(s.settling), f"{s.overshoot:.1f}", f"{s.ringing:.1f}")
-        for which, gains in tuned.gains.items()
-        for s in objective.steps(gains)
-    ]
-    columns = ("gains", "at [s]", "from [N]", "to [N]", "settled after", "overshoot [%]", "ringing [%]")
-    page.table(columns, rows, "Settled: within 2 % of the step. Ringing: the largest swing after the overshoot.")
-    _add_margins(page, found, name, tuned)
+    _add_margins(page, found, tuned)
 
 
-def _judged_by(found: Tuning, tuned: Tuned, which: str) -> str:
-    return (
-        f"Each step without noise, {found.task.reference} → {which}. Worse: settles later by more than a sample, "
-        f"{1e3 * tuned.objective.course.dt:.3g} ms; overshoot or ringing up to the limit of {100.0 * found.task.overshoot:g} % "
-        "counts as none."
-    )
-
-
-def _add_margins(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
-    names, last, gains = _names(found, tuned), tuned.chosen, tuned.final
-    if not tuned.points[last]:
+def _add_margins(page: Page, found: Tuning, tuned: Tuned) -> None:
+    names = _names(found, tuned)
+    if not tuned.points[tuned.chosen]:
         page.note("No operating point at which a command is free to move: no margins.")
         return
-    thrust = {names[w]: np.array([p.thrust for p in tuned.points[w]]) for w in tuned.gains}
-
-    def over(name, scale=1.0) -> Mapping[str, np.ndarray]:
-        found = {w: [getattr(m, name) for m in tuned.margins[w]] for w in tuned.gains}
-        return {names[w]: np.array([np.nan if v is None else scale * v for v in values]) for w, values in found.items()}
-
-    quantities = {"phase [deg]": over("phase"), "delay [ms]": over("delay", 1e3), "sensitivity [-]": over("sensitivity")}
     own = labels(found, tuned)
     worst = {w: max((m.sensitivity for m in tuned.margins[w]), default=np.nan) for w in tuned.gains}
     title = f"Largest sensitivity: {', '.join(f'{own[w]} {s:.3g}' for w, s in worst.items())}"
-    limits = {"sensitivity [-]": found.task.sensitivity}
-    page.figure(
-        margins_over_thrust(thrust, quantities, limits, title),
-        "Operating points at which the loop settles, on levels of thrust up and down. Dashed: the limit.",
-    )
-    points = tuned.points[last][: (len(tuned.points[last]) + 1) // 2]
-    loops = {f"{p.thrust:.3g} N": open_loop(tuned.objective, gains, p) for p in points}
-    shown = {label: loop for label, (_, loop) in loops.items()}
-    title = f"{NAMES[name].capitalize()}: distance of the open loops from -1"
-    page.figure(nyquist(shown, found.task.sensitivity, title), f"Open loops of the {own[last]} gains on increasing levels.")
-    _add_margin_table(page, tuned, last, own[last])
-
-
-def _add_margin_table(page: Page, tuned: Tuned, which: str, label: str) -> None:
-    rows, scales = [], tuned.objective.settings
-    for p, m in zip(tuned.points[which], tuned.margins[which], strict=True):
-        gain = None if m.gain is None else 20.0 * np.log10(m.gain)
-        delay = None if m.delay is None else 1e3 * m.delay
-        free = "both" if len(p.channels) > 1 else "speed" if "omega" in p.channels else "pitch"
-        state = "stable" if m.stable else "unstable"
-        rows.append((p.thrust, *p.commands, free, gain, m.phase, delay, m.crossover, m.sensitivity, state))
-    columns = ("thrust [N]", "speed [rpm]", "pitch [deg]", "free", "gain [dB]", "phase [deg]", "delay [ms]")
-    page.table(
-        (*columns, "crossover [rad/s]", "sensitivity [-]", "closed loop"),
-        rows,
-        f"Margins of the {label} gains; a dash: no crossing. Linearised by steps of "
-        f"{number(MOVE * scales['omega_scale'])} rpm and {number(MOVE * scales['beta_scale'])} deg.",
-    )
+    fig = panels(title, ["phase [deg]", "delay [ms]", "sensitivity [-]"], [130] * 3, "thrust at the operating point [N]")
+    colours = style.colours(names.values())
+    for panel, (quantity, scale) in enumerate((("phase", 1.0), ("delay", 1e3), ("sensitivity", 1.0))):
+        for which, name in names.items():
+            thrust, margins = [p.thrust for p in tuned.points[which]], [getattr(m, quantity) for m in tuned.margins[which]]
+            values = np.array([np.nan if value is None else scale * value for value in margins])
+            fig.line(thrust, values, name, colours[name], 1.6, panel, size=6)
+    fig.level("y2", found.task.sensitivity, "limit")
+    fig.axes["x"]["format"] = ".3~g"
+    page.figure(fig, "Operating points at which the loop settles, on levels of thrust up and down.")
 
 
 def _add_comparison(page: Page, found: Tuning) -> None:
     page.section("Both actuators against speed alone")
     runs = {NAMES[name]: tuned.objective.run(tuned.final) for name, tuned in found.tuned.items()}
-    rows = against(found)
-    down = [row for row in rows if row["after"] < row["before"]]
     title = "Both actuators against speed alone"
-    if down:
+    if down := [row for row in against(found) if row["after"] < row["before"]]:
         times = [settling(down[0][name]["settling"]) for name in found.tuned]
         title = f"Step down: both actuators settle in {times[0]}, speed alone in {times[1]}"
     page.figure(loop_figure(runs, title), "The chosen gains.")
-    cells = []
-    for row in rows:
-        for name in found.tuned:
-            own = row[name]
-            figures = settling(own["settling"]), own["overshoot"], own["squared_error"]
-            cells.append((row["time"], row["before"], row["after"], NAMES[name], *figures))
-    columns = ("at [s]", "from [N]", "to [N]", "controller", "settled after", "overshoot [%]", "squared error [s]")
-    page.table(columns, cells, "Squared error: of normalised thrust, until the next step.")
 
 
 def _add_robust(page: Page, found: Tuning) -> None:
-    page.section("Robustness over plants within the uncertainty")
-    gains = {"nominal (before)": "tuned", "robust (after)": "robust"}
+    rows = []
     for name, tuned in found.tuned.items():
-        worst = " and ".join(number(tuned.judged[which].max()) for which in gains.values())
-        title = f"{NAMES[name].capitalize()}: worst cost of {JUDGED} plants under nominal and robust gains {worst}"
-        shown = {label: tuned.judged[which] for label, which in gains.items()}
-        page.figure(cost_ranks(shown, title), "Costs, sorted for each gain set. The search used none of these plants.")
-        rows = []
         for which, label in _names(found, tuned).items():
             costs, overshoot = tuned.judged[which], 100.0 * tuned.overshoots[which].max()
-            rows.append((label, tuned.cost(which), costs.mean(), costs.max(), overshoot))
-        columns = ("gains", "cost, nominal plant", "mean", "worst", "largest overshoot [%]")
-        page.table(columns, rows, f"Costs on the nominal plant and on {JUDGED} others.")
+            rows.append((NAMES[name], label, tuned.cost(which), costs.mean(), costs.max(), overshoot))
+    page.section("Robustness over plants within the uncertainty")
+    columns = ("controller", "gains", "cost, nominal plant", "mean", "worst", "largest overshoot [%]")
+    page.table(columns, rows, f"Costs on the nominal plant and on {JUDGED} others, which the search did not use.")
