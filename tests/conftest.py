@@ -140,8 +140,8 @@ def fmus(fmu_files):
 
 @pytest.fixture(scope="session")
 def long_run():
-    """2000 steps of 4 ms with every effect at its probe: (commands, step lengths, outputs of the functions in Python)."""
-    commands, steps = random_steps(2001, 100, seed=10_000, model=ALL_ON), np.full(2000, 0.004)
+    """700 steps of 4 ms with every effect at its probe: (commands, step lengths, outputs of the functions in Python)."""
+    commands, steps = random_steps(701, 100, seed=10_000, model=ALL_ON), np.full(700, 0.004)
     return commands, steps, reference(ALL_ON, PROBES, commands, steps)
 
 

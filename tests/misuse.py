@@ -33,7 +33,7 @@ class Host:
 
     LOGGER = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
 
-    def __init__(self, folder: Path, library: Path | None = None, logger: bool = True, logging: int = 1):
+    def __init__(self, folder: Path, library: Path | None = None, logging: int = 1):
         root = ElementTree.parse(folder / "modelDescription.xml").getroot()
         name, self.guid = root.find("CoSimulation").get("modelIdentifier"), root.get("guid").encode()
         self.vr = {v.get("name"): int(v.get("valueReference")) for v in root.iter("ScalarVariable")}
@@ -45,7 +45,7 @@ class Host:
             lambda _env, _name, *said: self.said.append((said[0], *((x or b"").decode() for x in said[1:])))
         )
         allocate, free = (ctypes.cast(getattr(ctypes.CDLL(None), f), ctypes.c_void_p).value for f in ("calloc", "free"))
-        logger = ctypes.cast(self._log, ctypes.c_void_p).value if logger else None
+        logger = ctypes.cast(self._log, ctypes.c_void_p).value
         self.callbacks, self.logging = (ctypes.c_void_p * 5)(logger, allocate, free), logging
         self.resources = (folder / "resources").as_uri().encode()
         self.instance = self.instantiate()

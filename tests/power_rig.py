@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from builders import paper_map
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
@@ -107,7 +108,7 @@ class PowerRig:
         tau = list(LAGS.values())
         omega, faster = two_lags(omega_ref, *tau[:2], time[1])
         beta, rate = two_lags(beta_ref, *tau[2:], time[1])
-        thrust = thrust_of(omega, beta)
+        thrust = paper_map(omega, beta)
         power = self.electrical(time, omega, beta, faster, rate, thrust, self.kind)
         mean, n = float(power.mean()), len(time)
         noise = d["noise"] * mean * rng.standard_normal(n)
@@ -134,7 +135,7 @@ class PowerRig:
         further = {"power": power * (1.0 + 0.005 * rng.standard_normal(len(w)))}
         if d["torque"]:
             further["torque"] = self.torque(w, b) * (1.0 + 0.005 * rng.standard_normal(len(w)))
-        return StaticMap(omega, beta, omega, thrust_of(omega, beta), none + 0.1, none + 100.0, "static.csv", further)
+        return StaticMap(omega, beta, omega, paper_map(omega, beta), none + 0.1, none + 100.0, "static.csv", further)
 
     @cached_property
     def parameters(self) -> ParameterSet:
@@ -147,12 +148,6 @@ class PowerRig:
         """The diagnosis, with a validation record of its own commands."""
         fitted, unseen = (self.record(np.random.default_rng([self.seed, k])) for k in (79, 80))
         return diagnose_power({"open_loop": fitted}, unseen, self.parameters, BLOCK)
-
-
-def thrust_of(omega, beta):
-    """Thrust [N] of the paper's map."""
-    w, b, v = omega / 6000.0, (beta + 5.0) / 15.0, BASE.values()
-    return 15.0 * (v["c20"] * w**2 + v["c11"] * w * b + v["c21"] * w**2 * b + v["c12"] * w * b**2 + v["c30"] * w**3)
 
 
 def two_lags(command, slow, fast, step):

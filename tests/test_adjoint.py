@@ -28,13 +28,13 @@ def is_the_tangents(model, values, inputs, steps, every=1):
     cotangents = np.random.default_rng(7).normal(size=outputs.shape) / np.abs(outputs).max(axis=0)
     shown, gradient = Adjoint(model).gradient(values, inputs, steps, cotangents)
     np.testing.assert_array_equal(shown, outputs)
+    assert np.count_nonzero(gradient) >= 4
     gradient = gradient[::every]
     wanted = np.einsum("rop,ro->p", tangents, cotangents)
     summed = np.einsum("rop,ro->p", np.abs(tangents), np.abs(cotangents))  # scale of the rounding error of the sum
     assert np.isfinite(gradient).all()
     off = np.abs(gradient - wanted) / np.where(summed > 0.0, summed, 1.0)
     assert off.max() < 1e-13, dict(zip(names, off, strict=True))
-    assert np.count_nonzero(gradient) >= 4
 
 
 EACH = {"plain": (BASE, {})} | {e.name: (plant([e.name]), named(e, e.probe)) for e in OPTIONAL}
@@ -45,7 +45,7 @@ EACH = {"plain": (BASE, {})} | {e.name: (plant([e.name]), named(e, e.probe)) for
 @pytest.mark.parametrize("step", [0.004, 0.0037])
 def test_gradient_is_the_tangents_for_each_effect(model, step):
     model, values = EACH[model]
-    is_the_tangents(model, values, random_steps(ROWS, 150, model=model), np.full(ROWS - 1, step))
+    is_the_tangents(model, values, random_steps(ROWS, 150, model=model), np.full(ROWS - 1, step), every=3)
 
 
 @pytest.mark.parametrize("step", [0.0013, 0.004, 0.0091])

@@ -1,8 +1,8 @@
-"""Dual numbers against the tangents of the tracer, for every effect."""
+"""Dual numbers against the tangents of the tracer: each operation, and a plant with effects."""
 
 import numpy as np
 import pytest
-from builders import OPTIONAL, named, random_steps
+from builders import PROBES, random_steps
 from test_tracer import FORMULAS, INPUT, STEPS, VALUES, toy
 
 from vpp_fmu.kernel.duals import Dual, Duals
@@ -32,19 +32,13 @@ def run(model, values, names, inputs, dt=STEP):
     return np.array(thrust), np.array(slopes)
 
 
-def commands(model):
-    return {name: np.asarray(column) for name, column in random_steps(ROWS, 50, model=model).items()}
-
-
-@pytest.mark.sampled("effect")
-@pytest.mark.parametrize("effect", [e for e in OPTIONAL if not e.delays], ids=lambda e: e.name)
-def test_every_effect_has_the_tracers_tangents(effect):
-    model, names = plant([effect.name]), [p.name for p in plant([effect.name]).parameters]
-    values, inputs = model.values(named(effect, effect.probe)), commands(model)
-    tangents = Simulator(model, names)
-    expected = tangents.sensitivities(values, inputs, np.full(ROWS - 1, STEP))
-    if effect.largest_step is not None and effect.largest_step < STEP:
-        pytest.skip("the schedule takes several steps where this takes one")
+def test_a_plant_with_effects_has_the_tracers_tangents():
+    """In the twin a plant with effects runs on dual numbers."""
+    model = plant(["pitch_command_deadband", "supply_sag", "inflow_lag"])
+    names = [p.name for p in model.parameters]
+    values = model.values({name: value for name, value in PROBES.items() if name in names})
+    inputs = random_steps(ROWS, 50, model=model)
+    expected = Simulator(model, names).sensitivities(values, inputs, np.full(ROWS - 1, STEP))
     thrust, slopes = run(model, values, names, inputs)
     np.testing.assert_array_equal(thrust, expected[0][:, 0])
     np.testing.assert_allclose(slopes, expected[1][:, 0], rtol=1e-9, atol=1e-9)

@@ -1,6 +1,8 @@
-"""Properties of every optional effect in the library; a new effect is tested here without an edit."""
+"""Properties of every optional effect in the library, in each of its forms; a new effect is tested here without an edit."""
 
+from dataclasses import replace
 from functools import reduce
+from itertools import product
 
 import numpy as np
 import pytest
@@ -17,14 +19,35 @@ from vpp_fmu.units import base_unit
 
 STEP = 0.004
 each_effect = pytest.mark.parametrize("effect", OPTIONAL, ids=lambda e: e.name)
-sampled = pytest.mark.sampled("effect")
+FORMS = [
+    pytest.param(
+        replace(e, probe={**e.probe, **dict(zip(names, values, strict=True))}), id="-".join([e.name, *map(str, values)])
+    )
+    for e in OPTIONAL
+    for names in [[p.name for p in e.parameters if p.choices]]
+    for values in product(*(p.choices for p in e.parameters if p.choices))
+]
 
 
-@sampled
-@each_effect
+@pytest.mark.sampled("effect")
+@pytest.mark.parametrize("effect", FORMS)
 @pytest.mark.parametrize("name", INVARIANTS)
-def test_every_effect_keeps_every_invariant(effect, name):
+def test_every_form_of_an_effect_keeps_every_invariant(effect, name):
     INVARIANTS[name](Trial(effect, LIBRARY))
+
+
+WARMING = {"thrust_gain_drift", "sensor_drift", "rotor_vibration"}
+
+
+@pytest.mark.sampled("effect")
+@pytest.mark.parametrize("effect", [p for p in FORMS if p.values[0].name not in WARMING])
+def test_from_a_settled_start_nothing_moves(effect):
+    model, values = plant([effect.name]), named(effect, effect.probe)
+    for omega, beta in ((5900.0, 9.5), (2500.0, -4.5), (4000.0, 3.3)):
+        still = {"omega_ref": omega, "beta_ref": beta} | {u.name: 22.0 for u in effect.inputs}
+        inputs = {name: np.full(6, value) for name, value in still.items()}
+        shown = simulator(model).simulate(values, inputs, np.array([1e-6, 0.001, STEP, 0.05, 2.0]))
+        np.testing.assert_allclose(shown, np.tile(shown[0], (6, 1)), rtol=1e-13, atol=1e-12)
 
 
 @each_effect

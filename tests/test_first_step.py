@@ -43,11 +43,12 @@ def profile(tmp_path):
 def test_an_fmu_that_ends_its_process_is_refused(ends, changed, fmu_files, profile, tmp_path, capfd):
     lines, how, stage = ENDS[ends]
     bad = str(changed(lines))
-    for words in (
-        ("cosim", str(fmu_files["plain"]), bad),
-        ("hil", "run", "--virtual", "--controller", bad),
-        ("hil", "run", "--rig", "fmu", str(fmu_files["plain"]), "--controller", bad),
-    ):
+    verbs = [("cosim", str(fmu_files["plain"]), bad)]
+    if ends == "stepped":  # which verb it is makes no difference to how it ends
+        verbs += [
+            ("hil", "run", *rig, "--controller", bad) for rig in (["--virtual"], ["--rig", "fmu", str(fmu_files["plain"])])
+        ]
+    for words in verbs:
         assert main([*words, "--profile", profile, "-o", str(tmp_path / "out")]) == 2
         said = capfd.readouterr().err
         assert said.count("\n") == 1

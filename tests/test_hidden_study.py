@@ -24,7 +24,7 @@ def test_names_that_count_are_in_the_library():
     assert {*NEAREST, *RELATED} <= {e.name for e in HIDDEN}
 
 
-ROW = {"hidden": "lac_command_deadband=1", "seed": 0, "plan": "", "failed": None, "verdict": "attributed", "effects": {}}
+ROW = {"hidden": "lac_command_deadband=1", "failed": None, "verdict": "attributed", "effects": {}}
 ROW |= {"family": {}, "learned": None, "error": [0.25, 0.17], "noise": 0.129, "cpu": 30.0}
 ROW |= {"channels": {"speed": {"verdict": "none", "effects": []}, "thrust": {"verdict": "attributed", "effects": []}}}
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from builders import two_lags
 
-from tests.studies import command_sequences, loggers
+from tests.studies import command_sequences, loggers, rows
 from tests.studies.detectable import LIMIT, evidence
 from tests.studies.loggers import Case
 from tests.studies.physics import BASE, PAPER
@@ -158,22 +158,21 @@ def judged(case, **change):
 def test_outcomes_of_a_pair(change, counts):
     case = Case("pairs", 0, 1)
     assert case.hidden == ("sensor_drift", "inflow_lag")
-    assert tuple(int(test(judged(case, **change))) for test in loggers.COLUMNS["pairs"].values()) == counts
+    assert tuple(int(column.test(judged(case, **change))) for column in loggers.COLUMNS["pairs"][:-1]) == counts
     assert "pairs: both: no cases" in loggers.table("pairs", [judged(case, **change, evidence=LIMIT - 1.0)])
 
 
 def test_an_interrupted_study_continues(tmp_path, monkeypatch, capsys):
     asked = []
 
-    def faked(cases, *options, work):
-        asked.append([c.number for c in cases])
-        yield from map(judged, cases)
+    def faked(work, case, limit):
+        asked.append(case.number)
+        return judged(case)
 
-    monkeypatch.setattr(loggers, "rows", faked)
+    monkeypatch.setattr(rows, "apart", faked)
     path = tmp_path / "some" / "lines.jsonl"
-    for seeds in ("2", "5"):
-        loggers.main(ArgumentParser(), ["--seeds", seeds, "-o", str(path)])
-    loggers.main(ArgumentParser(), ["--only", "1", "-o", str(path)])
-    assert asked == [[0, 1], [2, 3, 4], [1]]
-    assert [json.loads(text)["number"] for text in path.read_text().splitlines()] == [0, 1, 2, 3, 4]
+    for options in (["--seeds", "2"], ["--seeds", "5"], ["--only", "1"], ["--only-table"]):
+        loggers.main(ArgumentParser(), [*options, "--workers", "1", "-o", str(path)])
+    assert asked == [0, 1, 2, 3, 4]
+    assert [json.loads(text)["name"] for text in path.read_text().splitlines()] == [f"nothing 0 {k}" for k in range(5)]
     assert "nothing: names: 0 of 5" in capsys.readouterr().out

@@ -32,8 +32,3 @@ def test_no_process_dies(found):
 @pytest.mark.parametrize("number", range(len(misuse.CASES)), ids=[case.name for case in misuse.CASES])
 def test_both_flavours_answer_alike(found, number):
     assert not misuse.verdict(misuse.CASES[number], found["native"][number], found["python"][number])
-
-
-def test_there_are_enough_cases():
-    assert len(misuse.CASES) >= 40
-    assert {case.outcome for case in misuse.CASES} == {misuse.TAKEN, misuse.REFUSED}

@@ -1,4 +1,4 @@
-"""The native FMU: the tests of the Python flavour, the archive, reproducible builds, compilers and platforms."""
+"""The native FMU alone: its description, compilers and platforms. What it shares with the Python flavour: test_fmu.py."""
 
 import io
 import os
@@ -18,14 +18,14 @@ import arm
 import fmpy
 import numpy as np
 import pytest
-import test_fmu
-from builders import ALL_ON, MODELS, PROBES, Slave, native, random_steps, reference, stepped
+from builders import ALL_ON, MODELS, PROBES, native, random_steps, reference, stepped
 from fmpy.build import build_platform_binary
 from fmpy.model_description import read_build_description
+from test_fmu import in_a_new_process
 
 from fmu_src.two_masses import MODEL as TWO_MASSES
 from vpp_fmu.errors import CompilerMissing
-from vpp_fmu.export import native_fmu, toolchain
+from vpp_fmu.export import native_fmu, python_fmu, toolchain
 from vpp_fmu.export.c_text import c_text
 from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.controller import CONTROLLER
@@ -39,52 +39,10 @@ except CompilerMissing as missing:
 
 zig = pytest.mark.skipif(not find_spec("ziglang"), reason="ziglang is not installed (the extra 'cross')")
 each_fmu = pytest.mark.parametrize("name", MODELS)
-OUTPUTS = test_fmu.OUTPUTS
-
-
-@pytest.fixture(scope="module")
-def fmu_files(tmp_path_factory):
-    """Paths of native FMUs under the names that the Python flavour's tests use."""
-    folder = tmp_path_factory.mktemp("native")
-    for name in MODELS:
-        (folder / f"{name}.fmu").write_bytes(native(name))
-    return {name: folder / f"{name}.fmu" for name in MODELS}
-
-
-@pytest.fixture(scope="module")
-def fmus(fmu_files):
-    """The same, unpacked."""
-    unpacked = {name: Fmu(path) for name, path in fmu_files.items()}
-    yield unpacked
-    for fmu in unpacked.values():
-        fmu.close()
-
-
-# Collected here, they run on the fixtures above.
-test_fmpy_finds_no_problem = test_fmu.test_fmpy_finds_no_problem
-test_every_variable_says_what_it_is = test_fmu.test_every_variable_says_what_it_is
-test_initial_unknowns = test_fmu.test_initial_unknowns_name_all_that_the_outputs_start_from
-test_2000_steps = test_fmu.test_2000_steps_with_every_effect_are_the_kernels_to_the_bit
-test_a_kept_state = test_fmu.test_a_kept_state_goes_on_to_the_bit
-test_reset_gives_a_fresh_instance = test_fmu.test_reset_gives_a_fresh_instance
-test_a_state_begins_where_it_is_set = test_fmu.test_a_state_begins_where_it_is_set
-test_gains_are_tuned_while_the_controller_runs = test_fmu.test_gains_are_tuned_while_the_controller_runs
 
 
 @each_fmu
-def test_it_is_the_python_fmu_to_the_bit_on_uneven_steps(fmus, name, tmp_path):
-    model, values = MODELS[name]
-    path = tmp_path / "python.fmu"
-    path.write_bytes(test_fmu.python_fmu(model, values))
-    slaves, rng = (Slave(fmus[name]), Slave(Fmu(path))), np.random.default_rng(5)
-    for dt in rng.choice([0.004, 0.004, 0.0013, 0.011, 0.05], 1500).tolist():
-        held = {u.name: float(rng.uniform(0.0, u.nominal)) for u in model.inputs}
-        shown = [slave.step(held, dt, *slave.references) for slave in slaves]
-        assert shown[0] == shown[1]
-
-
-@each_fmu
-def test_both_flavours_describe_the_same_variables(fmu_files, name):
+def test_both_flavours_describe_the_same_variables(name):
     def described(data):
         with zipfile.ZipFile(data) as packed:
             root = ElementTree.fromstring(packed.read("modelDescription.xml"))
@@ -94,36 +52,26 @@ def test_both_flavours_describe_the_same_variables(fmu_files, name):
                 [ElementTree.tostring(e) for e in root if e.tag != "CoSimulation"],
             )
 
-    native, python = (described(f) for f in (fmu_files[name], io.BytesIO(test_fmu.python_fmu(*MODELS[name]))))
-    assert native[2] == python[2]
-    assert native[0]["guid"] != python[0]["guid"]
-    assert native[1]["needsExecutionTool"] == "false"
-    assert native[1]["providesDirectionalDerivative"] == "true"
-
-
-@pytest.mark.parametrize("name", ["controller"])
-def test_two_builds_in_different_folders_have_the_same_bytes(fmu_files, name, tmp_path):
-    first = fmu_files[name].read_bytes()
-    code = f"from test_native_fmu import *; print(sha256(native_fmu(*MODELS[{name!r}])).hexdigest())"
-    places = {"TMPDIR": str(tmp_path), "PYTHONHASHSEED": "3", "TZ": "Asia/Tokyo"}
-    assert test_fmu.in_a_new_process(code, tmp_path, **places) == sha256(first).hexdigest()
-    with zipfile.ZipFile(io.BytesIO(first)) as packed:
-        for place in (str(Path.cwd()), str(Path.home()), "/tmp", sys.prefix):
-            assert all(place.encode() not in packed.read(entry) for entry in packed.namelist())
+    own, python = (described(io.BytesIO(data)) for data in (native(name), python_fmu(*MODELS[name])))
+    assert own[2] == python[2]
+    assert own[0]["guid"] != python[0]["guid"]
+    assert own[1]["needsExecutionTool"] == "false"
+    assert own[1]["providesDirectionalDerivative"] == "true"
 
 
 @pytest.mark.skipif(not shutil.which("cmake", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}"), reason="no cmake")
-def test_fmpy_compiles_it_from_its_sources(fmu_files, long_run, tmp_path, monkeypatch):
+def test_fmpy_compiles_it_from_its_sources(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")
     monkeypatch.setattr(subprocess, "check_call", partial(subprocess.run, check=True, capture_output=True))
-    fmpy.extract(str(fmu_files["all_on"]), unzipdir=str(tmp_path))
+    (tmp_path / "plain.fmu").write_bytes(native("plain"))
+    fmpy.extract(str(tmp_path / "plain.fmu"), unzipdir=str(tmp_path))
     shutil.rmtree(tmp_path / "binaries")
     (tmp_path / "build").mkdir()
     build_platform_binary(tmp_path, tmp_path / "build")
-    fmu = Fmu(fmu_files["all_on"])
+    fmu = Fmu(tmp_path / "plain.fmu")
     shutil.copytree(tmp_path / "binaries", Path(fmu.folder, "binaries"), dirs_exist_ok=True)
-    commands, _, exact = long_run
-    np.testing.assert_array_equal(stepped(fmu, commands), exact)
+    commands = random_steps(501, 40)
+    np.testing.assert_array_equal(stepped(fmu, commands), reference(BASE, {}, commands, np.full(500, 0.004)))
     fmu.close()
 
 
@@ -154,13 +102,8 @@ def test_its_source_draws_no_warning(version, tmp_path):
     for model, values in (*MODELS.values(), (TWO_MASSES, {})):
         (tmp_path / "model.c").write_text(c_text(model, values | model.values(values), "{}", version))
         strict = [CC, "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only", "model.c"]
-        for more in ([], ["-DFMI2_FUNCTION_PREFIX=Vpp_"]):
+        for more in ([], ["-DFMI2_FUNCTION_PREFIX=Vpp_"]) if model is BASE else ([],):
             subprocess.run([*strict, *more], cwd=tmp_path, check=True)
-
-
-@test_fmu.each_way
-def test_after_a_step_without_numbers_the_last_ones_can_be_read(way, tmp_path):
-    test_fmu.keeps_the_last_numbers(native_fmu, test_fmu.WAYS[way], tmp_path)
 
 
 @zig
@@ -176,7 +119,7 @@ def test_all_platforms_fit_into_150_kb_and_are_reproducible(tmp_path):
             f"from test_native_fmu import *; print(sha256(native_fmu({model.name[3:].upper()}, platforms='all')).hexdigest())"
         )
         code = code.replace("PLANT", "BASE")
-        assert test_fmu.in_a_new_process(code, tmp_path, TMPDIR=str(tmp_path)) == sha256(built).hexdigest()
+        assert in_a_new_process(code, tmp_path, TMPDIR=str(tmp_path)) == sha256(built).hexdigest()
 
 
 @pytest.mark.skipif(bool(arm.missing()), reason=arm.missing() or "all there")

@@ -1,6 +1,6 @@
 """Wrong options and files: exit code 2, one line with the found and the allowed value, nothing written, the right reason.
 
-Options of every verb, folders and files that cannot be used, FMUs that are invalid or would fill the disk.
+Options of every verb, folders and files that cannot be used.
 """
 
 import contextlib
@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from bad_fmus import bad_fmus
 
 from vpp_fmu.app.cli import main as vpp
 from vpp_fmu.export import python_fmu
@@ -68,10 +67,8 @@ def refusals(folder: Path) -> Iterator[Refusal]:
         yield refused("an option", words, out)
     files = given(folder)
     yield from folders(files, folder, out)
-    bad = bad_fmus(files["plant"], folder)  # test_archive has all of them
-    for what in ("FMI 3.0", "bomb of zeros", "cut off", "nowhere"):
-        words = ("cosim", str(bad[what][0]), str(files["controller"]), "--profile", str(files["profile"]))
-        yield refused(f"FMU: {what}", words, out)
+    # test_archive has all other faults of FMUs
+    yield refused("FMU: nowhere", ("cosim", "none.fmu", str(files["controller"]), "--profile", str(files["profile"])), out)
 
 
 def given(folder: Path) -> dict[str, Path]:
@@ -192,7 +189,7 @@ def found():
 
 
 def test_every_row_is_refused_as_required(found):
-    assert len(found) > 30
+    assert len(found) > 25
     assert [(each.what, each.code, each.said, each.wrote) for each in found if not each.in_order] == []
 
 

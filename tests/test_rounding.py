@@ -69,7 +69,7 @@ def test_costs_from_the_levels_are_those_of_simulations(pitch):
     np.testing.assert_allclose(found.costs(np.array(steps)), exact, rtol=0, atol=0.05 * np.abs(exact - nothing).max())
 
 
-@pytest.mark.parametrize(("name", "step"), [(PITCH, 0.4), (PITCH, 0.273), (SPEED, 20.0), (SPEED, 63.7)])
+@pytest.mark.parametrize(("name", "step"), [(PITCH, 0.273), (SPEED, 63.7)])
 def test_the_true_step_is_among_the_simulated_ones(name, step):
     """To a tenth of the distance at which the highest level is another multiple."""
     found = look(name, step)[0]
@@ -97,7 +97,7 @@ def test_the_step_of_a_command_is_named():
         replace(measured(r, rng, **{name: step}), source=f"{n}.csv")
         for r, n in ((told, "open_loop"), (told, "repeat"), (other, "validation"))
     ]
-    found = diagnose(campaign(*records), FEW)
+    found = diagnose(campaign(*records), FEW, thorough=False)
     assert (found.verdict, found.final.effects) == ("attributed", (name,))
     assert found.final.values[f"{name}.step"] == pytest.approx(step, rel=0.01)
     assert found.errors(found.final)[0] == pytest.approx(NOISE, rel=0.05)

@@ -200,7 +200,7 @@ FAST = replace(PAPER, time_scale=0.2)
         ("pitch_overshoot", {"pitch_overshoot.inertia": 0.4, "tau_beta_1": 0.19, "tau_beta_2": 0.001}),
     ],
 )
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_refit_leaves_the_double_pole_of_a_fit_without_the_effect(name, truth, seed):
     """Two equal lags of pitch nearly replace the lead of an inflow or the complex poles of a servo. The refit is as good as one
     that starts from the true values."""
@@ -220,8 +220,7 @@ def test_a_refit_leaves_the_double_pole_of_a_fit_without_the_effect(name, truth,
     assert tried.fit.deviance == pytest.approx(best.deviance, abs=0.1)
 
 
-@pytest.mark.parametrize("form", [1.0, 2.0])
-@pytest.mark.parametrize(("end", "value"), [("maximum", 4.8), ("minimum", -1.0)])
+@pytest.mark.parametrize(("form", "end", "value"), [(1.0, "maximum", 4.8), (2.0, "minimum", -1.0)])
 def test_a_limit_of_the_pitch_is_found_wherever_it_is(form, end, value):
     """Commands from -2.5 to 6.5 deg do not reach the effect's plausible limits, -3 and 7 deg. Without the limit, map and lags
     absorb much of it. The search is as good as a fit that starts from the true values."""

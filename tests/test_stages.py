@@ -109,12 +109,12 @@ DELAYS = tuple(e for e in LIBRARY if e.off is None or e.name in ("speed_delay", 
 
 def test_the_thrust_decides_whether_the_speed_or_its_reading_is_late():
     """Both are the same to the speed. A late reading is the delay of the sensor, which the logger has."""
-    found = diagnose(rig(**{"speed_delay.delay": 0.05}), DELAYS)
+    found = diagnose(rig(**{"speed_delay.delay": 0.05}), DELAYS, thorough=False)
     assert (found.verdict, found.final.effects) == ("attributed", ("speed_delay",))
     assert found.final.values["speed_delay.delay"] == pytest.approx(0.05, abs=0.003)
     shown = {"speed": ("attributed", ["speed_delay"]), "thrust": ("none", [])}
     assert {name: (one["verdict"], one["effects"]) for name, one in found.channels.items()} == shown
-    found = diagnose(rig(**{"speed_reading_delay.delay": 0.05}), DELAYS)
+    found = diagnose(rig(**{"speed_reading_delay.delay": 0.05}), DELAYS, thorough=False)
     assert (found.verdict, found.logger.sensor.delay) == ("none", pytest.approx(0.05, abs=0.003))
 
 
@@ -127,14 +127,14 @@ def test_readings_of_speed_early_by_part_of_a_row_are_no_fault_of_the_thrust():
         return record.with_columns(omega=np.interp(record.time + 0.0016, record.time, record["omega"]))
 
     records = {name: early(getattr(campaign, name)) for name in ("open_loop", "repeat", "validation")}
-    found = diagnose(replace(campaign, **records), lags)
+    found = diagnose(replace(campaign, **records), lags, thorough=False)
     assert found.verdict == "none"
     assert found.logger.sensor.delay == pytest.approx(-0.0016, abs=2e-4)
     assert found.final.values["tau_omega_1"] == pytest.approx(TRUTH["tau_omega_1"], abs=5e-4)
 
 
 def test_a_fault_of_the_thrust_leaves_the_speed_alone():
-    found = diagnose(rig(**{"thrust_gain_drift.rate": -0.004}), DELAYS)
+    found = diagnose(rig(**{"thrust_gain_drift.rate": -0.004}), DELAYS, thorough=False)
     assert found.channels["speed"] == {"verdict": "none", "effects": []}
     assert found.channels["thrust"]["effects"] == ["thrust_gain_drift"]
 

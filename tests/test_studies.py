@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from studies.identification import BASE_PARAMETERS, COLOURED, trials
-from studies.merit import random_starts
+from studies.identification import BASE_PARAMETERS, COLOURED, random_starts, trials
 from studies.synthetic import STEP, covariance
 
 RECORDS = 24

@@ -1,5 +1,6 @@
 import json
 import os
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -117,14 +118,25 @@ def test_a_missed_slot_leaves_its_row_empty(rig):
     assert (found["omega_ref"] == 3000.0).all()
 
 
-@pytest.fixture(autouse=True)
-def small_plan(monkeypatch):
-    """One level of steps, half a second after each, and sections of 5 s, which no option sets."""
-    small = {"levels": 1, "after": 0.5, "section": 5.0}
-    monkeypatch.setattr("vpp_fmu.app.cli.hil.plan_for", lambda rig: replace(plan_for(rig), **small))
+@pytest.fixture(autouse=True, scope="module")
+def small_plan():
+    """One level of steps, half a second about each, and sections of 3 s, which no option sets."""
+    small = {"levels": 1, "before": 0.5, "after": 0.5, "section": 3.0}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("vpp_fmu.app.cli.hil.plan_for", lambda rig: replace(plan_for(rig), **small))
+        yield
 
 
 SMALL = ["--points", "2", "--samples", "50", "--settle", "1", "--validation-seconds", "5"]
+MEASURED = ["hil", "campaign", "--virtual", *SMALL, "--parts", "static", "steps", "validation"]
+
+
+@pytest.fixture(scope="module")
+def whole(small_plan, short_waits, tmp_path_factory):
+    """The folder of a small campaign, measured once."""
+    folder = tmp_path_factory.mktemp("whole")
+    assert main([*MEASURED, "-o", str(folder)]) == 0
+    return folder
 
 
 def test_the_command_writes_a_campaign_that_reads_back(tmp_path, capsys):
@@ -194,11 +206,8 @@ def test_a_part_ended_by_a_fault_is_reported_and_its_log_kept(tmp_path, refused)
     assert sorted(set(os.listdir(out)) - {"validation.partial.csv"}) == names
 
 
-def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_not(tmp_path, refused, monkeypatch):
-    small = ["hil", "campaign", "--virtual", *SMALL, "--parts", "static", "steps", "validation"]
-    whole, out = tmp_path / "whole", tmp_path / "out"
-    assert main([*small, "-o", str(whole)]) == 0
-    left, step = [0], RigPlant.step
+def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_not(whole, tmp_path, refused, monkeypatch):
+    out, left, step = tmp_path / "out", [0], RigPlant.step
 
     def cut(self, *commands):
         left[0] -= 1
@@ -210,15 +219,15 @@ def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_no
     resume = []
     for ticks, kept in ((700, "static.partial.csv"), (4000, "steps.partial.csv"), (3000, "steps.partial.csv")):
         left[0] = ticks
-        assert "operator: interrupted" in refused(*small, *resume, "-o", out)
+        assert "operator: interrupted" in refused(*MEASURED, *resume, "-o", out)
         assert json.loads((out / "hil.json").read_text())["status"] == "ended early"
         assert (out / kept).exists()
         if not resume:
-            assert "Try: --resume to go on with it, or --replace" in refused(*small, "-o", out)
+            assert "Try: --resume to go on with it, or --replace" in refused(*MEASURED, "-o", out)
         resume = ["--resume"]
-    assert "plan.settle: found 1.0, expected 2.0" in refused(*small, "--resume", "--settle", "2", "-o", out)
+    assert "plan.settle: found 1.0, expected 2.0" in refused(*MEASURED, "--resume", "--settle", "2", "-o", out)
     left[0] = 0
-    assert main([*small, "--resume", "-o", str(out)]) == 0
+    assert main([*MEASURED, "--resume", "-o", str(out)]) == 0
     assert not list(out.glob("*.partial.csv"))
     first, second = read_campaign(whole), read_campaign(out)
     np.testing.assert_array_equal(first.static.omega_ref, second.static.omega_ref)
@@ -232,13 +241,13 @@ def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_no
     np.testing.assert_array_equal(first.validation["omega_ref"], second.validation["omega_ref"])
 
 
-def test_a_campaign_is_not_overwritten_unless_that_is_asked_for(tmp_path, refused):
+def test_a_campaign_is_not_overwritten_unless_that_is_asked_for(whole, tmp_path, refused):
     """A finished one, and records that no campaign of this program measured; a replaced one leaves none of its records."""
     small, out = ["hil", "campaign", "--virtual", *SMALL, "-o", str(tmp_path / "out")], tmp_path / "out"
-    assert main([*small, "--parts", "static", "validation"]) == 0
+    shutil.copytree(whole, out)
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     found = refused(*small, "--parts", "static", "--seed", "5")
-    assert "campaign: found static.csv, validation.csv, expected a folder without one" in found
+    assert "campaign: found static.csv, steps.csv, validation.csv, expected a folder without one" in found
     assert "--replace" in found
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
     assert "not allowed with" in refused(*small, "--resume", "--replace")
@@ -250,8 +259,6 @@ def test_a_campaign_is_not_overwritten_unless_that_is_asked_for(tmp_path, refuse
     assert "found open_loop.csv" in refused(*small[:-1], str(tmp_path / "imported"))
 
 
-def test_the_log_gives_the_record_of_the_loop(tmp_path):
-    out = tmp_path / "out"
-    assert main(["hil", "campaign", "--virtual", *SMALL, "--parts", "steps", "-o", str(out)]) == 0
-    write_record(OutputFolder(tmp_path), "again.csv", partial("steps", measured_so_far(out, "steps")))
-    assert (tmp_path / "again.csv").read_bytes() == (out / "steps.csv").read_bytes()
+def test_the_log_gives_the_record_of_the_loop(whole, tmp_path):
+    write_record(OutputFolder(tmp_path), "again.csv", partial("steps", measured_so_far(whole, "steps")))
+    assert (tmp_path / "again.csv").read_bytes() == (whole / "steps.csv").read_bytes()

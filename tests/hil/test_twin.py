@@ -37,6 +37,7 @@ def results(identified, tmp_path_factory):
     content = {"noise_floor_thrust": 0.13, "model_error": error, "effects": [], "parameters": fitted}
     (folder / "identification.json").write_text(json.dumps(content))
     (folder / "profile.csv").write_text("time,thrust_set\n0,2\n1,6\n3,4\n4,4\n")
+    (folder / "short.csv").write_text("time,thrust_set\n0,2\n0.1,6\n0.6,6\n")
     return folder
 
 
@@ -118,7 +119,7 @@ def test_export_and_cosim(results, tmp_path, printed):
     runs = []
     for flavour in ("", ".native"):
         plant_fmu, controller, twin = (tmp_path / "fmus" / f"Vpp{n}{flavour}.fmu" for n in ("Plant", "Controller", "Twin"))
-        loop = ["--twin", twin, "--profile", results / "profile.csv", "-o", tmp_path / f"run{flavour}"]
+        loop = ["--twin", twin, "--profile", results / "short.csv", "-o", tmp_path / f"run{flavour}"]
         printed("cosim", plant_fmu, controller, *loop)
         runs.append((tmp_path / f"run{flavour}" / "run.csv").read_bytes())
         assert "Adapted parameters" in (tmp_path / f"run{flavour}" / "report.html").read_text()

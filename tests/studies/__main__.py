@@ -6,10 +6,8 @@ A study prints its results beside its aims. NAME is one of the modules of this f
 import argparse
 from importlib import import_module
 
-STUDIES = (
-    *("adaptive", "days", "diagnosis", "fuzz", "hidden", "identification", "learned", "loggers", "measured", "paper", "size"),
-    *("twin", "variation"),
-)
+STUDIES = ("diagnosis", "fuzz", "hidden", "identification", "learned", "loggers", "measured", "paper", "size", "twin")
+STUDIES += ("variation",)
 
 
 def main():

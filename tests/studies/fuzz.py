@@ -38,6 +38,9 @@ from vpp_fmu.campaign import read_campaign
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.record import write_record
 
+EFFECT = Path(__file__).parents[1] / "own_effect.py"
+"""The README's effect, which gives a load cell a lag: `cell_lag`."""
+
 NOTE_OR_STAGE = re.compile(r"vpp: note: .*|vpp \w+: .* \(\d+ s\)")
 """Lines that a verb prints although it succeeds: notes, and stages in a pipe."""
 
@@ -107,29 +110,6 @@ COMMANDS: Mapping[str, Sequence[str]] = {
 RARE = {"tune": 0.25, "twin": 0.1, "diagnose": 0.5}
 """Weights of slow verbs in the draw of a case; those of the others are 1."""
 
-EFFECT = '''"""The amplifier is slow."""
-from vpp_fmu import Effect, Parameter, State
-
-
-def _step(ops, s, x, p, dt):
-    reading = ops.lag_ramp(x.reading, x.before, s.thrust, ops.maximum(p.tau, 1e-4), dt)
-    reading = ops.where(p.tau > 0.0, reading, s.thrust)
-    return {"thrust": reading}, {"reading": reading, "before": s.thrust}
-
-
-EFFECT = Effect(
-    "cell_lag",
-    "the load cell's amplifier is slow",
-    _step,
-    parameters=(Parameter("tau", "s", 0.0, 0.0, 0.3, "time constant of the amplifier"),),
-    states=tuple(State(n, "N", "thrust", lambda ops, s, p: s.thrust) for n in ("reading", "before")),
-    off={"tau": 0.0},
-    probe={"tau": 0.05},
-    largest_step=0.002,
-    reading="thrust",
-)
-'''
-
 
 def materials(home: Path, verbs: Iterable[str]) -> dict[str, Path]:
     """Good files by name, made in `home`: a short part of the example campaign, and what other verbs make of it for `verbs`."""
@@ -169,7 +149,7 @@ def materials(home: Path, verbs: Iterable[str]) -> dict[str, Path]:
         "powered.json": json.dumps(powered),
         "own_rig.json": json.dumps(rig),
         "profile.csv": "time,thrust_set\n0,1.5\n0.3,6\n0.6,6\n",
-        "cell_lag.py": EFFECT,
+        "cell_lag.py": EFFECT.read_text(encoding="utf-8"),
         "calibration.json": CALIBRATION.read_text(encoding="utf-8"),
         "limits.json": json.dumps({"format": "vpp-limits/1", "limits": {"run_time": {"value": 60, "unit": "s"}}}),
         "gains.json": json.dumps(gains),

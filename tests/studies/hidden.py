@@ -8,7 +8,6 @@ separate process, and becomes a line of a file as soon as it is done. The names 
 import contextlib
 import io
 import json
-import shlex
 import tempfile
 import time
 from collections.abc import Sequence
@@ -21,9 +20,7 @@ from vpp_fmu.app.cli import main as vpp
 from vpp_fmu.digits import number
 from vpp_fmu.kernel.types import Effect
 
-from .diagnosis import rows
-from .own_process import peak
-from .row_file import kept, read
+from .rows import add_options, completed, peak
 
 TIMES = (0.5, 1.0, 2.0)
 """Sizes over the documented one. If the largest is beyond what the rig allows, all are half as large."""
@@ -58,27 +55,30 @@ def sizes(effect: Effect) -> list[float]:
 
 @dataclass(frozen=True)
 class RigCase:
-    """A campaign of the emulated rig. `hidden`: NAME=SIZE, or "" for nothing; `seed` of the rig; `plan`: further options of
-    `vpp hil campaign`."""
+    """A campaign of the emulated rig. `hidden`: NAME=SIZE, or "" for nothing; `seed` of the rig."""
 
     hidden: str
     seed: int
-    plan: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name in the table."""
+        return f"{self.hidden or 'nothing'} #{self.seed}"
 
     def summary(self) -> dict:
-        """What identifies it."""
-        return {"hidden": self.hidden, "seed": self.seed, "plan": self.plan}
+        """Entries of a row."""
+        return {"name": self.name, "hidden": self.hidden}
 
 
-def outcome(case: RigCase, threads: int = 1) -> dict:
+def outcome(case: RigCase) -> dict:
     """Measure the campaign, diagnose it: a row."""
     began = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         hide = ["--hide", case.hidden] if case.hidden else []
         measured, found = f"{folder}/campaign", f"{folder}/found"
-        _run("hil", "campaign", "--virtual", *hide, "--seed", str(case.seed), *shlex.split(case.plan), "-o", measured)
+        _run("hil", "campaign", "--virtual", *hide, "--seed", str(case.seed), "-o", measured)
         half = time.process_time()
-        _run("diagnose", measured, "--workers", str(threads), "-o", found)
+        _run("diagnose", measured, "--workers", "1", "-o", found)
         content = json.loads(Path(found, "diagnosis.json").read_text())
     row = case.summary() | {"failed": None, "verdict": content["verdict"], "channels": content["channels"]}
     row |= {"family": content["family"], "learned": (term := content["learned"]) and [term["port"], term["driver"]]}
@@ -99,36 +99,15 @@ def main(parser, arguments):
     known = {e.name: e for e in library(commanded=False) if e.off is not None}
     parser.add_argument("--hide", default=",".join(["nothing", *known]), metavar="A,B", help="of %(default)s")
     parser.add_argument("--seeds", type=int, default=1, metavar="N", help="rigs of each size (default: %(default)s)")
-    parser.add_argument("--first-seed", type=int, default=0, metavar="K", help="of these (default: %(default)s)")
-    parser.add_argument("--only-size", type=int, choices=range(len(TIMES)), help="instead of all three, from 0")
-    parser.add_argument(
-        "--plan", default="", metavar="OPTIONS", help='of the campaign, such as "--section 20" (default: its own)'
-    )
-    parser.add_argument("--workers", type=int, default=2, metavar="N", help="cases side by side (default: %(default)s)")
-    parser.add_argument("--limit", type=float, default=1800.0, metavar="S", help="seconds for a case (default: %(default)g)")
-    parser.add_argument("-o", "--output", default="out/hidden.jsonl", metavar="F", help="lines (default: %(default)s)")
-    parser.add_argument("--only-table", action="store_true", help="no new cases: the table of the file's lines, all of them")
+    add_options(parser, "out/hidden.jsonl", saves=False)
     options = parser.parse_args(arguments)
-    path, asked = Path(options.output), options.hide.split(",")
+    asked = options.hide.split(",")
     if unknown := set(asked) - {"nothing", *known}:
         raise SystemExit(f"not known: {', '.join(sorted(unknown))}; known: nothing, {', '.join(known)}")
-    done = {_key(row): row for row in read(path)}
-    if options.only_table:
-        print(table(list(done.values())))
-        return
-    chosen = slice(None) if options.only_size is None else slice(options.only_size, options.only_size + 1)
     hidden = ["" for name in asked if name == "nothing"]
-    hidden += [f"{name}={size:.6g}" for name in asked if name in known for size in sizes(known[name])[chosen]]
+    hidden += [f"{name}={size:.6g}" for name in asked if name in known for size in sizes(known[name])]
     seeds = range(options.first_seed, options.first_seed + options.seeds)
-    cases = [RigCase(words, seed, options.plan) for words in hidden for seed in seeds]
-    missing = [case for case in cases if _key(case.summary()) not in done]
-    for row in kept(path, rows(missing, options.workers, 1, options.limit, work=outcome)):
-        done[_key(row)] = row
-    print(table([done[_key(case.summary())] for case in cases]))
-
-
-def _key(row: dict) -> tuple:
-    return row["hidden"], row["seed"], row["plan"]
+    print(table(completed(options, [RigCase(words, seed) for words in hidden for seed in seeds], outcome)))
 
 
 def group(c: dict) -> str:
@@ -172,13 +151,10 @@ def table(cases: Sequence[dict]) -> str:
 
 
 def _lines(c: dict) -> list[str]:
-    head = f"{c['hidden'] or 'nothing'}{f' #{seed}' if (seed := c['seed']) else ''}"
     if c["failed"]:
-        return [f"{head:34} FAILED {c['failed']}"]
-    before, after = c["error"]
-    first = (
-        f"{head:34} {group(c):9} {c['verdict']:12} {c['cpu']:6.0f}  {number(before)}, {number(after)} ({number(c['noise'])})"
-    )
+        return [f"{c['name']:34} FAILED {c['failed']}"]
+    before, after, noise = map(number, (*c["error"], c["noise"]))
+    first = f"{c['name']:34} {group(c):9} {c['verdict']:12} {c['cpu']:6.0f}  {before}, {after} ({noise})"
     return [first, *(f"{'':4}{one}: {part['verdict']}{_named(c, part['effects'])}" for one, part in c["channels"].items())]
 
 

@@ -18,13 +18,12 @@ from threadpoolctl import threadpool_limits
 
 from identification.assessment.profile import profiled
 from identification.fit.problem import Problem
-from identification.fit.refine import BASE_PARAMETERS, refine
+from identification.fit.refine import BASE_PARAMETERS, Refinement, refine
 from identification.fit.uncertainty import NORMAL_95
 from identification.workers import spread
 from vpp_fmu.kernel.plant import AVERAGED, BASE
 
-from .merit import figures_of_merit, random_starts, show_merit
-from .synthetic import NOISE, SECTION, TRUTH, commands, covariance, measured
+from .synthetic import NOISE, TRUTH, commands, covariance, measured
 
 FORMS = {
     "tau_omega sum": lambda p: p["tau_omega_1"] + p["tau_omega_2"],
@@ -36,9 +35,6 @@ FORMS = {
 
 DRAWS = 256
 """Low-discrepancy draws of the coordinates for `bent`, which they give to 1 % over some records."""
-
-FIRST = 200
-"""Number of records that are also judged alone."""
 
 COLOURED = 0.1
 """Correlation time of the second study's residuals, s."""
@@ -66,10 +62,6 @@ class Trials:
         """(rms of the error over theory (quantities,), its standard error)."""
         return _rms(self.error / self.theory)
 
-    def first(self, count: int) -> "Trials":
-        """The first records alone."""
-        return Trials(*(column[:count] for column in vars(self).values()))
-
 
 def _rms(ratios: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(root mean square (quantities,) over trials, its standard error)."""
@@ -78,16 +70,16 @@ def _rms(ratios: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return rms, square.std(axis=0) / np.sqrt(len(square)) / (2.0 * rms)
 
 
-def trials(count: int, workers: int = 1, std: float = NOISE, memory: float = 0.0, section: float = SECTION) -> Trials:
+def trials(count: int, workers: int = 1, memory: float = 0.0) -> Trials:
     """Fit `count` records with noise as in `synthetic.measured`."""
-    rows = spread(partial(_trial, std=std, memory=memory, section=section), range(count), workers, what="records")
+    rows = spread(partial(_trial, memory=memory), range(count), workers, what="records")
     return Trials(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
 @threadpool_limits.wrap(limits=1)
-def _trial(seed: int, std: float, memory: float, section: float) -> tuple:
+def _trial(seed: int, memory: float) -> tuple:
     rng = np.random.default_rng(seed)
-    record = measured(commands(rng, section), rng, std, memory)
+    record = measured(commands(rng), rng, memory=memory)
     found = refine(BASE, [record], AVERAGED, channels=("thrust",))
     uncertainty, truth = (
         profiled(found.problem, found.solution, found.uncertainty),
@@ -99,16 +91,16 @@ def _trial(seed: int, std: float, memory: float, section: float) -> tuple:
     covered = np.append((low <= truth) & (truth <= high), np.abs(error[len(truth) :]) <= half)
     covered_white = np.abs(error[: len(truth)]) <= NORMAL_95 * found.uncertainty.std / uncertainty.inflation
     searched = [name in uncertainty.profiled for name in BASE_PARAMETERS]
-    return error, *_theory(found.problem, std, memory), covered, covered_white, searched, found.seconds
+    return error, *_theory(found.problem, memory), covered, covered_white, searched, found.seconds
 
 
-def _theory(problem: Problem, std: float, memory: float) -> tuple[np.ndarray, np.ndarray]:
+def _theory(problem: Problem, memory: float) -> tuple[np.ndarray, np.ndarray]:
     """At the truth: (standard deviations by linear theory, rms errors if only the coordinates are linear)."""
     coordinates = problem.coordinates
     x = coordinates.vector(TRUTH)
     _, jacobian = problem.evaluate(x)
     scale = problem.experiments[0].noise.colour.innovation * problem.scale["thrust"]
-    of_coordinates = covariance(jacobian * scale, std, memory)
+    of_coordinates = covariance(jacobian * scale, NOISE, memory)
     values = np.array([TRUTH[n] for n in coordinates.names])
     slopes = np.vstack([np.eye(len(values)), [_slope(form, values) for form in FORMS.values()]]) @ coordinates.jacobian(x)
     theory = np.sqrt(np.einsum("ij,jk,ik->i", slopes, of_coordinates, slopes))
@@ -148,23 +140,17 @@ def show(title: str, found: Trials) -> None:
     print(f"{'all parameters':78}", *shares)
 
 
-def show_first(found: Trials) -> None:
-    """Print the results of the first records alone, to show the effect of chance."""
-    ratio, uncertainty = found.ratio
-    n = len(BASE_PARAMETERS)
-    worst = int(np.argmax(ratio[:n]))
-    known = np.abs(found.error[:, :n]) <= NORMAL_95 * found.theory[:, :n]
-    print(
-        f"The first {len(found.error)} of them alone: worst rmse/theory {ratio[worst]:.3f} ± {uncertainty[worst]:.3f} "
-        f"({BASE_PARAMETERS[worst]}); within ours {_share(found.covered[:, :n]).strip()}, "
-        f"within theory's own {_share(known).strip()}."
-    )
-
-
 def _share(covered: np.ndarray) -> str:
     """Mean and standard error in %, over records, because the parameters of one record are not independent."""
     each = covered.reshape(len(covered), -1).mean(axis=1)
     return f"{100 * each.mean():5.1f} ± {100 * each.std() / np.sqrt(len(each)):.1f} %"
+
+
+@threadpool_limits.wrap(limits=1)
+def random_starts(count: int) -> Refinement:
+    """One record fitted from the paper's start and from `count` random ones."""
+    rng = np.random.default_rng(0)
+    return refine(BASE, [measured(commands(rng), rng)], AVERAGED, channels=("thrust",), starts=count + 1)
 
 
 def main(parser, arguments):
@@ -174,11 +160,7 @@ def main(parser, arguments):
     print("Aims: rmse at most 1.1 of the Cramer-Rao bound; 93 to 97 % of the intervals hold the truth.")
     white = trials(options.seeds, options.workers)
     show("White noise, 0.3 N", white)
-    show_first(white.first(FIRST))
     print(f"median seconds of a refinement: {np.median(white.seconds):.3f} (this machine, with whatever else it did)")
-    calm, _ = trials(options.seeds, options.workers, std=NOISE / 3.0).ratio
-    pitch = ", ".join(f"{name} {calm[BASE_PARAMETERS.index(name)]:.3f}" for name in ("tau_beta_1", "tau_beta_2"))
-    print(f"rmse/theory at a third of the noise: {pitch}.")
     print(
         "bent/theory: what an estimate is left with that is as good as the bound in the sum and spread of a pair, where the\n"
         "response is linear, and takes the pair's single constants from them. What ours exceeds 1 by is in that column."
@@ -187,4 +169,3 @@ def main(parser, arguments):
     show(f"Noise of the same size that remembers {COLOURED} s (first-order autoregressive)", coloured)
     found = random_starts(100)
     print(f"\nStarts that reach the same optimum: {found.reached} of {found.starts} (the paper's and 100 random; aim: all)")
-    show_merit(*figures_of_merit())

@@ -11,12 +11,10 @@ filter if it has one). The uncertainty of speed there is that of one mark a revo
 the log-likelihood of the weak effect, with the strong one known. Each case depends on `--first-seed` and its number alone.
 """
 
-import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
@@ -26,12 +24,11 @@ from vpp_fmu.record import Record
 
 from . import command_sequences
 from .detectable import LIMIT, efficient_errors, evidence
-from .diagnosis import rows
 from .hidden_effects import HIDDEN, Draw
 from .physics import BASE, in_time
-from .rig import SIZES, Files, campaign, random_base, save
-from .row_file import kept, read
-from .scores import NAMED, named, share
+from .rig import SIZES, Files, campaign, random_base
+from .rows import add_options, completed
+from .scores import NAMED, Column, by_factor, hit, honest, passed_over, share, wrong
 from .sensors import Encoder, LoggedRig, Logger, Mark, Telemetry
 
 PARTS = {"nothing": 300, "hidden": 400, "pairs": 100}
@@ -91,6 +88,11 @@ class Case:
     part: str
     first: int
     number: int
+
+    @property
+    def name(self) -> str:
+        """Name in files and tables."""
+        return f"{self.part} {self.first} {self.number}"
 
     def random(self, stream: int) -> np.random.Generator:
         """One of the case's random generators."""
@@ -193,8 +195,8 @@ class Case:
 
     def summary(self) -> dict:
         """Entries of a line of the file."""
-        head = {"part": self.part, "first": self.first, "number": self.number}
-        return head | {"hidden": list(self.hidden), "factors": self.factors, "sizes": list(self.sizes)}
+        head = {"name": self.name, "kind": self.part, "hidden": list(self.hidden), "equal": {}}
+        return head | {"factors": self.factors, "sizes": list(self.sizes)}
 
 
 def logger_of(found: Diagnosis, rpm: float) -> dict:
@@ -210,11 +212,11 @@ def logger_of(found: Diagnosis, rpm: float) -> dict:
     return {"lag": logger.offset, "delay": delay, "sensor": f"{sensor.kind} {sensor.marks_per_revolution}"}
 
 
-def outcome(case: Case, threads: int = 1) -> dict:
+def outcome(case: Case) -> dict:
     """Measure the case, diagnose it, compare with the truth."""
     measured = case.measured()
     began = time.perf_counter()
-    found = diagnose(measured, workers=threads)
+    found = diagnose(measured, workers=1)
     seconds = time.perf_counter() - began
     record, delay = case.unseen()
     noise = float(np.sqrt(case.rig.noise.power(np.fft.rfftfreq(len(record))[1:]).mean()))
@@ -244,58 +246,35 @@ def gives_logger(row: dict) -> bool:
     return bool(row["effects"]) and set(row["effects"]) <= LOGGERS
 
 
-def names_all(row: dict) -> bool:
-    """Every hidden effect is named, or is in a named family."""
-    return set(row["hidden"]) <= named(row)
-
-
-def wrong(row: dict) -> bool:
-    """Names effects, but one of its model and its whole family are not hidden."""
-    known = (set(row["hidden"]) & {name, *row["family"].get(name, ())} for name in row["effects"])
-    return row["verdict"] in NAMED and not all(known)
-
-
-def passes_over(row: dict) -> bool:
-    """Names the strong effect of a pair as the only one."""
-    return row["hidden"][0] in named(row) and not names_all(row) and not wrong(row)
-
-
-def admits(row: dict) -> bool:
-    """Names the strong effect of a pair, and says that something is missing."""
-    return row["verdict"] == "partly" and row["hidden"][0] in row["effects"]
-
-
 def close(row: dict) -> bool:
     """The model's thrust error on hold-out data is close to the noise."""
     return row["over_noise"] <= CLOSE
 
 
-def verdict(*words: str) -> Callable[[dict], bool]:
-    """A test of the verdict."""
+def _verdict(*words: str) -> Callable[[dict], bool]:
     return lambda row: row["verdict"] in words
 
 
-_LEARNED, _OPEN, _NONE = verdict("learned"), verdict("partly", "unexplained"), verdict("none")
+def _column(head: str, test: Callable[[dict], bool]) -> Column:
+    return Column("", head, lambda row: True, test)
 
-COLUMNS: dict[str, dict[str, Callable[[dict], bool]]] = {
-    "nothing": {"names": gives_name, "logger's": gives_logger, "missing": says_something},
-    "hidden": {"named": names_all, "wrong": wrong, "learned": _LEARNED, "open": _OPEN, "none": _NONE},
-    "pairs": {"both": names_all, "admits": admits, "passes": passes_over, "wrong": wrong, "learned": _LEARNED, "none": _NONE},
+
+_LEARNED, _NONE = _column("learned", _verdict("learned")), _column("none", _verdict("none"))
+_CLOSE = _column(f"<= {CLOSE}", close)
+
+COLUMNS = {
+    "nothing": (_column("names", gives_name), _column("logger's", gives_logger), _column("missing", says_something), _CLOSE),
+    "hidden": (_column("named", hit), _column("wrong", wrong), _LEARNED, _column("open", honest), _NONE, _CLOSE),
+    "pairs": (
+        *(_column("both", hit), _column("admits", honest), _column("passes", passed_over), _column("wrong", wrong)),
+        *(_LEARNED, _NONE, _CLOSE),
+    ),
 }
-AIMS = {"nothing": ("names", "missing"), "hidden": ("named", "wrong"), "pairs": ("both", "passes")}
-"""Columns (`wrong` may be beside a right name) that are also printed as shares with their intervals."""
 
 FACTORS: dict[str, Callable[[dict], str]] = {
     "all": lambda r: "",
-    "sensor": lambda r: r["factors"]["sensor"],
-    "rows": lambda r: r["factors"]["rows"],
-    "rate": lambda r: f"{r['factors']['rate']:4d} Hz",
-    "noise": lambda r: r["factors"]["noise"],
+    **{name: lambda r, name=name: str(r["factors"][name]) for name in LEVELS},
     "level": lambda r: "below 0.8" if r["factors"]["level"] < 0.8 else "0.8 and more",
-    "static": lambda r: str(r["factors"]["static"]),
-    "steps": lambda r: str(r["factors"]["steps"]),
-    "repeat": lambda r: str(r["factors"]["repeat"]),
-    "validation": lambda r: str(r["factors"]["validation"]),
     "hidden": lambda r: " + ".join(r["hidden"]),
 }
 
@@ -304,15 +283,8 @@ def table(part: str, found: Sequence[dict]) -> str:
     """Counts by factor over the detectable cases (all if nothing is hidden), errors, seconds, and failures."""
     done = [r for r in found if not r["failed"]]
     judged = [r for r in done if part == "nothing" or r["evidence"] >= LIMIT]
-    heads = ("cases", *COLUMNS[part], f"<= {CLOSE}", "lag off", "delay off", "seconds")
-    lines = [f"{part:52}" + "".join(f"{h:>10}" for h in heads)]
-    for factor, level in FACTORS.items():
-        for value in sorted({level(r) for r in judged}):
-            if value or factor == "all":
-                own = [r for r in judged if level(r) == value]
-                lines.append(f"{f'{factor}: {value}'.removesuffix(': '):52}{_cells(part, own)}")
-    lines += [share(f"{part}: {head}", COLUMNS[part][head], judged) for head in AIMS[part]]
-    lines.append(share(f"{part}: unseen error at most {CLOSE} of the noise", close, judged))
+    lines = by_factor(judged, FACTORS, COLUMNS[part])
+    lines += [share(f"{part}: {column.head}", column.test, judged) for column in COLUMNS[part]]
     if reachable := [r["reachable"] for r in judged if "reachable" in r]:
         lines.append(f"  of an efficient estimator (Cramer-Rao bound): {np.mean(reachable):.1%} of {len(reachable)}")
     if part != "nothing":
@@ -320,21 +292,12 @@ def table(part: str, found: Sequence[dict]) -> str:
         lines.append(share("not detectable", lambda r: r in below, done))
         lines.append(share("  of these wrong", wrong, below))
     if done:
+        lag, delay = (np.median([abs(r[n]) for r in done]) for n in ("lag_off", "delay_off"))
         seconds = np.array([r["seconds"] for r in done])
+        lines.append(f"off in the median: all readings by {lag:.2f} ms, speed behind thrust by {delay:.2f} ms")
         lines.append(f"a diagnosis took {np.median(seconds):.1f} s in the median, {seconds.max():.0f} s at worst")
-    lines += [f"FAILED {r['part']} {r['number']}: {r['failed']}" for r in found if r["failed"]]
+    lines += [f"FAILED {r['name']}: {r['failed']}" for r in found if r["failed"]]
     return "\n".join(lines)
-
-
-def _cells(part: str, own: Sequence[dict]) -> str:
-    counts = [sum(map(test, own)) for test in (*COLUMNS[part].values(), close)]
-    off = [_middle([abs(r[n]) for r in own if n in r]) for n in ("lag_off", "delay_off")]
-    shown = [str(n) for n in (len(own), *counts)] + [f"{o} ms" if o else "-" for o in off]
-    return "".join(f"{cell:>10}" for cell in (*shown, _middle([r["seconds"] for r in own])))
-
-
-def _middle(values: Sequence[float]) -> str:
-    return f"{np.median(values):.2f}" if values else ""
 
 
 def line(row: dict) -> str:
@@ -342,7 +305,7 @@ def line(row: dict) -> str:
     f = row["factors"]
     files = ", ".join(n for n in ("static", "steps", "repeat", "validation") if f[n]) or "one record"
     like = f"{f['sensor']}, {f['rows']} {f['lag']:+.2f} rows, {f['rate']} Hz, {f['noise']} {f['level']:.2f}, {files}"
-    head = f"{row['part']} {row['number']} ({like}) {' + '.join(row['hidden'])}".rstrip()
+    head = f"{row['name']} ({like}) {' + '.join(row['hidden'])}".rstrip()
     if row["failed"]:
         return f"{head}: failed, {row['failed']}"
     names = ", ".join([*row["effects"], *(f"({n})" for other in row["family"].values() for n in other)])
@@ -354,31 +317,10 @@ def line(row: dict) -> str:
 def main(parser, arguments):
     parser.add_argument("--part", choices=PARTS, default="nothing", help="(default: %(default)s)")
     parser.add_argument("--seeds", type=int, metavar="N", help=f"cases (default: {PARTS})")
-    parser.add_argument("--first-seed", type=int, default=0, metavar="K", help="of all that is drawn (default: %(default)s)")
     parser.add_argument("--only", type=int, metavar="K", help="this case alone")
-    parser.add_argument("--save", metavar="DIR", help="no diagnosis: write the campaign of the case of --only there")
-    parser.add_argument("--workers", type=int, default=2, metavar="N", help="cases side by side (default: %(default)s)")
-    parser.add_argument("--limit", type=float, default=900.0, metavar="S", help="seconds for a case (default: %(default)g)")
-    parser.add_argument("--only-table", action="store_true", help="no new cases: the table of those that the file has")
-    parser.add_argument("-o", "--output", metavar="F", help="lines, one a case; a run that was stopped goes on there")
+    add_options(parser, "out/loggers.jsonl")
     options = parser.parse_args(arguments)
     numbers = range(options.seeds or PARTS[options.part]) if options.only is None else [options.only]
-    cases = [Case(options.part, options.first_seed, k) for k in numbers]
-    if options.save:
-        if options.only is None:
-            parser.error("--save: which case? --only K")
-        save(cases[0].measured(), cases[0].rig.size, Path(options.save))
-        print(json.dumps(cases[0].summary() | {"rig": asdict(cases[0].rig)}, indent=2))
-        return
-    path = Path(options.output or f"out/loggers_{options.part}.jsonl")
-    done = {_key(row): row for row in read(path)}
-    missing = [] if options.only_table else [c for c in cases if _key(c.summary()) not in done or options.only is not None]
-    found = rows(missing, options.workers, 1, options.limit, work=outcome)
-    for row in kept(path, found) if options.only is None else found:
-        print(line(row), flush=True)
-        done[_key(row)] = row
-    print(table(options.part, [row for c in cases if (row := done.get(_key(c.summary())))]))
-
-
-def _key(row: dict) -> tuple:
-    return row["part"], row["first"], row["number"]
+    found = completed(options, [Case(options.part, options.first_seed, k) for k in numbers], outcome)
+    print("\n".join(line(row) for row in found))
+    print(table(options.part, [row for row in found if row["name"].startswith(options.part)]))

@@ -1,7 +1,7 @@
 """Tables and figures of the blind study, from its cases' rows (`diagnosis.outcome`)."""
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -177,13 +177,13 @@ def tables(rows: Rows) -> str:
     return "\n".join(lines)
 
 
-def by_factor(rows: Rows) -> list[str]:
-    """One line for each level of a factor, with the COLUMNS."""
-    lines = _head("factor")
-    for factor, level in FACTORS.items():
+def by_factor(rows: Rows, factors: Mapping[str, Callable] = FACTORS, columns: Sequence[Column] = COLUMNS) -> list[str]:
+    """One line for each level of a factor, with the columns."""
+    lines = _head("factor", columns)
+    for factor, level in factors.items():
         levels = sorted({level(c) for c in rows}, key=_order)
-        shown = [value for value in levels if value != "" or factor == "all"]
-        lines += [_cells(f"{factor}: {value}".removesuffix(": "), [c for c in rows if level(c) == value]) for value in shown]
+        for value in [value for value in levels if value != "" or factor == "all"]:
+            lines.append(_cells(f"{factor}: {value}".removesuffix(": "), [c for c in rows if level(c) == value], columns))
     return lines
 
 
@@ -196,19 +196,19 @@ def _order(level: str) -> tuple[float, str]:
 
 def by_effect(rows: Rows) -> list[str]:
     """One line for each hidden effect or pair."""
-    lines = _head("hidden")
+    lines = _head("hidden", COLUMNS)
     for hidden in dict.fromkeys(tuple(c["hidden"]) for c in rows):
-        lines.append(_cells(" + ".join(hidden) or "-", [c for c in rows if tuple(c["hidden"]) == hidden]))
+        lines.append(_cells(" + ".join(hidden) or "-", [c for c in rows if tuple(c["hidden"]) == hidden], COLUMNS))
     return lines
 
 
-def _head(what: str) -> list[str]:
-    lines = ("", [c.group for c in COLUMNS]), (what, [c.head for c in COLUMNS])
+def _head(what: str, columns: Sequence[Column]) -> list[str]:
+    lines = ("", [c.group for c in columns]), (what, [c.head for c in columns])
     return [f"{label:44}" + "".join(f"{head:>9}" for head in heads).rstrip() for label, heads in lines]
 
 
-def _cells(what: str, part: Rows) -> str:
-    return (f"{what[:43]:44}" + "".join(f"{c.cell(part):>9}" for c in COLUMNS)).rstrip()
+def _cells(what: str, part: Rows, columns: Sequence[Column]) -> str:
+    return (f"{what[:43]:44}" + "".join(f"{c.cell(part):>9}" for c in columns)).rstrip()
 
 
 def _noteworthy(rows: Rows) -> list[str]:

@@ -15,7 +15,6 @@ from dataclasses import replace
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -53,27 +52,26 @@ class Length(NamedTuple):
     """Length of a campaign: points a side of its static map, levels of its steps, s of an open-loop section and of the
     validation."""
 
-    name: str
     points: int
     levels: int
     section: float
     validation: float
 
 
-LENGTHS = Length("the paper's", 10, 5, 30.0, 60.0), Length("half of it", 7, 3, 15.0, 30.0), Length("short", 5, 1, 8.0, 15.0)
+LENGTHS = Length(10, 5, 30.0, 60.0), Length(7, 3, 15.0, 30.0), Length(5, 1, 8.0, 15.0)
+"""The paper's, half of it, and a short one."""
 
 CHANGES = ("gain 1.4", "pitch +0.5 deg", "speed reading +2 %", "reading +0.3 N")
 KINDS = ("random steps", "closed loop", "constant set-points")
 
 
 class Known(NamedTuple):
-    """A rig's own parameters; the values, band and standard deviations from its campaign, and that campaign's length."""
+    """A rig's own parameters; the values, band and standard deviations from its campaign."""
 
     own: dict[str, float]
     values: dict[str, float]
     band: Band
-    length: str
-    std: Mapping[str, float] = MappingProxyType({})
+    std: dict[str, float]
 
 
 def main(parser, arguments):
@@ -110,7 +108,7 @@ def identified(seed: int) -> Known:
         path = Path(folder) / "identification.json"
         path.write_text(as_json(found.summary()))
         std = {name: e.std for name, e in found.parameters.estimates.items() if e.std is not None}
-        return Known(own, dict(found.parameters.values), read_band(path), length.name, std)
+        return Known(own, dict(found.parameters.values), read_band(path), std)
 
 
 @threadpool_limits.wrap(limits=1)

@@ -9,7 +9,6 @@ Each case runs in a separate process and becomes a line of a file as soon as it 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from scipy.optimize import brentq
@@ -20,12 +19,12 @@ from vpp_fmu.record import Record
 from .cases import HALF, Case, Factors
 from .command_sequences import open_loop
 from .detectable import LIMIT
-from .diagnosis import outcome, rows
+from .diagnosis import outcome
 from .hidden_effects import Draw
 from .noise import KINDS as NOISES
 from .physics import BASE
-from .rig import SIZES, random_base, save
-from .row_file import kept, read
+from .rig import SIZES, random_base
+from .rows import add_options, completed
 from .scores import removed, worse
 from .sensors import Encoder, Mark, Sensor, Telemetry
 from .varied_rig import VariedRig
@@ -176,32 +175,14 @@ class VariedCase(Case):
 
 def main(parser, arguments):
     parser.add_argument("--seeds", type=int, default=8, metavar="N", help="cases of each variation (default: %(default)s)")
-    parser.add_argument("--first-seed", type=int, default=0, metavar="K", help="of these (default: %(default)s)")
     parser.add_argument("--hide", default=",".join(HIDDEN), metavar="A,B", help="of %(default)s")
-    parser.add_argument("--workers", type=int, default=2, metavar="N", help="cases side by side (default: %(default)s)")
-    parser.add_argument("--limit", type=float, default=900.0, metavar="S", help="seconds for a case (default: %(default)g)")
-    parser.add_argument("-o", "--output", default="out/variation.jsonl", metavar="F", help="lines (default: %(default)s)")
-    parser.add_argument("--only-table", action="store_true", help="no new cases: the table of the file's lines, all of them")
-    parser.add_argument("--campaigns", metavar="DIR", help="no diagnosis: write the campaigns there, for `vpp diagnose`")
+    add_options(parser, "out/variation.jsonl")
     options = parser.parse_args(arguments)
-    path = Path(options.output)
-    done = {row["name"]: row for row in read(path)}
-    if options.only_table:
-        print(table(list(done.values())))
-        return
     asked = options.hide.split(",")
     if unknown := set(asked) - set(HIDDEN):
         raise SystemExit(f"not known: {', '.join(sorted(unknown))}; known: {', '.join(HIDDEN)}")
     seeds = range(options.first_seed, options.first_seed + options.seeds)
-    cases = [VariedCase("variation", (name,), seed) for seed in seeds for name in asked]
-    if options.campaigns:
-        for case in cases:
-            save(case.measured(), case.rig.size, Path(options.campaigns, case.name.replace(" ", "_")))
-        return
-    missing = [case for case in cases if case.name not in done]
-    for row in kept(path, rows(missing, options.workers, 1, options.limit, work=outcome)):
-        done[row["name"]] = row
-    print(table([done[case.name] for case in cases]))
+    print(table(completed(options, [VariedCase("variation", (name,), seed) for seed in seeds for name in asked], outcome)))
 
 
 GROUPS = ("right", "related", "learned", "says so", "wrong", "none", "failed")
