@@ -187,7 +187,7 @@ def test_the_command_writes_table_header_and_report(tmp_path, capsys):
     assert rows[-1]["thrust"] == pytest.approx(15.0 * C21)  # at full speed and the greatest pitch
     assert all(row["power_low"] <= row["power"] <= row["power_high"] for row in rows)
     assert json.loads((tmp_path / "out" / "allocation.json").read_text())["kind"] == "electrical"
-    assert "equal thrust" in (tmp_path / "out" / "report.html").read_text()
+    assert "against the best fixed pitch" in (tmp_path / "out" / "report.html").read_text()
     if not (compiler := shutil.which("cc")):
         pytest.skip("no C compiler")
     between = 0.5 * (rows[20]["thrust"] + rows[21]["thrust"])
