@@ -7,18 +7,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from hil.columns import LEARNED
 from hil.cycle import PERIOD
 from hil.log import events_of
 from hil.page.operator_page import OperatorPage
 from hil.rig import RunEnded
-from hil.run import LOG, LimitedPlant, Run, loop_part, run_on_rig, write_run
+from hil.run import LimitedPlant, Run, loop_part, run_on_rig, write_run
 from hil.runs import ENDED, ENDED_EARLY, NAMES, RUNNING, run_folder, summary_of_files
-from hil.safety.faults import FaultKind
 from hil.safety.limits import Limits
-from hil.session import Setup, read_log
+from hil.session import LOG, Setup, read_log
 from hil.timing import Timing, timing
 from hil.twin.twin import Twin, alarm_of
 from vpp_fmu.comparison import compare
@@ -74,7 +72,7 @@ BAND, SPAN = 0.05, 0.1
 class RunSetup:
     """A run: the rig, its controller, profile and initial commands `start` [rpm, deg], and models to compare it with.
 
-    `beside`: a plant FMU's name and its loop. `on_alarm` as in `session`, `inject` as in `run_on_rig`.
+    `beside`: a plant FMU's name and its loop. `inject` as in `run_on_rig`.
     """
 
     setup: Setup
@@ -83,7 +81,6 @@ class RunSetup:
     start: tuple[float, float]
     twin: Twin | None = None
     beside: tuple[str, Record] | None = None
-    on_alarm: FaultKind | None = None
     inject: tuple[str, float] | None = None
 
     def summary(self) -> dict:
@@ -125,13 +122,8 @@ def carry_out(
     say(f"this run's files: {folder.path}")
     command = [sys.executable, "-m", "vpp_fmu", "hil", "report", str(folder.path.absolute())]
     try:
-        with tqdm(total=100, unit="%", disable=None if task.setup.virtual else True, leave=False) as bar:
-
-            def progress(share):
-                bar.update(round(100 * share) - bar.n)
-
-            own = task.setup, task.controller, task.profile, folder.path, task.start, task.twin
-            done = run_on_rig(*own, progress, command, task.on_alarm, page, task.inject)
+        own = task.setup, task.controller, task.profile, folder.path, task.start, task.twin
+        done = run_on_rig(*own, command, page, task.inject)
     except BaseException as error:
         _cut_short(folder, begun, error, say, report)
         raise
@@ -220,7 +212,7 @@ def finish(
         loops["plant FMU"] = beside[1]
         rms = float(np.sqrt(np.mean(difference(*reversed(loops.values()))["thrust"] ** 2)))
         content["beside"] = {"plant": beside[0], "rms_thrust": rms}
-    found = Outcome(content, log, loops, timing(log["late"], log["busy"], log["missed"]) if real_time else None)
+    found = Outcome(content, log, loops, timing(log) if real_time else None)
     content |= _settling(loops, found.reach)
     refusals: list[BadInput] = []
     with _collected(refusals):

@@ -107,7 +107,7 @@ def summary_of_files(log: Path, begun: Mapping) -> tuple[Record | None, dict]:
         "counters": next((event["counters"] for event in reversed(events) if "counters" in event), {}),
         "supervisor": supervisor,
         "log": {"ticks": rows, "rows": rows, "lost": 0, "failure": ""},
-        "timing": timing(record["late"], record["busy"], record["missed"]).summary() if real_time else None,
+        "timing": timing(record).summary() if real_time else None,
         "made_from": "the log",
         "ended": ended,
     }

@@ -96,9 +96,8 @@ def main(task):
     within = FmuController(stubborn(folder, how, folder / "now")) if how else KernelController()
     controller = Asked(within, task.get("sabotage"))
     try:
-        twin = Twin(twin_of(ParameterSet(plant()), BAND)) if "twin" in task else None
-        beside = {"twin": twin, "on_alarm": ON_ALARM[task["twin"]]} if twin else {}
-        done = run_on_rig(setup, controller, profile(task["seconds"], task.get("swing")), folder, **beside)
+        twin = Twin(twin_of(ParameterSet(plant()), BAND), on_alarm=ON_ALARM[task["twin"]]) if "twin" in task else None
+        done = run_on_rig(setup, controller, profile(task["seconds"], task.get("swing")), folder, twin=twin)
     except VppError as error:
         say(ended=str(error), state="safe", transitions=[], counters={}, lost=0)
         return

@@ -249,7 +249,7 @@ def _run(options) -> Answer:
     twin = _twin(options)
     other = (Path(options.beside).name, _fmu_loop(options.beside, options, profile)[0]) if options.beside else None
     inject = _injected(options, setup, float(profile.time[-1] - profile.time[0]))
-    task = RunSetup(setup, controller, profile, start, twin, other, ON_ALARM[options.on_alarm], inject)
+    task = RunSetup(setup, controller, profile, start, twin, other, inject)
     parent = OutputFolder(options.output)
     lines.append(allowed_words(setup.allowed))
     content = _begun(options, setup) | task.summary()
@@ -337,9 +337,9 @@ def _selftest(options) -> Answer:
     folder.write("hil.json", as_json(content))
     folder.write("report.html", selftest_page(found, content, options.seconds).html())
     lines = [f"{'good' if one.good else 'BAD '}  {one.what}: {one.found}" for one in found.checks]
-    if found.session.timing:
+    if timing := found.session.timing:
         busy = f"{options.load} busy processes beside it"
-        lines.insert(0, f"loop: {content['real_time']}; {busy}\n{found.session.timing.text()}")
+        lines.insert(0, f"loop: {content['real_time']}; {busy}\n{timing.text()}")
     good = sum(one.good for one in found.checks)
     text = f"{good} of {len(found.checks)} checks of the rig are good."
     return Answer(text, content, lines, written=written(options, folder), failure=_failure(found.judge))
@@ -519,7 +519,7 @@ def _twin(options) -> Twin | None:
     band = read_band(source)
     if options.parameters:
         check_same_model(source, parameters, options.parameters)
-    return Twin(twin_of(parameters, band, options.adapt, "command line"))
+    return Twin(twin_of(parameters, band, options.adapt, "command line"), on_alarm=ON_ALARM[options.on_alarm])
 
 
 def _injected(options, setup: Setup, length: float) -> tuple[str, float] | None:
