@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.campaign import PARTS, STATIC, CampaignSize, follow, measure, parts_for, powered, same_commands, seconds
 from hil.columns import COLUMNS
-from hil.commands import grid, resampled, steps
+from hil.commands import grid, resampled
 from hil.cycle import PERIOD
 from hil.log import events_of, read_events
 from hil.page.operator_page import OperatorPage
@@ -98,7 +98,7 @@ class Measuring:
                 say(f"{part}: measured already")
                 continue
             if page:
-                page.part(part, **self._extent(part), parts=parts, before=attempts(folder.path, part))
+                page.part(part, **self._grid(part), parts=parts, before=attempts(folder.path, part))
             one, ended = self._measured(folder.path, part, page)
             tried = len(attempts(folder.path, part))
             content["parts"][part] = one.summary() | {"ended": str(ended or ""), "whole": not ended, "attempts": tried}
@@ -132,12 +132,12 @@ class Measuring:
     def _seconds(self, part: str) -> float:
         return self.commands.time[-1] if self.commands else seconds(self.plan, [part], self.setup.allowed)
 
-    def _extent(self, part: str) -> dict:
-        """Size of a part for the operator's page; the length of a record is in its events."""
-        if part == "static" and not self.commands:
-            speeds, pitches = zip(*grid(self.plan.points, self.setup.allowed), strict=True)
-            return {"grid": {"speeds": sorted(set(speeds)), "pitches": sorted(set(pitches))}}
-        return {"steps": len(steps(self.plan.levels, self.setup.allowed))} if part == "steps" else {}
+    def _grid(self, part: str) -> dict:
+        """The points of a static map for the operator's page."""
+        if part != "static":
+            return {}
+        speeds, pitches = zip(*grid(self.plan.points, self.setup.allowed), strict=True)
+        return {"grid": {"speeds": sorted(set(speeds)), "pitches": sorted(set(pitches))}}
 
     def _again(self, part: str) -> Setup:
         """The emulated rig for one part: the same rig, but no two parts have the same noise."""

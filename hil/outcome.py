@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from hil.columns import LEARNED
-from hil.cycle import PERIOD
 from hil.log import events_of
 from hil.page.operator_page import OperatorPage
 from hil.rig import RunEnded
@@ -115,8 +114,7 @@ def carry_out(
     """Carry out the run; returns it, the folder of its files below `parent`, and the outcome. `begun`: content of hil.json
     before the run. An unforeseen error is raised after the files are written from the log, as far as possible."""
     if page:
-        rows = round((task.profile.time[-1] - task.profile.time[0]) / PERIOD)
-        page.part("run", rows=rows)
+        page.part("run")
     folder = OutputFolder(run_folder(parent.path, begun["begun"]))
     folder.write("hil.json", as_json(begun))
     say(f"this run's files: {folder.path}")
@@ -144,15 +142,13 @@ def carry_out(
 
 def _cut_short(folder: OutputFolder, begun: dict, error: BaseException, say: Say, report: Report) -> None:
     """Write the files of a run that an unforeseen error ended, from its log if there is one."""
-    why = " ".join(str(error).split()) or type(error).__name__
-    log, record, content = folder.path / LOG, None, begun | {"status": ENDED_EARLY, "completed": now()}
-    if log.exists():
-        record, content = summary_of_files(log, begun)
+    record, content = summary_of_files(folder.path / LOG, begun)
+    content["ended"] = " ".join(str(error).split()) or type(error).__name__
     with contextlib.suppress(BadInput):  # the first error is the one to report
         if record is None:
-            folder.write("hil.json", as_json(content | {"ended": why}))
+            folder.write("hil.json", as_json(content | {"status": ENDED_EARLY, "completed": now()}))
         else:
-            for line in lines_of(finish(folder, content | {"ended": why}, record, report)):
+            for line in lines_of(finish(folder, content, record, report)):
                 say(line)
 
 

@@ -64,7 +64,8 @@ class RigPlant:
 
     Any fault ends the run: by a ramp-down if that is safe, else by the idle pulse at once. `start` or `step` then raises
     RunEnded. `supervise` starts the process that stops the rotor if this one can't; `plausibility` makes the checks of a run's
-    readings; `gate`: conditions of a tare; `polarity`: check of signs at low speed. `tares`: the zeros found.
+    readings; `gate`: conditions of a tare; `polarity`: check of signs at low speed. `events`: those of the
+    log so far.
     """
 
     def __init__(
@@ -84,10 +85,9 @@ class RigPlant:
         self.dt, self.bench, self.limits, self._gate = PERIOD, bench, limits, gate
         plausibility = plausibility or (lambda: Plausibility(limits, PERIOD))
         self._cycle = Cycle(bench, limits, log, signals, line, plausibility, page, len(twin.outputs) if twin else 0)
-        self.states, self.ticks, self.transitions = self._cycle.states, self._cycle.ticks, self._cycle.transitions
+        self.states, self.ticks, self.events = self._cycle.states, self._cycle.ticks, self._cycle.events
         self._supervise, self.twin, self._polarity = supervise, twin, polarity
         self._pi, self._limiter = SpeedPi(), Limiter(limits)
-        self.tares: list[Tare] = []
         self.counters = bench.counters
 
     def start(self, omega_ref: float, beta_ref: float) -> RigSample:
@@ -135,11 +135,12 @@ class RigPlant:
     def idle(self, count: int) -> None:
         """Run `count` ticks with all devices active and the idle pulse on the outputs, which stays after any failure.
 
-        Faults are noted in `states` and `transitions`; only the operator ends it early (RunEnded).
+        Faults are noted in `states` and `events`; only the operator ends it early (RunEnded).
         """
         self._begin()
-        for _ in range(count):
+        for k in range(1, count + 1):
             self._cycle.tick(0.0, self.bench.calibration.rest_pitch, 0.0)
+            self.show_done(k / count)
             if any(fault.device == "operator" for fault in self.states.faults) or self._cycle.asked:
                 self._end()
         self._dismiss()
@@ -178,8 +179,8 @@ class RigPlant:
         self._end()
 
     def show_done(self, share: float) -> None:
-        """Show the progress in the terminal's line; `share`: 0 to 1."""
-        self._cycle.done = 100.0 * share
+        """Set the progress for the terminal's line and the page; `share`: 0 to 1."""
+        self._cycle.log.done = share
 
     def keep(self, **event) -> None:
         """Keep an event beside the log."""
@@ -226,8 +227,8 @@ class RigPlant:
             counts.append(sensors.counts)
         found = tare(counts, calibration.newton_per_count, calibration.zero, self._gate)
         self._cycle.zero = sensors.zero = found.zero
-        self.tares.append(found)
-        self._cycle.keep(tare={"zero_counts": found.zero, "noise_N": found.noise * abs(calibration.newton_per_count)})
+        noise = found.noise * abs(calibration.newton_per_count)
+        self._cycle.keep(tare={"zero_counts": found.zero, "noise_N": noise, "samples": found.samples})
         return found
 
     def _close_relay(self) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from hil.bench import Bench, Wiring, real_bench
 from hil.calibration import Calibration
-from hil.columns import COLUMNS, LEARNED
+from hil.columns import COLUMNS, LEARNED, STATES
 from hil.commands import PAPERS
 from hil.cycle import PERIOD
 from hil.emulator.process import real_time_bench
@@ -115,21 +115,27 @@ class Session:
 
     def summary(self) -> dict:
         """The content of `hil.json` that every use of a rig shares."""
-        rig = self.rig
-        scale = abs(self._setup.calibration.newton_per_count)
-        report, timed = self._path.with_name(REPORT), self.timing
+        rig, timed = self.rig, self.timing
         return {
             "format": "vpp-hil/1",
             **self._setup.summary(),
             "real_time": self._granted,
             "versions": versions(),
-            "tares": [{"zero_counts": t.zero, "noise_N": t.noise * scale, "samples": t.samples} for t in rig.tares],
-            "transitions": [{"time": t, "state": state, "why": why} for t, state, why in rig.transitions],
+            **history(rig.events, self._path.with_name(REPORT)),
             "counters": rig.counters,
-            "supervisor": report.read_text().splitlines() if report.exists() else [],
             "log": {"ticks": rig.ticks.ticks, **asdict(self.logged)},
             "timing": timed.summary() if timed else None,
         }
+
+
+def history(events: Sequence[Mapping], report: Path) -> dict:
+    """Entries of hil.json from the events of a run and the file of the supervisor's actions."""
+    states = [{key: event.get(key) for key in ("time", "state", "why")} for event in events if "state" in event]
+    return {
+        "tares": [event["tare"] for event in events if "tare" in event],
+        "transitions": [{"time": 0.0, "state": STATES[0], "why": "start"}, *states],
+        "supervisor": report.read_text().splitlines() if report.exists() else [],
+    }
 
 
 @contextlib.contextmanager

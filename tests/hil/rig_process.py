@@ -101,14 +101,13 @@ def main(task):
     except VppError as error:
         say(ended=str(error), state="safe", transitions=[], counters={}, lost=0)
         return
-    one, omega = done.session, done.record["omega"][SETTLED:]
+    one, facts, omega = done.session, done.session.summary(), done.record["omega"][SETTLED:]
     jump = float(np.abs(np.diff(omega)).max()) if len(omega) > 1 else 0.0
-    transitions = [list(each) for each in one.rig.transitions]
     say(
         ended=done.ended,
         state=one.rig.states.state.value,
-        transitions=transitions,
-        counters=one.summary()["counters"],
+        transitions=facts["transitions"],
+        counters=facts["counters"],
         lost=one.logged.lost,
         failure=one.logged.failure,
         jump=jump,
