@@ -176,10 +176,10 @@ class Cycle:
         numbers = (
             ("thrust", "6.2f", self.sensors.thrust, "N"),
             ("set-point", "6.2f", self.wanted, "N"),
+            ("done", "3.0f", 100.0 * self.log.done, "%"),
             ("speed", "5.0f", self.sensors.omega, "rpm"),
             ("pitch command", "5.1f", self.commands[1], "deg"),
             ("missed", "3.0f", self.ticks.missed, ""),
-            ("done", "3.0f", 100.0 * self.log.done, "%"),
         )
         warnings = {
             "ALARM: not as its model": self.alarm,
