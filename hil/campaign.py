@@ -1,7 +1,7 @@
 """A measuring campaign on the rig: the paper's static map and steps, and records for fine-tuning and validation.
 
-Each part is a separate run: tare, arm, run, ramp down. A row holds the readings at its time, and the commands that act from
-then on; `omega` is the tachometer's held value.
+Each part is a separate run: tare, arm, run, ramp down. Its data are in the log and in the log's events, from which
+`hil.campaign_folder` makes the records.
 """
 
 import math
@@ -108,23 +108,17 @@ def seconds(plan: CampaignSize, parts: Iterable[str], rig: Ranges = PAPERS) -> f
     return sum(takes[part] for part in parts)
 
 
-def measure(
-    rig: RigPlant,
-    part: str,
-    plan: CampaignSize,
-    progress: Callable[[float], None],
-    allowed: Ranges = PAPERS,
-    have: Sequence = (),
-) -> Record:
-    """Measure one part, with commands within the `allowed` limits; `progress` is called with the share done; `have`: data that
-    are measured already (`hil.campaign_folder`). RunEnded if the rig ended it."""
+def measure(rig: RigPlant, part: str, plan: CampaignSize, allowed: Ranges = PAPERS, done: int = 0) -> None:
+    """Measure one part, with commands within the `allowed` limits. `done`: points of the static map, or steps, that are
+    measured already. RunEnded if the rig ended it."""
     if part == "static":
-        return static_map(rig, commands.grid(plan.points, allowed), plan.settle, plan.samples, progress, have)
-    if part == "steps":
-        return step_responses(rig, commands.steps(plan.levels, allowed), plan, progress, have)
-    if part == "validation":
-        return follow(rig, commands.validation(plan.seed, plan.validation, rig.dt, allowed), plan.settle, progress)
-    return follow(rig, commands.open_loop(plan.seed, plan.section, rig.dt, allowed), plan.settle, progress)
+        static_map(rig, commands.grid(plan.points, allowed), plan.settle, plan.samples, done)
+    elif part == "steps":
+        step_responses(rig, commands.steps(plan.levels, allowed), plan, done)
+    elif part == "validation":
+        follow(rig, commands.validation(plan.seed, plan.validation, rig.dt, allowed), plan.settle)
+    else:
+        follow(rig, commands.open_loop(plan.seed, plan.section, rig.dt, allowed), plan.settle)
 
 
 STATIC = ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")
@@ -133,19 +127,12 @@ STATIC = ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")
 POWER = ("voltage", "current", "torque")
 
 
-def static_map(
-    rig: RigPlant,
-    grid: Sequence[tuple[float, float]],
-    settle: float,
-    samples: int,
-    progress,
-    have: Sequence[Sequence[float]] = (),
-) -> Record:
-    """Means over `samples` readings at each point of the grid, after `settle` s; continues after the rows in `have`. Each point
-    goes to the log's events as soon as it is measured."""
-    rows, names = [tuple(row) for row in have], powered(rig.supply)
-    rig.start(*grid[max(len(rows) - 1, 0)])  # the point before, from which the next one is approached
-    for k, point in list(enumerate(grid))[len(rows) :]:
+def static_map(rig: RigPlant, grid: Sequence[tuple[float, float]], settle: float, samples: int, done: int) -> None:
+    """Means over `samples` readings at each point of the grid but the first `done`, after `settle` s. Each point goes to the
+    log's events as soon as it is measured."""
+    names = powered(rig.supply)
+    rig.start(*grid[max(done - 1, 0)])  # the point before, from which the next one is approached
+    for k, point in list(enumerate(grid))[done:]:
         for _ in range(round(settle / rig.dt)):
             sample = rig.step(*point)
         thrust, omega, power = np.empty(samples), 0.0, np.empty((samples, len(names)))
@@ -155,11 +142,10 @@ def static_map(
             omega += sample.omega
             power[n] = [rig.supply[name] for name in names]
         spread = thrust.std(ddof=1) if samples > 1 else 0.0
-        rows.append((*point, omega / samples, thrust.mean(), spread, samples, *power.mean(axis=0)))
-        rig.keep(point=[float(value) for value in rows[-1]])
-        progress((k + 1) / len(grid))
+        found = (*point, omega / samples, thrust.mean(), spread, samples, *power.mean(axis=0))
+        rig.keep(point=[float(value) for value in found])
+        rig.show_done((k + 1) / len(grid))
     rig.stop()
-    return static_record(rows, names)
 
 
 def powered(supply: Iterable[str]) -> tuple[str, ...]:
@@ -167,36 +153,19 @@ def powered(supply: Iterable[str]) -> tuple[str, ...]:
     return tuple(name for name in POWER if name in supply)
 
 
-def static_record(rows: Sequence[Sequence[float]], power: Sequence[str] = ()) -> Record:
-    """The content of static.csv from rows of points, with columns of `power`."""
-    return Record(dict(zip((*STATIC, *power), np.array(rows, float).T, strict=True)), "static")
-
-
-def step_responses(
-    rig: RigPlant, steps: Sequence[StepCommand], plan: CampaignSize, progress, have: Sequence[Record] = ()
-) -> Record:
-    """One step per run, numbered by `run`, each from a settled state at time 0; continues after the steps in `have`."""
-    parts = list(have)
-    rig.start(*steps[min(len(parts), len(steps) - 1)].before)
-    for k, one in list(enumerate(steps))[len(parts) :]:
+def step_responses(rig: RigPlant, steps: Sequence[StepCommand], plan: CampaignSize, done: int = 0) -> None:
+    """Record each step but the first `done`, from a settled state."""
+    rig.start(*steps[min(done, len(steps) - 1)].before)
+    for k, one in list(enumerate(steps))[done:]:
         for _ in range(round(plan.settle / rig.dt)):
             rig.step(*one.before)
         counts = round(plan.before / rig.dt), round(plan.after / rig.dt)
-        targets = np.repeat([one.before, one.after], counts, axis=0)
-        parts.append(recorded(rig, targets))
-        progress((k + 1) / len(steps))
+        recorded(rig, np.repeat([one.before, one.after], counts, axis=0))
+        rig.show_done((k + 1) / len(steps))
     rig.stop()
-    return steps_record(parts)
 
 
-def steps_record(parts: Sequence[Record]) -> Record:
-    """The content of steps.csv from one record per step."""
-    parts = [part.with_columns(run=np.full(len(part), float(k))) for k, part in enumerate(parts)]
-    names = ("run", "time", "omega_ref", "beta_ref", "omega", "thrust")
-    return Record({name: np.concatenate([part[name] for part in parts]) for name in names}, "steps")
-
-
-def follow(rig: RigPlant, orders: Record, settle: float, progress) -> Record:
+def follow(rig: RigPlant, orders: Record, settle: float) -> None:
     """Apply a record of commands, one row a tick, after `settle` s at the first."""
     targets = np.column_stack([orders["omega_ref"], orders["beta_ref"]])
     omega, beta = targets[0].tolist()
@@ -205,28 +174,19 @@ def follow(rig: RigPlant, orders: Record, settle: float, progress) -> Record:
     for pitch in (max(below, rig.limits.beta_min), beta):
         for _ in range(round(settle / rig.dt)):
             rig.step(omega, pitch)
-    record = recorded(rig, targets, progress)
+    recorded(rig, targets, rig.show_done)
     rig.stop()
-    return record
 
 
-def recorded(rig: RigPlant, targets: np.ndarray, progress: Callable[[float], None] = lambda share: None) -> Record:
-    """Record the rig under the commands `targets` (rows, 2) [rpm, deg], from time 0. In missed slots the readings are NaN."""
+def recorded(rig: RigPlant, targets: np.ndarray, progress: Callable[[float], None] = lambda share: None) -> None:
+    """Apply the commands `targets` (rows, 2) [rpm, deg], one a slot; two events mark the rows of the log. The command of a slot
+    that was missed is left out."""
     count, first = len(targets), rig.ticks.slot
     rig.keep(record={"first": first, "count": count})
-    rows, k = np.full((count, 4), np.nan), 0
-    while k < count:
-        shown, (omega_ref, beta_ref) = rig.last, targets[k].tolist()
-        rig.step(omega_ref, beta_ref)
-        after = min(rig.ticks.slot - first, count)
-        rows[k:after, :2] = rig.acting
-        rows[k, 2:] = shown.omega, shown.thrust
-        if k // 1000 != after // 1000:
-            progress(after / count)
-        k = after
+    while (k := rig.ticks.slot - first) < count:
+        rig.step(*targets[k].tolist())
+        progress(min((k + 1) / count, 1.0))
     rig.keep(recorded=first)
-    columns = dict(zip(("omega_ref", "beta_ref", "omega", "thrust"), rows.T, strict=True))
-    return Record({"time": np.arange(count) * rig.dt, **columns}, "rig")
 
 
 def same_commands(first: Record, second: Record) -> bool:

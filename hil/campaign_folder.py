@@ -1,33 +1,22 @@
-"""A campaign's folder: one file per part, measured in turn; a part that ended early is resumed from its logs."""
+"""A campaign's folder: one file per part, measured in turn. A part's data are made from the logs of its attempts, whether it
+is complete or will be resumed. A row holds the readings at its time, and the commands that act from then on; `omega` is the
+tachometer's held value."""
 
 import json
-import sys
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
-from hil.campaign import (
-    PARTS,
-    CampaignSize,
-    follow,
-    measure,
-    parts_for,
-    powered,
-    same_commands,
-    seconds,
-    static_record,
-    steps_record,
-)
+from hil.campaign import PARTS, STATIC, CampaignSize, follow, measure, parts_for, powered, same_commands, seconds
 from hil.columns import COLUMNS
-from hil.commands import grid, resampled, steps
+from hil.commands import grid, resampled
 from hil.cycle import PERIOD
 from hil.log import events_of, read_events
 from hil.page.operator_page import OperatorPage
-from hil.rig import ENDINGS
+from hil.rig import ENDINGS, RunEnded
 from hil.room import check_room
 from hil.runs import ENDED, ENDED_EARLY, RUNNING
 from hil.safety.limits import Limits
@@ -102,65 +91,53 @@ class Measuring:
         check_room(folder.path / "log.csv.gz", COLUMNS, length)
         if "resumed" not in content:
             forget(folder.path)
-        content, found = content | {"status": RUNNING}, {}
+        content |= {"status": RUNNING}
         folder.write("hil.json", as_json(content))
         for part in parts:
             if content["parts"].get(part, {}).get("whole"):
                 say(f"{part}: measured already")
-                found[part] = read_record(folder.path / f"{part}.csv") if part in ("open_loop", "repeat") else None
                 continue
             if page:
-                page.part(part, **self._extent(part), parts=parts, before=attempts(folder.path, part))
-            one, record, ended = self._measured(folder.path, part, page)
+                page.part(part, **self._grid(part), parts=parts, before=attempts(folder.path, part))
+            one, ended = self._measured(folder.path, part, page)
             tried = len(attempts(folder.path, part))
             content["parts"][part] = one.summary() | {"ended": str(ended or ""), "whole": not ended, "attempts": tried}
             if ended:
                 content |= {"status": ENDED_EARLY, "completed": now()}
             folder.write("hil.json", as_json(content))
+            self._write(folder, part, not ended, say)
             if ended:
-                _keep(folder, part, powered(self.setup.calibration.supply), say)
                 raise ended
-            found[part] = record
-            self._write(folder, part, found, say)
-            rows, ticks, lost = one.logged.rows, one.rig.ticks.ticks, one.logged.lost
-            say(f"{part}: {len(record['omega_ref'])} rows, log {rows} rows of {ticks} ticks, {lost} lost")
+            say(f"{part}: log {one.logged.rows} rows of {one.rig.ticks.ticks} ticks, {one.logged.lost} lost")
         content |= {"status": ENDED, "completed": now()}
         folder.write("hil.json", as_json(content))
         return content
 
-    def _measured(self, folder: Path, part: str, page) -> tuple[Session, Record | None, BaseException | None]:
-        """One part on the rig: (session, record, None), or (session, None, why it ended early)."""
-        setup, record, ended = self._again(part), None, None
-        have = measured_so_far(folder, part) if part in ("static", "steps") else []
-        in_view = sys.stderr.isatty() and not setup.virtual  # the terminal's line shows the progress
-        with (
-            tqdm(total=100, unit="%", desc=part, disable=True if in_view else None, leave=False) as bar,
-            session(setup, folder, log_name(folder, part), self._seconds(part), page=page) as one,
-        ):
-
-            def progress(share):
-                one.rig.show_done(share)
-                if setup.virtual:  # in real time a terminal must not delay the loop
-                    bar.update(round(100 * share) - bar.n)
-
+    def _measured(self, folder: Path, part: str, page) -> tuple[Session, BaseException | None]:
+        """One part on the rig: (session, why it ended early, if it did)."""
+        setup, ended = self._again(part), None
+        done = len(measured_so_far(folder, part)) if part in ("static", "steps") else 0
+        with session(setup, new_log(folder, part), self._seconds(part), page=page) as one:
             try:
                 if self.commands:
-                    record = follow(one.rig, self.commands, self.plan.settle, progress)
+                    follow(one.rig, self.commands, self.plan.settle)
                 else:
-                    record = measure(one.rig, part, self.plan, progress, setup.allowed, have)
+                    measure(one.rig, part, self.plan, setup.allowed, done)
             except ENDINGS as reason:
                 ended = reason
-        return one, record, ended
+        if one.logged.failure and not ended:
+            ended = RunEnded(f"log: {one.logged.lost} rows lost: {one.logged.failure}")
+        return one, ended
 
     def _seconds(self, part: str) -> float:
         return self.commands.time[-1] if self.commands else seconds(self.plan, [part], self.setup.allowed)
 
-    def _extent(self, part: str) -> dict:
-        """Size of a part for the operator's page; the length of a record is in its events."""
-        if part == "static" and not self.commands:
-            speeds, pitches = zip(*grid(self.plan.points, self.setup.allowed), strict=True)
-            return {"grid": {"speeds": sorted(set(speeds)), "pitches": sorted(set(pitches))}}
-        return {"steps": len(steps(self.plan.levels, self.setup.allowed))} if part == "steps" else {}
+    def _grid(self, part: str) -> dict:
+        """The points of a static map for the operator's page."""
+        if part != "static":
+            return {}
+        speeds, pitches = zip(*grid(self.plan.points, self.setup.allowed), strict=True)
+        return {"grid": {"speeds": sorted(set(speeds)), "pitches": sorted(set(pitches))}}
 
     def _again(self, part: str) -> Setup:
         """The emulated rig for one part: the same rig, but no two parts have the same noise."""
@@ -169,24 +146,21 @@ class Measuring:
         seed = 100 * self.setup.emulated.seed + (*PARTS, "record").index(part)
         return replace(self.setup, emulated=replace(self.setup.emulated, seed=seed))
 
-    def _write(self, folder: OutputFolder, part: str, found: dict[str, Record], say: Callable[[str], None]) -> None:
-        record, name = found[part], part
-        if part == "repeat" and "open_loop" in found and not same_commands(found["open_loop"], record):
-            say("repeat: a slot was missed where a command changed, so the commands differ: kept as open_loop_again.csv")
-            name = "open_loop_again"
-        write_record(folder, f"{name}.csv", record)
-        (folder.path / f"{part}{PARTIAL}").unlink(missing_ok=True)
-
-
-def _keep(folder: OutputFolder, part: str, power: Sequence[str], say: Callable[[str], None]) -> None:
-    """Write the data of an incomplete part to its PARTIAL file."""
-    have = measured_so_far(folder.path, part)
-    record = partial(part, have, power)
-    if record is not None:
-        write_record(folder, f"{part}{PARTIAL}", record)
-        what = "points" if part == "static" else "steps" if part == "steps" else "rows"
-        count = len(have) if part in ("static", "steps") else len(record)
-        say(f"{part}: {count} {what} kept in {part}{PARTIAL}; --resume goes on")
+    def _write(self, folder: OutputFolder, part: str, whole: bool, say: Callable[[str], None]) -> None:
+        """Write the data of a part from its logs; those of an incomplete part go to its PARTIAL file."""
+        have = measured_so_far(folder.path, part)
+        if not have:
+            return
+        record, name = record_of(part, have, powered(self.setup.calibration.supply)), f"{part}.csv" if whole else part + PARTIAL
+        if part == "repeat" and whole and (folder.path / "open_loop.csv").exists():
+            first = measured_so_far(folder.path, "open_loop")
+            if first and not same_commands(first[0], record):
+                say("repeat: a slot was missed where a command changed, so the commands differ: kept as open_loop_again.csv")
+                name = "open_loop_again.csv"
+        write_record(folder, name, record)
+        if whole:
+            (folder.path / f"{part}{PARTIAL}").unlink(missing_ok=True)
+        say(f"{part}: {len(record['omega_ref'])} rows in {name}{'' if whole else '; --resume goes on'}")
 
 
 def records_of(folder: Path) -> dict[str, Record]:
@@ -211,16 +185,19 @@ def commands_of(path: str, limits: Limits) -> Record:
     return resampled(record, PERIOD)
 
 
-def log_name(folder: Path, part: str) -> str:
+def _logs(folder: Path, part: str) -> list[Path]:
+    """Paths for the logs of a part's attempts; a used one has events beside it."""
+    return [folder / (f"log_{part}.csv.gz" if k == 1 else f"log_{part}-{k}.csv.gz") for k in range(1, 1000)]
+
+
+def new_log(folder: Path, part: str) -> Path:
     """The log of a part's next attempt: each has its own."""
-    names = (f"log_{part}.csv.gz" if k == 1 else f"log_{part}-{k}.csv.gz" for k in range(1, 1000))
-    return next(name for name in names if not events_of(folder / name).exists())
+    return next(log for log in _logs(folder, part) if not events_of(log).exists())
 
 
 def attempts(folder: Path, part: str) -> list[Path]:
     """The logs of a part's attempts so far, in order."""
-    logs = [folder / (f"log_{part}.csv.gz" if k == 1 else f"log_{part}-{k}.csv.gz") for k in range(1, 1000)]
-    return [log for log in logs if events_of(log).exists()]
+    return [log for log in _logs(folder, part) if events_of(log).exists()]
 
 
 def forget(folder: Path) -> None:
@@ -253,7 +230,7 @@ def measured_so_far(folder: Path, part: str) -> list:
 
 
 def piece(log: Record, first: int, count: int) -> Record:
-    """Rows of a log in the form of `hil.campaign.recorded`: `count` slots from `first` on, as far as the run went."""
+    """A record from `count` slots of a log, from `first` on, as far as the run went. In missed slots the readings are NaN."""
     running = np.isfinite(log["omega_wanted"])
     slots = np.rint(log.time[running] / PERIOD).astype(int) - first
     inside = (slots >= 0) & (slots < count)
@@ -268,8 +245,13 @@ def piece(log: Record, first: int, count: int) -> Record:
     return Record({"time": np.arange(length) * PERIOD, **columns}, log.source)
 
 
-def partial(part: str, have: list, power: Sequence[str] = ()) -> Record | None:
-    """The measured data as a record, None if there are none; `power`: further columns of a static map."""
-    if not have:
-        return None
-    return static_record(have, power) if part == "static" else steps_record(have) if part == "steps" else have[0]
+def record_of(part: str, have: Sequence, power: Sequence[str] = ()) -> Record:
+    """The content of a part's file from its data, as of `measured_so_far`; `power`: further columns of a static map. Steps are
+    numbered by `run`."""
+    if part == "static":
+        return Record(dict(zip((*STATIC, *power), np.array(have, float).T, strict=True)), part)
+    if part != "steps":
+        return have[0]
+    runs = [one.with_columns(run=np.full(len(one), float(k))) for k, one in enumerate(have)]
+    names = ("run", "time", "omega_ref", "beta_ref", "omega", "thrust")
+    return Record({name: np.concatenate([one[name] for one in runs]) for name in names}, part)

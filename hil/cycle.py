@@ -32,8 +32,8 @@ class Cycle:
     """The rig's ticks, with their devices, log, checks and safety states.
 
     `wanted`: the controller's set-point [N]. `throttle` [1] and `commands` [rpm, deg] are on the outputs. `residual` [N] and
-    `alarm` are the twin's, for the log. `asked`: why the operator ends the run. `transitions`: (time [s], state, why). `page`:
-    the operator's page; its failure is logged and the run continues. `twin`: its `beside` outputs for the log. `line`: the
+    `alarm` are the twin's, for the log. `asked`: why the operator ends the run. `events`: those of the log. `page`: the
+    operator's page; its failure is logged and the run continues. `twin`: its `beside` outputs for the log. `line`: the
     terminal's, if there is one.
     """
 
@@ -50,10 +50,9 @@ class Cycle:
     ):
         self.dt, self.bench, self.limits, self.states = PERIOD, bench, limits, StateMachine()
         self.ticks, self._tick = Ticks(bench.clock, self.dt), Tick(0, 0.0, 0)
-        self.transitions: list[tuple[float, str, str]] = [(0.0, STATES[0], "start")]
-        self.done = math.nan  # % of a record or a campaign's part, for the terminal's line
+        self.events: list[dict] = []
         self.wanted, self.zero = math.nan, bench.calibration.zero
-        self._log, self._signals, self._line, self._judgement = log, signals, line, plausibility
+        self.log, self._signals, self._line, self._judgement = log, signals, line, plausibility
         self._page, self._page_gone, self._counted, self._short = page, False, {}, False
         self._known: set[tuple[str, FaultKind]] = set()
         self._nothing = (math.nan,) * beside
@@ -119,12 +118,12 @@ class Cycle:
 
     def note(self, why: str) -> None:
         """Record the present state with its time and reason."""
-        self.transitions.append((self.ticks.time, self.states.state.value, why))
-        self._log.note({"time": round(self.ticks.time, 9), "state": self.states.state.value, "why": why})
+        self.keep(state=self.states.state.value, why=why)
 
     def keep(self, **event) -> None:
-        """Write an event to the log's events, which survive a crash."""
-        self._log.note({"time": round(self.ticks.time, 9), **event})
+        """Write an event to the log's events, which survive a crash, and remember it, because a disk may refuse it."""
+        self.events.append({"time": round(self.ticks.time, 9), **event})
+        self.log.note(self.events[-1])
 
     def _drive(self) -> None:
         changed = self._changed()
@@ -157,7 +156,7 @@ class Cycle:
         sensors, tick, state = self.sensors, self._tick, STATES.index(self.states.state.value)
         pulses = sensors.revolution.pulses if sensors.revolution else 0
         busy = self.bench.clock.now() - self._woke
-        self._log.put(
+        self.log.put(
             *(self.ticks.time, state, self.wanted, *wanted, *self.commands, sensors.thrust, sensors.omega),
             *(sensors.thrust_age, sensors.mark_age, sensors.counts, pulses, self.throttle, cut),
             *(self.residual, self.alarm, tick.late, busy, tick.missed),
@@ -168,19 +167,19 @@ class Cycle:
             self._line.show(self._status())
         if self.ticks.ticks % COUNTED == 0:
             self._keep_counters()
-            if not self._short and self._log.warning:
+            if not self._short and self.log.warning:
                 self._short = True
-                self.note(f"log: {self._log.warning}")
+                self.note(f"log: {self.log.warning}")
 
     def _status(self) -> str:
         """The text of the terminal's line."""
         numbers = (
             ("thrust", "6.2f", self.sensors.thrust, "N"),
             ("set-point", "6.2f", self.wanted, "N"),
+            ("done", "3.0f", 100.0 * self.log.done, "%"),
             ("speed", "5.0f", self.sensors.omega, "rpm"),
             ("pitch command", "5.1f", self.commands[1], "deg"),
             ("missed", "3.0f", self.ticks.missed, ""),
-            ("done", "3.0f", self.done, "%"),
         )
         warnings = {
             "ALARM: not as its model": self.alarm,
@@ -218,8 +217,8 @@ class Cycle:
             fault = self._supply_limits.check(supply.values, supply.new)
             if fault:
                 self.fault(fault)
-        if self._log.broken:
-            self.fault(Fault("log", FaultKind.LOG_LOST, self._log.broken))
+        if self.log.broken:
+            self.fault(Fault("log", FaultKind.LOG_LOST, self.log.broken))
         if self._page and not self._page_gone and self._page.broken:
             self._page_gone = True
             self.note(f"page: {self._page.broken}; the run goes on without it")

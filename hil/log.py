@@ -38,8 +38,9 @@ _GET_PIPE_SIZE = 1032  # F_GETPIPE_SZ; Python names it from 3.10 on only where t
 _SYNC_EVERY = 1.0  # s; a power cut may lose the rows of this time, and gzip holds them back
 _HANGS = 5.0  # s without a row on the disk after which the writer is ended
 _GOODBYE = b'"goodbye"\n'
-_SAVED, _ERROR, _BYTES, _FREE = range(4)  # the writer's numbers in the memory: rows saved, its error, bytes saved and free
-_TIME = struct.Struct("d")
+_SAVED, _ERROR, _BYTES, _FREE, _DONE = range(5)
+"""Numbers in the memory after the rows: rows saved, the writer's error, bytes saved and free; and the loop's share done."""
+_NUMBER = struct.Struct("d")
 _PACKED = 0.45  # of the size of random decimal digits that gzip leaves: log2(10) = 3.3 of 8 bits, Huffman's code needs 3.4
 
 
@@ -70,6 +71,8 @@ class Log(Protocol):
     """Why rows no longer reach the file; empty while they do."""
     warning: str
     """Why the disk may not hold the rest of the rows; empty while it has room."""
+    done: float
+    """Share of the measurement that is done, for the operator."""
 
     def put(self, *row: float) -> None:
         """Keep a row."""
@@ -101,7 +104,7 @@ class MemoryLog:
 
     def __init__(self, path: str | os.PathLike, columns: Sequence[Column]):
         self._path, self._columns, self._numbers = Path(path), tuple(columns), array("d")
-        self._events, self.broken, self.warning = _Events(events_of(self._path)), "", ""
+        self._events, self.broken, self.warning, self.done = _Events(events_of(self._path)), "", "", 0.0
 
     def put(self, *row):
         self._numbers.extend(row)
@@ -182,11 +185,19 @@ class ProcessLog:
 
     @property
     def warning(self):
-        saved, _, size, free = self._status
+        saved, _, size, free, _ = self._status
         need = (self._expected - saved) * size / saved if saved else 0.0
         if not self._warning and free < need:
             self._warning = f"the disk has {free / 1e6:.1f} MB left, the rest of the log takes {need / 1e6:.1f} MB"
         return self._warning
+
+    @property
+    def done(self):
+        return self._status[_DONE]
+
+    @done.setter
+    def done(self, share):
+        self._status[_DONE] = share
 
     def note(self, event):
         with contextlib.suppress(BlockingIOError, BrokenPipeError):  # `put` reports it
@@ -221,7 +232,7 @@ class ProcessLog:
         return b""
 
     def _time(self, row: int) -> float:
-        return _TIME.unpack_from(self._memory, row % self.slots * self._row.size)[0]
+        return _NUMBER.unpack_from(self._memory, row % self.slots * self._row.size)[0]
 
 
 class Reader:
@@ -232,7 +243,7 @@ class Reader:
 
     def __init__(self, shared: int, slots: int, width: int):
         self._row, self._slots, self._next = struct.Struct(f"{width}d"), slots, 0
-        self._memory = mmap.mmap(shared, slots * self._row.size, access=mmap.ACCESS_READ)
+        self._memory = mmap.mmap(shared, 0, access=mmap.ACCESS_READ)
 
     def rows(self) -> list[tuple[float, ...]]:
         """Rows that were completed since the last call."""
@@ -241,6 +252,11 @@ class Reader:
             found.append(self._at(self._next))
             self._next += 1
         return found
+
+    @property
+    def done(self) -> float:
+        """Share of the measurement that is done."""
+        return _NUMBER.unpack_from(self._memory, self._slots * self._row.size + _DONE * _NUMBER.size)[0]
 
     def close(self) -> None:
         """Release the memory."""
@@ -360,8 +376,8 @@ def largest(path: Path, columns: Sequence[Column], rows: int) -> int:
 
 
 def _shared(descriptor: int, size: int) -> tuple[mmap.mmap, memoryview]:
-    """(memory of the rows, `size` bytes, and of the writer's numbers; a view of these numbers)."""
-    numbers = struct.calcsize("4d")
+    """(memory of the rows, `size` bytes, and of the numbers after them; a view of these numbers)."""
+    numbers = (_DONE + 1) * _NUMBER.size
     os.ftruncate(descriptor, size + numbers)
     memory = mmap.mmap(descriptor, size + numbers)
     return memory, memoryview(memory)[size:].cast("d")  # a view stores a number at once, other than struct

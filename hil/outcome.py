@@ -7,18 +7,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from hil.columns import LEARNED
-from hil.cycle import PERIOD
 from hil.log import events_of
 from hil.page.operator_page import OperatorPage
 from hil.rig import RunEnded
-from hil.run import LOG, LimitedPlant, Run, loop_part, run_on_rig, write_run
+from hil.run import LimitedPlant, Run, loop_part, run_on_rig, write_run
 from hil.runs import ENDED, ENDED_EARLY, NAMES, RUNNING, run_folder, summary_of_files
-from hil.safety.faults import FaultKind
 from hil.safety.limits import Limits
-from hil.session import Setup, read_log
+from hil.session import LOG, Setup, read_log
 from hil.timing import Timing, timing
 from hil.twin.twin import Twin, alarm_of
 from vpp_fmu.comparison import compare
@@ -74,7 +71,7 @@ BAND, SPAN = 0.05, 0.1
 class RunSetup:
     """A run: the rig, its controller, profile and initial commands `start` [rpm, deg], and models to compare it with.
 
-    `beside`: a plant FMU's name and its loop. `on_alarm` as in `session`, `inject` as in `run_on_rig`.
+    `beside`: a plant FMU's name and its loop. `inject` as in `run_on_rig`.
     """
 
     setup: Setup
@@ -83,7 +80,6 @@ class RunSetup:
     start: tuple[float, float]
     twin: Twin | None = None
     beside: tuple[str, Record] | None = None
-    on_alarm: FaultKind | None = None
     inject: tuple[str, float] | None = None
 
     def summary(self) -> dict:
@@ -118,20 +114,14 @@ def carry_out(
     """Carry out the run; returns it, the folder of its files below `parent`, and the outcome. `begun`: content of hil.json
     before the run. An unforeseen error is raised after the files are written from the log, as far as possible."""
     if page:
-        rows = round((task.profile.time[-1] - task.profile.time[0]) / PERIOD)
-        page.part("run", rows=rows)
+        page.part("run")
     folder = OutputFolder(run_folder(parent.path, begun["begun"]))
     folder.write("hil.json", as_json(begun))
     say(f"this run's files: {folder.path}")
     command = [sys.executable, "-m", "vpp_fmu", "hil", "report", str(folder.path.absolute())]
     try:
-        with tqdm(total=100, unit="%", disable=None if task.setup.virtual else True, leave=False) as bar:
-
-            def progress(share):
-                bar.update(round(100 * share) - bar.n)
-
-            own = task.setup, task.controller, task.profile, folder.path, task.start, task.twin
-            done = run_on_rig(*own, progress, command, task.on_alarm, page, task.inject)
+        own = task.setup, task.controller, task.profile, folder.path, task.start, task.twin
+        done = run_on_rig(*own, command, page, task.inject)
     except BaseException as error:
         _cut_short(folder, begun, error, say, report)
         raise
@@ -152,15 +142,13 @@ def carry_out(
 
 def _cut_short(folder: OutputFolder, begun: dict, error: BaseException, say: Say, report: Report) -> None:
     """Write the files of a run that an unforeseen error ended, from its log if there is one."""
-    why = " ".join(str(error).split()) or type(error).__name__
-    log, record, content = folder.path / LOG, None, begun | {"status": ENDED_EARLY, "completed": now()}
-    if log.exists():
-        record, content = summary_of_files(log, begun)
+    record, content = summary_of_files(folder.path / LOG, begun)
+    content["ended"] = " ".join(str(error).split()) or type(error).__name__
     with contextlib.suppress(BadInput):  # the first error is the one to report
         if record is None:
-            folder.write("hil.json", as_json(content | {"ended": why}))
+            folder.write("hil.json", as_json(content | {"status": ENDED_EARLY, "completed": now()}))
         else:
-            for line in lines_of(finish(folder, content | {"ended": why}, record, report)):
+            for line in lines_of(finish(folder, content, record, report)):
                 say(line)
 
 
@@ -220,7 +208,7 @@ def finish(
         loops["plant FMU"] = beside[1]
         rms = float(np.sqrt(np.mean(difference(*reversed(loops.values()))["thrust"] ** 2)))
         content["beside"] = {"plant": beside[0], "rms_thrust": rms}
-    found = Outcome(content, log, loops, timing(log["late"], log["busy"], log["missed"]) if real_time else None)
+    found = Outcome(content, log, loops, timing(log) if real_time else None)
     content |= _settling(loops, found.reach)
     refusals: list[BadInput] = []
     with _collected(refusals):

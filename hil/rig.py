@@ -64,8 +64,8 @@ class RigPlant:
 
     Any fault ends the run: by a ramp-down if that is safe, else by the idle pulse at once. `start` or `step` then raises
     RunEnded. `supervise` starts the process that stops the rotor if this one can't; `plausibility` makes the checks of a run's
-    readings; `gate`: conditions of a tare; `polarity`: check of signs at low speed. `tares`: the zeros found. `on_alarm`: the
-    fault that an alarm of the `twin` causes (None: it is only noted).
+    readings; `gate`: conditions of a tare; `polarity`: check of signs at low speed. `events`: those of the
+    log so far.
     """
 
     def __init__(
@@ -80,17 +80,14 @@ class RigPlant:
         plausibility: Callable[[], Plausibility] | None = None,
         gate: TareGate | None = None,
         polarity: Polarity | None = None,
-        on_alarm: FaultKind | None = None,
         page: OperatorPage | None = None,
     ):
         self.dt, self.bench, self.limits, self._gate = PERIOD, bench, limits, gate
         plausibility = plausibility or (lambda: Plausibility(limits, PERIOD))
         self._cycle = Cycle(bench, limits, log, signals, line, plausibility, page, len(twin.outputs) if twin else 0)
-        self.states, self.ticks, self.transitions = self._cycle.states, self._cycle.ticks, self._cycle.transitions
+        self.states, self.ticks, self.events = self._cycle.states, self._cycle.ticks, self._cycle.events
         self._supervise, self.twin, self._polarity = supervise, twin, polarity
         self._pi, self._limiter = SpeedPi(), Limiter(limits)
-        self._on_alarm = on_alarm
-        self.tares: list[Tare] = []
         self.counters = bench.counters
 
     def start(self, omega_ref: float, beta_ref: float) -> RigSample:
@@ -125,24 +122,25 @@ class RigPlant:
         return self.last
 
     def _watch(self, twin: Twin, omega_ref: float, beta_ref: float) -> None:
-        """Update the twin with the last readings; note its alarms, and end the run if `on_alarm` is a fault."""
+        """Update the twin with the last readings; note its alarms, and end the run if its `on_alarm` is a fault."""
         known, cycle = len(twin.alarms), self._cycle
         cycle.twin = twin.update(self.ticks.time, omega_ref, beta_ref, self.last.thrust, self.last.omega)
         cycle.residual, cycle.alarm = twin.residual, twin.alarmed
         for alarm in twin.alarms[known:]:
-            if self._on_alarm is None:
+            if twin.on_alarm is None:
                 cycle.note(f"twin: alarm: {alarm.cause}")
             else:
-                cycle.fault(Fault("twin", self._on_alarm, alarm.cause))
+                cycle.fault(Fault("twin", twin.on_alarm, alarm.cause))
 
     def idle(self, count: int) -> None:
         """Run `count` ticks with all devices active and the idle pulse on the outputs, which stays after any failure.
 
-        Faults are noted in `states` and `transitions`; only the operator ends it early (RunEnded).
+        Faults are noted in `states` and `events`; only the operator ends it early (RunEnded).
         """
         self._begin()
-        for _ in range(count):
+        for k in range(1, count + 1):
             self._cycle.tick(0.0, self.bench.calibration.rest_pitch, 0.0)
+            self.show_done(k / count)
             if any(fault.device == "operator" for fault in self.states.faults) or self._cycle.asked:
                 self._end()
         self._dismiss()
@@ -174,11 +172,6 @@ class RigPlant:
         """The last readings of the supply's sensors in the calibration, by name; NaN before the first."""
         return {name: self._cycle.sensors.supply[name] for name in self._cycle.bench.calibration.supply}
 
-    @property
-    def acting(self) -> tuple[float, float]:
-        """The last commands [rpm, deg] after the limits."""
-        return self._cycle.commands
-
     def fail(self, fault: Fault) -> None:
         """The source of commands failed: ramp down as the fault allows, and end the run (RunEnded)."""
         self._cycle.fault(fault)
@@ -186,8 +179,8 @@ class RigPlant:
         self._end()
 
     def show_done(self, share: float) -> None:
-        """Set the progress in the terminal's line; `share`: 0 to 1."""
-        self._cycle.done = 100.0 * share
+        """Set the progress for the terminal's line and the page; `share`: 0 to 1."""
+        self._cycle.log.done = share
 
     def keep(self, **event) -> None:
         """Keep an event beside the log."""
@@ -234,8 +227,8 @@ class RigPlant:
             counts.append(sensors.counts)
         found = tare(counts, calibration.newton_per_count, calibration.zero, self._gate)
         self._cycle.zero = sensors.zero = found.zero
-        self.tares.append(found)
-        self._cycle.keep(tare={"zero_counts": found.zero, "noise_N": found.noise * abs(calibration.newton_per_count)})
+        noise = found.noise * abs(calibration.newton_per_count)
+        self._cycle.keep(tare={"zero_counts": found.zero, "noise_N": noise, "samples": found.samples})
         return found
 
     def _close_relay(self) -> None:

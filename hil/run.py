@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from hil.page.operator_page import OperatorPage
 from hil.rig import ENDINGS, RigPlant, RunEnded
 from hil.safety.faults import Fault, FaultKind
 from hil.safety.limits import Limiter, Limits
-from hil.session import Session, Setup, found_log, read_log, session
+from hil.session import LOG, Session, Setup, session
 from hil.twin.twin import Twin
 from vpp_fmu.commands import idle
 from vpp_fmu.errors import BadInput, VppError
@@ -27,7 +27,6 @@ from vpp_fmu.plants import Controller, FmuController, Plant
 from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig as Ranges
 
-LOG = "log.csv"
 ON_ALARM = {"note": None, "ramp": FaultKind.TWIN, "idle": FaultKind.TWIN_NOW}
 """Possible reactions of a run to the twin's alarm."""
 REHEARSED = 25
@@ -36,12 +35,16 @@ REHEARSED = 25
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """`record`: the closed loop, from time 0; `log`: every tick from tare to idle pulse; `ended`: why it ended early, or ""."""
+    """`record`: the closed loop, from time 0; `ended`: why it ended early, or ""."""
 
     record: Record
-    log: Record
     session: Session
     ended: str
+
+    @property
+    def log(self) -> Record:
+        """Every tick from tare to idle pulse."""
+        return self.session.log
 
     def judge(self) -> None:
         """Raise TwinAlarm, RunEnded or LogLost if the run did not go as requested."""
@@ -134,38 +137,31 @@ def run_on_rig(
     folder: Path,
     start: tuple[float, float] | None = None,
     twin: Twin | None = None,
-    progress: Callable[[float], None] = lambda share: None,
     after: Sequence[str] = (),
-    on_alarm: FaultKind | None = None,
     page: OperatorPage | None = None,
     inject: tuple[str, float] | None = None,
 ) -> Run:
     """Close the loop over the profile, from the commands `start` [rpm, deg] on (default: the rig's idle). Writes the full-rate
-    log to `folder`, however the run ends; `twin`, `after`, `on_alarm`, `page` as in `session`. `inject`: a fault of
+    log to `folder`, however the run ends; `after`, `page` as in `session`. `inject`: a fault of
     `hil.emulator.faults`, and the time [s] after which it comes."""
     ended, start = "", start or idle(setup.allowed)
     if isinstance(controller, FmuController):
         rehearse(controller, float(profile["thrust_set"][0]))
     seconds = float(profile.time[-1] - profile.time[0])
-    with session(setup, folder, LOG, seconds, twin, after=after, on_alarm=on_alarm, page=page) as one:
+    with session(setup, folder / LOG, seconds, twin, after, page) as one:
         fault, at = inject or ("", 0.0)
         controller = Saboteur(controller, WITHIN.get(fault))
         injector = Injector(fault, one.rig.bench, controller) if inject else None
+        followed = Followed(controller, one.rig, injector, round(at / PERIOD))
         try:
-
-            def shown(share: float) -> None:
-                one.rig.show_done(share)
-                progress(share)
-
-            run_loop(one.rig, Followed(controller, one.rig, injector, round(at / PERIOD)), profile, start, shown)
+            run_loop(one.rig, followed, profile, start, one.rig.show_done)
             one.rig.stop()
         except ENDINGS as reason:
             ended = str(reason)
         finally:
             if injector:
                 injector.close()
-    log = read_log(found_log(folder / LOG))
-    return Run(loop_part(log), log, one, ended)
+    return Run(loop_part(one.log), one, ended)
 
 
 def rehearse(controller: FmuController, thrust_set: float) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from hil.log import events_of, read_events
-from hil.session import REPORT, Setup, read_log, versions
+from hil.session import REPORT, Setup, history, read_log, versions
 from hil.timing import timing
 from vpp_fmu.date import now
 from vpp_fmu.errors import BadInput
@@ -92,22 +92,19 @@ def summary_of_files(log: Path, begun: Mapping) -> tuple[Record | None, dict]:
     except BadInput:  # a header and nothing else: it ended before its first tick
         record = None
     events = read_events(events_of(log))
-    report = log.with_name(REPORT)
-    supervisor = report.read_text().splitlines() if report.exists() else []
+    told = history(events, log.with_name(REPORT))
     rows = len(record) if record is not None else 0
     real_time = record is not None and begun.get("time") == "real"
-    states = [{key: event.get(key) for key in ("time", "state", "why")} for event in events if "state" in event]
-    faults = [state["why"] for state in states if state["state"] in ("ramp down", "fault") and state["why"] != "end of the run"]
-    acted = [line.partition(": ")[2] for line in supervisor]
+    ends = [state["why"] for state in told["transitions"] if state["state"] in ("ramp down", "fault")]
+    faults = [why for why in ends if why != "end of the run"]
+    acted = [line.partition(": ")[2] for line in told["supervisor"]]
     ended = "; ".join([*faults[:1], *acted]) or "the loop was gone without a word"
     summary = {
         **begun,
-        "tares": [event["tare"] for event in events if "tare" in event],
-        "transitions": [{"time": 0.0, "state": "safe", "why": "start"}, *states],
+        **told,
         "counters": next((event["counters"] for event in reversed(events) if "counters" in event), {}),
-        "supervisor": supervisor,
         "log": {"ticks": rows, "rows": rows, "lost": 0, "failure": ""},
-        "timing": timing(record["late"], record["busy"], record["missed"]).summary() if real_time else None,
+        "timing": timing(record).summary() if real_time else None,
         "made_from": "the log",
         "ended": ended,
     }

@@ -2,7 +2,7 @@
 
 import multiprocessing
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,11 +11,10 @@ import numpy as np
 
 from hil.calibration import Calibration
 from hil.rig import ENDINGS
-from hil.session import Session, Setup, found_log, read_log, session
+from hil.session import LOG, Session, Setup, session
 from vpp_fmu.errors import VppError
 from vpp_fmu.record import Record
 
-LOG = "log.csv"
 HALF_SCALE = 16384
 """Counts: a load cell's zero beyond them leaves less than half of the range for the thrust."""
 
@@ -35,10 +34,9 @@ class Check:
 
 @dataclass(frozen=True, eq=False)
 class SelfTest:
-    """`checks`, the log of every tick, its session, why it ended early (or ""); `load`: number of busy processes."""
+    """`checks`, the session, why it ended early (or ""); `load`: number of busy processes."""
 
     checks: tuple[Check, ...]
-    log: Record
     session: Session
     ended: str
     load: int = 0
@@ -54,12 +52,10 @@ class SelfTest:
             raise SelfTestFailed(f"not good: {', '.join(bad)}")
 
 
-def selftest(
-    setup: Setup, seconds: float, folder: Path, load: int = 0, progress: Callable[[float], None] = lambda s: None
-) -> SelfTest:
+def selftest(setup: Setup, seconds: float, folder: Path, load: int = 0) -> SelfTest:
     """Tick for `seconds` with the idle pulse on the outputs, while `load` other processes are busy."""
     ended = ""
-    with session(setup, folder, LOG, seconds) as one, busy(load):
+    with session(setup, folder / LOG, seconds) as one, busy(load):
         rig, count = one.rig, round(seconds / one.rig.dt)
         try:
             rig.idle(count)
@@ -67,9 +63,8 @@ def selftest(
             ended = str(reason)
         faults = [str(fault) for fault in rig.states.faults]
         outputs = [(path, round(1e9 * pulse), Path(path).read_text().split()[0]) for path, pulse in rig.bench.outputs]
-    log = read_log(found_log(folder / LOG))
-    checks = (*_timing(one, log), *_buses(one, log, faults, ended), *_calibration(setup.calibration, log), *_outputs(outputs))
-    return SelfTest(checks, log, one, ended, load)
+    checks = (*_timing(one), *_buses(one, faults, ended), *_calibration(setup.calibration, one.log), *_outputs(outputs))
+    return SelfTest(checks, one, ended, load)
 
 
 @contextmanager
@@ -95,21 +90,21 @@ def _compute() -> None:
         np.linalg.svd(numbers)
 
 
-def _timing(one: Session, log: Record) -> list[Check]:
-    logged, ticks, dt = one.logged, one.rig.ticks, one.rig.dt
+def _timing(one: Session) -> list[Check]:
+    log, logged, ticks, dt = one.log, one.logged, one.rig.ticks, one.rig.dt
     rows = logged.rows == ticks.ticks and logged.lost == 0 and len(log) == logged.rows
     checks = [
         Check("log", rows, f"{len(log)} rows in the file, {ticks.ticks} ticks, {logged.lost} lost {logged.failure}".strip())
     ]
-    if one.timing:
-        p999, missed, share = one.timing.late[2], one.timing.missed, one.timing.missed / max(1, ticks.slot)
+    if timing := one.timing:
+        p999, missed, share = timing.late[2], timing.missed, timing.missed / max(1, ticks.slot)
         text = f"p99.9 {1e6 * p999:.0f} us late, {missed} slots missed of {ticks.slot}"
         checks.append(Check("timing", p999 < 0.5 * dt and share < 1e-3, text))
     return checks
 
 
-def _buses(one: Session, log: Record, faults: list[str], ended: str) -> list[Check]:
-    checks = []
+def _buses(one: Session, faults: list[str], ended: str) -> list[Check]:
+    checks, log = [], one.log
     for device, counts in one.rig.counters.items():
         troubles = {name: n for name, n in counts.items() if name != "pulses" and n}
         share = sum(troubles.values()) / max(1, len(log))

@@ -9,6 +9,7 @@ import sys
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -16,8 +17,7 @@ import numpy as np
 
 from hil.bench import Bench, Wiring, real_bench
 from hil.calibration import Calibration
-from hil.clock import VirtualClock
-from hil.columns import COLUMNS, LEARNED
+from hil.columns import COLUMNS, LEARNED, STATES
 from hil.commands import PAPERS
 from hil.cycle import PERIOD
 from hil.emulator.process import real_time_bench
@@ -29,7 +29,6 @@ from hil.page.operator_page import OperatorPage
 from hil.realtime import real_time
 from hil.rig import RigPlant
 from hil.room import Reserve, check_room, rows_of
-from hil.safety.faults import FaultKind
 from hil.safety.limits import Limits
 from hil.safety.plausibility import Plausibility, thresholds_of
 from hil.safety.polarity import Polarity
@@ -44,7 +43,7 @@ from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig as Ranges
 from vpp_fmu.table import read_table
 
-REPORT = "supervisor.log"
+LOG, REPORT = "log.csv", "supervisor.log"
 _PACKAGES = ("vpp-fmu", "numpy", "fmpy", "pyserial", "smbus2")
 
 
@@ -100,68 +99,75 @@ class Setup:
 class Session:
     """A rig in use, and after the end its results."""
 
-    def __init__(self, rig: RigPlant, setup: Setup, granted: str, folder: Path):
-        self.rig, self._setup, self._granted, self._folder = rig, setup, granted, folder
+    def __init__(self, rig: RigPlant, setup: Setup, granted: str, path: Path):
+        self.rig, self._setup, self._granted, self._path = rig, setup, granted, path
         self.logged: Logged | None = None
-        self.timing: Timing | None = None
+
+    @cached_property
+    def log(self) -> Record:
+        """The full-rate log, as read from its file."""
+        return read_log(found_log(self._path))
+
+    @property
+    def timing(self) -> Timing | None:
+        """The timing of the ticks; None in virtual time, or if the log failed."""
+        return None if self._setup.virtual or self.logged.failure else timing(self.log)
 
     def summary(self) -> dict:
         """The content of `hil.json` that every use of a rig shares."""
-        rig = self.rig
-        scale = abs(self._setup.calibration.newton_per_count)
-        report = self._folder / REPORT
+        rig, timed = self.rig, self.timing
         return {
             "format": "vpp-hil/1",
             **self._setup.summary(),
             "real_time": self._granted,
             "versions": versions(),
-            "tares": [{"zero_counts": t.zero, "noise_N": t.noise * scale, "samples": t.samples} for t in rig.tares],
-            "transitions": [{"time": t, "state": state, "why": why} for t, state, why in rig.transitions],
+            **history(rig.events, self._path.with_name(REPORT)),
             "counters": rig.counters,
-            "supervisor": report.read_text().splitlines() if report.exists() else [],
             "log": {"ticks": rig.ticks.ticks, **asdict(self.logged)},
-            "timing": self.timing.summary() if self.timing else None,
+            "timing": timed.summary() if timed else None,
         }
+
+
+def history(events: Sequence[Mapping], report: Path) -> dict:
+    """Entries of hil.json from the events of a run and the file of the supervisor's actions."""
+    states = [{key: event.get(key) for key in ("time", "state", "why")} for event in events if "state" in event]
+    return {
+        "tares": [event["tare"] for event in events if "tare" in event],
+        "transitions": [{"time": 0.0, "state": STATES[0], "why": "start"}, *states],
+        "supervisor": report.read_text().splitlines() if report.exists() else [],
+    }
 
 
 @contextlib.contextmanager
 def session(
     setup: Setup,
-    folder: Path,
-    log_name: str,
+    path: Path,
     seconds: float,
     twin: Twin | None = None,
-    watch: bool = True,
     after: Sequence[str] = (),
-    on_alarm: FaultKind | None = None,
     page: OperatorPage | None = None,
 ) -> Iterator[Session]:
     """A rig to use within the context. After it the idle pulse is on the outputs, and the log and the session are complete.
 
-    `log_name`: the full-rate log in `folder`. `seconds`: the length of the run, for which the disk must have room (BadInput).
-    `watch`: show a line in the terminal, if there is one. `after`: the command that makes a report of the log if this process
-    can't.
-    `twin`, `on_alarm` as in `RigPlant`. `page`: the operator's page, in real time only.
+    `path`: of the full-rate log. `seconds`: the length of the run, for which the disk must have room (BadInput). `after`: the
+    command that makes a report of the log if this process can't. `page`: the operator's page, in real time only.
     """
     columns = (*COLUMNS, *(Column(LEARNED + name) for name in (twin.outputs if twin else ())))
-    check_room(folder / log_name, columns, seconds)
+    check_room(path, columns, seconds)
     with contextlib.ExitStack() as ends:
-        reserve = Reserve(folder, seconds)
+        reserve = Reserve(path.parent, seconds)
         ends.callback(reserve.free)
         bench = setup.bench()
         ends.callback(bench.close)
-        in_virtual_time = isinstance(bench.clock, VirtualClock)
-        at = folder / log_name
-        log = MemoryLog(at, columns) if in_virtual_time else ProcessLog(at, columns, after, rows_of(seconds))
+        log = MemoryLog(path, columns) if setup.virtual else ProcessLog(path, columns, after, rows_of(seconds))
         if page:
             page.follow(log)
-        line = None if in_virtual_time or not watch else status_line()
-        if line:
+        if line := status_line():
             ends.callback(line.close)
-        report = folder / REPORT
+        report = path.with_name(REPORT)
         report.unlink(missing_ok=True)
         pressed = (lambda: page.pressed) if page else (lambda: False)
-        quick = contextlib.nullcontext("virtual time") if in_virtual_time else real_time()
+        quick = contextlib.nullcontext("virtual time") if setup.virtual else real_time()
         with StopSignals(pressed) as signals, quick as granted:
 
             def supervise() -> Supervisor:
@@ -171,32 +177,28 @@ def session(
                 bench,
                 setup.limits,
                 log,
-                None if in_virtual_time else supervise,
+                None if setup.virtual else supervise,
                 signals,
                 twin,
                 line,
                 setup.plausibility,
                 gate_of(setup.allowed),
                 setup.polarity(),
-                on_alarm,
                 page,
             )
-            one = Session(rig, setup, str(granted), folder)
+            one = Session(rig, setup, str(granted), path)
             try:
                 yield one
             finally:
                 rig.close()
                 reserve.free()  # for the rows that still wait, and the files after the run
                 one.logged = log.close()
-        if not in_virtual_time and not one.logged.failure:
-            ticks = read_log(found_log(folder / log_name))
-            one.timing = timing(ticks["late"], ticks["busy"], ticks["missed"])
 
 
 def found_log(path: Path) -> Path:
     """The log at `path`, a log or a run's folder. A log whose writer died still has its temporary name: it is cut after its
     last complete row and renamed. BadInput if there is none."""
-    log = path / "log.csv" if path.is_dir() else path
+    log = path / LOG if path.is_dir() else path
     part = log if log.name.endswith(".part") else log.with_name(f".{log.name}.part")
     log = part.with_name(part.name.removeprefix(".").removesuffix(".part"))
     if log.exists():

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vpp_fmu.record import Record
+
 EDGES = (0.0, *(round(m * 10.0**e, 9) for e in range(-6, 0) for m in (1.0, 2.0, 5.0)), np.inf)
 """Edges of the bins [s]: 1, 2, 5 microseconds and so on."""
 
@@ -56,11 +58,11 @@ class Timing:
         return "\n".join(lines)
 
 
-def timing(late: np.ndarray, busy: np.ndarray, missed: np.ndarray) -> Timing:
-    """The timing from a log's columns, each (ticks,): `late` and `busy` [s], `missed` slots."""
-    counts, _ = np.histogram(late, EDGES)
-    percentiles = [tuple(float(v) for v in np.percentile(values, PERCENTILES)) for values in (late, busy)]
-    return Timing(len(late), int(missed.sum()), *percentiles, tuple(int(n) for n in counts))
+def timing(log: Record) -> Timing:
+    """The timing from a log with the columns `late` and `busy` [s] and `missed` slots."""
+    counts, _ = np.histogram(log["late"], EDGES)
+    percentiles = [tuple(float(v) for v in np.percentile(log[name], PERCENTILES)) for name in ("late", "busy")]
+    return Timing(len(log), int(log["missed"].sum()), *percentiles, tuple(int(n) for n in counts))
 
 
 def _span(seconds: float) -> str:

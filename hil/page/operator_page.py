@@ -83,8 +83,8 @@ class OperatorPage:
         return self._stops > 0
 
     def part(self, name: str, **what) -> None:
-        """Announce the next measurement. `rows`: its number of ticks; or `grid`: the `speeds` [rpm] and `pitches` [deg] of a
-        static map; or `steps`: their number. `parts`: names of all parts, in order; `before`: logs of earlier attempts."""
+        """Announce the next measurement. `grid`: the `speeds` [rpm] and `pitches` [deg] of a static map. `parts`: names of all
+        parts, in order; `before`: logs of earlier attempts."""
         before = [str(events_of(Path(log))) for log in what.pop("before", ())]
         self._tell({"part": name, "before": before, **what})
 

@@ -39,7 +39,6 @@ class Story:
         self.counters: dict = {}
         self.ended = ""
         self._latest = LATEST
-        self._span: Mapping | None = None  # a browser that connects before the first part needs it
         self._reader: Reader | None = None
         self._events: _Tail | None = None
 
@@ -76,7 +75,10 @@ class Story:
 
     def since(self, number: int, point: int, event: int, mapped: int) -> dict:
         """New data for a browser that has those up to these counts; the whole part if it has another part `number`."""
-        told: dict = {"now": {**self.now, "age": self._age(), "done": self._done()}, "counters": self.counters}
+        told: dict = {
+            "now": {**self.now, "age": self._age(), "done": self._reader and self._reader.done},
+            "counters": self.counters,
+        }
         if number != self.number:
             point = event = mapped = 0
             told |= {"told": self.told, "part": self.part, "columns": ["time", *MEANS, *self._latest]}
@@ -88,17 +90,15 @@ class Story:
         self.look()
         self.part, self.number = {k: v for k, v in message.items() if k != "before"}, self.number + 1
         self.points, self.first, self.events, self.map, self.counters = [], 0, [], [], {}
-        self._reader, self._loop, self._whole, self._span, self._heard = None, 0, 0, None, time.monotonic()
+        self._reader, self._heard = None, time.monotonic()
         self._twin: dict[str, float | None] = {}
         for path in message["before"]:
             for event in _Tail(Path(path)).new():
-                if "point" in event or "recorded" in event:
+                if "point" in event:
                     self._hear(event)
-        self._span = None
 
     def _take(self, row: Sequence[float]) -> None:
         self._bin.append(row)
-        self._loop += math.isfinite(row[self._names.index("omega_wanted")])
         slot = round(row[0] / PERIOD)
         if slot // BIN == (slot + 1) // BIN:
             return
@@ -117,10 +117,6 @@ class Story:
     def _hear(self, event: Mapping) -> None:
         if "point" in event:
             self.map.append(event["point"][:4])
-        elif "recorded" in event:
-            self._whole += 1
-        elif "record" in event:
-            self._span = event["record"]
         elif "counters" in event:
             self.counters = event["counters"]
         elif "state" in event:
@@ -136,18 +132,6 @@ class Story:
     def _age(self) -> float | None:
         """s since the last tick."""
         return time.monotonic() - self._heard if self.now and self._reader else None
-
-    def _done(self) -> float | None:
-        """Share of the part."""
-        if self.part.get("grid"):
-            return len(self.map) / (len(self.part["grid"]["speeds"]) * len(self.part["grid"]["pitches"]))
-        if self.part.get("steps"):
-            return min(self._whole / self.part["steps"], 1.0)
-        if self._span and self.now:
-            return min(max(self.now["time"] / PERIOD - self._span["first"], 0.0) / self._span["count"], 1.0)
-        if self.part.get("rows"):
-            return min(self._loop / self.part["rows"], 1.0)
-        return None
 
 
 class _Tail:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from scipy.special import stdtrit
 
+from hil.safety.faults import FaultKind
 from hil.twin.band import Band
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import LIBRARY
@@ -91,10 +92,11 @@ class Twin:
     """The twin of `twin_of`, in this process; `outputs`: names of the values that `update` returns.
 
     `adapted`: by the parameter's name, in the order of the outputs, its value at the `start`, a plausible `change`, `unit` and
-    `description`. `alarms`: those since the start. `residual` [N] and `alarmed`: of the last update.
+    `description`. `alarms`: those since the start. `residual` [N] and `alarmed`: of the last update. `on_alarm`: the fault that
+    an alarm causes (None: it is only noted).
     """
 
-    def __init__(self, own: ParameterSet, dt: float = SAMPLE_TIME):
+    def __init__(self, own: ParameterSet, dt: float = SAMPLE_TIME, on_alarm: FaultKind | None = None):
         self.outputs = tuple(y.name for y in own.model.outputs)
         self.units = {y.name: y.unit for y in own.model.outputs}
         values, parts = own.values, {p.name: p for p in own.model.parameters}
@@ -108,6 +110,7 @@ class Twin:
         self._shown = [self.outputs.index(name) for name in ("residual", "alarm", "direction")]
         self._stepper, self._dt, self._time = Stepper(own.model, own.values), dt, 0.0
         self.alarms: list[Alarm] = []
+        self.on_alarm = on_alarm
 
     def start(self, t: float, omega_ref: float, beta_ref: float, thrust: float, omega: float) -> None:
         """Start at t [s] from a settled rig: its commands [rpm, deg] and readings [N, rpm]."""

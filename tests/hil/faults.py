@@ -235,7 +235,7 @@ def causes_of(end: dict | None) -> str:
     """The cause in full, and the kinds of the later causes."""
     if end is None:
         return "it said nothing"
-    causes = [why for _, state, why in end["transitions"] if state in ("ramp down", "fault")]
+    causes = [one["why"] for one in end["transitions"] if one["state"] in ("ramp down", "fault")]
     later = [": ".join(why.split(": ")[:2]) for why in causes if why != end["ended"] and ": " in why]
     return "; then ".join([end["ended"] or end.get("failure") or "ran to its end", *later])
 

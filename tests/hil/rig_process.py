@@ -96,20 +96,18 @@ def main(task):
     within = FmuController(stubborn(folder, how, folder / "now")) if how else KernelController()
     controller = Asked(within, task.get("sabotage"))
     try:
-        twin = Twin(twin_of(ParameterSet(plant()), BAND)) if "twin" in task else None
-        beside = {"twin": twin, "on_alarm": ON_ALARM[task["twin"]]} if twin else {}
-        done = run_on_rig(setup, controller, profile(task["seconds"], task.get("swing")), folder, **beside)
+        twin = Twin(twin_of(ParameterSet(plant()), BAND), on_alarm=ON_ALARM[task["twin"]]) if "twin" in task else None
+        done = run_on_rig(setup, controller, profile(task["seconds"], task.get("swing")), folder, twin=twin)
     except VppError as error:
         say(ended=str(error), state="safe", transitions=[], counters={}, lost=0)
         return
-    one, omega = done.session, done.record["omega"][SETTLED:]
+    one, facts, omega = done.session, done.session.summary(), done.record["omega"][SETTLED:]
     jump = float(np.abs(np.diff(omega)).max()) if len(omega) > 1 else 0.0
-    transitions = [list(each) for each in one.rig.transitions]
     say(
         ended=done.ended,
         state=one.rig.states.state.value,
-        transitions=transitions,
-        counters=one.summary()["counters"],
+        transitions=facts["transitions"],
+        counters=facts["counters"],
         lost=one.logged.lost,
         failure=one.logged.failure,
         jump=jump,

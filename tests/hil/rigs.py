@@ -36,6 +36,7 @@ class Rows:
 
     def __init__(self, columns):
         self._names, self.rows, self.events, self.broken, self.warning = [c.name for c in columns], [], [], "", ""
+        self.done = 0.0
 
     def put(self, *row):
         self.rows.append(row)
@@ -51,6 +52,11 @@ def virtual_rig(emulated=None, limits=LIMITS, columns=COLUMNS, **more):
     """(rig, its log) in virtual time."""
     log = Rows(columns)
     return RigPlant(virtual_bench(emulated or Emulated(seed=1), CALIBRATION), limits, log, **more), log
+
+
+def transitions(rig) -> list[tuple[float, str, str]]:
+    """(time [s], state, why) of a rig's events."""
+    return [(event["time"], event["state"], event["why"]) for event in rig.events if "state" in event]
 
 
 def steps(rig, count, omega_ref=3000.0) -> None:

@@ -8,9 +8,10 @@ import pytest
 from rigs import LIMITS
 
 from hil.campaign import PARTS, CampaignSize, measure, plan_for, recorded, same_commands, seconds, steep, step_responses
-from hil.campaign_folder import measured_so_far, partial
+from hil.campaign_folder import piece, record_of
 from hil.commands import StepCommand, grid, open_loop, steps, validation
 from hil.cycle import PERIOD
+from hil.log import MemoryLog
 from hil.physics.rig_model import FULL_RIG
 from hil.rig import RigPlant
 from hil.safety.faults import Fault, FaultKind
@@ -23,13 +24,15 @@ from vpp_fmu.record import Record, write_record
 pytestmark = pytest.mark.usefixtures("short_waits")
 
 
-def quiet(share):
-    pass
-
-
 @pytest.fixture
-def rig(new_rig):
-    return new_rig(limits=steep(LIMITS))[0]
+def rig_and_log(new_rig):
+    return new_rig(limits=steep(LIMITS))
+
+
+def spans(log) -> list[Record]:
+    """The records whose rows the log's events mark."""
+    columns = {name: log[name] for name in ("time", "omega_wanted", "omega_ref", "beta_ref", "omega", "thrust")}
+    return [piece(Record(columns, ""), **event["record"]) for event in log.events if "record" in event]
 
 
 def test_the_grid_and_the_steps_are_the_papers():
@@ -60,8 +63,10 @@ def test_the_open_loop_moves_speed_then_pitch_then_both():
     assert not same_commands(given, open_loop(2, 30.0, PERIOD))
 
 
-def test_a_static_point_is_the_mean_of_the_physical_model(rig):
-    found = measure(rig, "static", CampaignSize(points=2, settle=2.0, samples=500), quiet)
+def test_a_static_point_is_the_mean_of_the_physical_model(rig_and_log):
+    rig, log = rig_and_log
+    measure(rig, "static", CampaignSize(points=2, settle=2.0, samples=500))
+    found = record_of("static", [event["point"] for event in log.events if "point" in event])
     physics = Simulation(FULL_RIG)
     for k, point in enumerate(zip(found["omega_ref"], found["beta_ref"], strict=True)):
         settled = physics.start(dict(zip(("omega_ref", "beta_ref"), point, strict=True)))
@@ -71,9 +76,10 @@ def test_a_static_point_is_the_mean_of_the_physical_model(rig):
     assert (found["samples"] == 500).all()
 
 
-def test_a_step_starts_settled_and_responds_only_after_its_command(rig):
-    plan = CampaignSize(settle=2.0, before=1.0, after=2.0)
-    found = step_responses(rig, [StepCommand((3000.0, 5.0), (5000.0, 5.0))], plan, quiet)
+def test_a_step_starts_settled_and_responds_only_after_its_command(rig_and_log):
+    plan, (rig, log) = CampaignSize(settle=2.0, before=1.0, after=2.0), rig_and_log
+    step_responses(rig, [StepCommand((3000.0, 5.0), (5000.0, 5.0))], plan)
+    (found,) = spans(log)
     time, thrust = found["time"], found["thrust"]
     assert (time[0], len(time)) == (0.0, 750)
     moved = int(np.argmax(found["omega_ref"] > 3000.0))
@@ -85,8 +91,8 @@ def test_a_step_starts_settled_and_responds_only_after_its_command(rig):
     assert found["omega_ref"][moved + 10] == 5000.0  # a step, in 10 ticks at most
 
 
-def test_a_row_of_a_record_holds_the_sample_before_its_command(rig):
-    given = np.array([[3000.0, 5.0]] * 3 + [[3010.0, 5.5]] * 3)
+def test_a_row_of_a_record_holds_the_sample_before_its_command(rig_and_log):
+    given, (rig, log) = np.array([[3000.0, 5.0]] * 3 + [[3010.0, 5.5]] * 3), rig_and_log
     rig.start(3000.0, 5.0)
     shown = []
     step = rig.step
@@ -96,12 +102,14 @@ def test_a_row_of_a_record_holds_the_sample_before_its_command(rig):
         return step(*commands)
 
     rig.step = spy
-    found = recorded(rig, given)
+    recorded(rig, given)
+    (found,) = spans(log)
     assert [tuple(row) for row in zip(found["omega"], found["thrust"], *given.T, strict=True)] == shown
     np.testing.assert_array_equal(np.column_stack([found["omega_ref"], found["beta_ref"]]), given)
 
 
-def test_a_missed_slot_leaves_its_row_empty(rig):
+def test_a_missed_slot_leaves_its_row_empty(rig_and_log):
+    rig, log = rig_and_log
     rig.start(3000.0, 5.0)
     step = rig.step
 
@@ -112,7 +120,8 @@ def test_a_missed_slot_leaves_its_row_empty(rig):
 
     first = rig.ticks.slot
     rig.step = late
-    found = recorded(rig, np.full((20, 2), [3000.0, 5.0]))
+    recorded(rig, np.full((20, 2), [3000.0, 5.0]))
+    (found,) = spans(log)
     np.testing.assert_allclose(found.time, 0.004 * np.arange(20), atol=1e-12)
     assert np.flatnonzero(np.isnan(found["thrust"])).tolist() == [5, 6]
     assert (found["omega_ref"] == 3000.0).all()
@@ -206,6 +215,15 @@ def test_a_part_ended_by_a_fault_is_reported_and_its_log_kept(tmp_path, refused)
     assert sorted(set(os.listdir(out)) - {"validation.partial.csv"}) == names
 
 
+def test_a_part_whose_log_lost_rows_is_not_complete(tmp_path, refused, monkeypatch):
+    close = MemoryLog.close
+    monkeypatch.setattr(MemoryLog, "close", lambda self: replace(close(self), lost=7, failure="no space left"))
+    own = ["--parts", "validation", "-o", tmp_path]
+    assert "log: 7 rows lost: no space left" in refused("hil", "campaign", "--virtual", *SMALL, *own)
+    assert not json.loads((tmp_path / "hil.json").read_text())["parts"]["validation"]["whole"]
+    assert [path.name for path in tmp_path.glob("validation*")] == ["validation.partial.csv"]
+
+
 def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_not(whole, tmp_path, refused, monkeypatch):
     out, left, step = tmp_path / "out", [0], RigPlant.step
 
@@ -257,8 +275,3 @@ def test_a_campaign_is_not_overwritten_unless_that_is_asked_for(whole, tmp_path,
     (tmp_path / "imported").mkdir()
     (tmp_path / "imported" / "open_loop.csv").write_text("measured elsewhere")
     assert "found open_loop.csv" in refused(*small[:-1], str(tmp_path / "imported"))
-
-
-def test_the_log_gives_the_record_of_the_loop(whole, tmp_path):
-    write_record(OutputFolder(tmp_path), "again.csv", partial("steps", measured_so_far(whole, "steps")))
-    assert (tmp_path / "again.csv").read_bytes() == (whole / "steps.csv").read_bytes()

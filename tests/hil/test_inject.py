@@ -4,7 +4,7 @@ import json
 import signal
 
 import pytest
-from rigs import begun, setup, step_profile
+from rigs import begun, setup, step_profile, transitions
 
 from hil.cycle import PERIOD
 from hil.emulator.faults import AT_ONCE, FAULTS, OUTSIDE, WITHIN
@@ -36,7 +36,7 @@ def test_in_virtual_time_it_ends_as_the_table_says_at_the_time_that_was_asked_fo
     assert done.ended.startswith(row.cause)
     assert bool(done.ended) == (row.state == "fault")
     assert done.session.rig.states.state is SafetyState(row.state)
-    (came,) = [at for at, _, why in done.session.rig.transitions if why == f"injected: {name}"]
+    (came,) = [at for at, _, why in transitions(done.session.rig) if why == f"injected: {name}"]
     closed = done.log.time[done.log["omega_wanted"] == done.log["omega_wanted"]][0]
     assert came == pytest.approx(closed + 0.8, abs=0.005)
     if done.ended:

@@ -120,6 +120,7 @@ def test_it_shows_means_of_the_logs_rows_and_the_events_beside_them(page, tmp_pa
         thrust = 0.01 * k
         log.put(0.004 * k, 1.0, *(thrust if name == "thrust" else float("nan") for name in COLUMNS_SHOWN[:-1]), k > 600)
     log.note({"time": 1.0, "state": "run", "why": "twin: alarm: off"})
+    log.done = 0.5
     log.note({"time": 2.0, "point": [1.0, 0.0, 3000.0, 4.5, 0.1, 10]})
     found = streamed(page.address, lambda whole: len(whole["curves"]) == 40 and whole["map"] and whole["events"])
     log.close()

@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 import pytest
-from rigs import CALIBRATION, IDLE, LIMITS, Rows, asked, duties, serial_faults, steps
+from rigs import CALIBRATION, IDLE, LIMITS, Rows, asked, duties, serial_faults, steps, transitions
 
 from hil.columns import COLUMNS, STATES
 from hil.emulator.process import real_time_bench
@@ -15,6 +15,7 @@ from hil.rig import RAMP, RigPlant, RunEnded
 from hil.safety.faults import Fault, FaultKind
 from hil.safety.limits import Cut, Limits
 from hil.safety.states import SafetyState
+from hil.safety.tare import tare as tare_of
 
 
 def states(log):
@@ -26,16 +27,18 @@ def test_a_run_goes_through_its_states_and_comes_back(new_rig):
     rig.start(3000.0, 2.0)
     rig.step(3000.0, 2.0)
     rig.stop()
-    assert [state for _, state, _ in rig.transitions] == ["safe", "safe", "armed", "run", "ramp down", "safe"]
+    assert [state for _, state, _ in transitions(rig)] == ["safe", "armed", "run", "ramp down", "safe"]
     found = states(log)
     assert list(dict.fromkeys(found)) == ["safe", "armed", "run", "ramp down"]
     assert duties(rig) == IDLE
 
 
-def test_the_tare_finds_the_zero_that_moved(new_rig):
-    rig, _ = new_rig()
+def test_the_tare_finds_the_zero_that_moved(new_rig, monkeypatch):
+    (rig, _), found = new_rig(), []
+    monkeypatch.setattr("hil.rig.tare", lambda *given: found.append(tare_of(*given)) or found[-1])
     rig.start(3000.0, 2.0)
-    (tare,) = rig.tares
+    (tare,) = found
+    assert [event["tare"]["zero_counts"] for event in rig.events if "tare" in event] == [tare.zero]
     assert tare.zero == pytest.approx(CALIBRATION.zero + ZERO_SHIFT, abs=5.0 * tare.error + 0.5)
     assert tare.noise * CALIBRATION.newton_per_count == pytest.approx(math.hypot(0.12, 0.047), rel=0.15)
 
@@ -45,7 +48,7 @@ def test_the_limits_act_between_commands_and_outputs(new_rig):
     rig.start(3000.0, 2.0)
     for _ in range(100):
         rig.step(9000.0, -40.0)
-    assert rig.acting == (LIMITS.omega_max, LIMITS.beta_min)
+    assert (log["omega_ref"][-1], log["beta_ref"][-1]) == (LIMITS.omega_max, LIMITS.beta_min)
     assert int(log["cut"][-1]) == Cut.OMEGA_RANGE | Cut.BETA_RANGE
     moves = np.diff(log["omega_ref"][-101:])
     assert moves.max() <= LIMITS.omega_slew * rig.dt + 1e-9

@@ -18,7 +18,7 @@ def bad(found):
 def test_a_good_rig_passes(tmp_path):
     found = selftest(setup(), 4.0, tmp_path)
     assert bad(found) == set()
-    assert len(found.log) == 1000
+    assert len(found.session.log) == 1000
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ def test_a_bad_adc_is_found(tmp_path, monkeypatch, fault, value, found_bad):
     monkeypatch.setattr(Setup, "bench", spoilt)
     found = selftest(setup(), 4.0, tmp_path)
     assert found_bad <= bad(found)
-    assert len(found.log) == 1000  # the other checks still run
+    assert len(found.session.log) == 1000  # the other checks still run
 
 
 def test_an_output_that_is_not_idle_is_found():

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import CALIBRATION
+from rigs import CALIBRATION, transitions
 
 from hil.calibration import read_calibration, to_json
 from hil.devices.supply import Input
@@ -86,7 +86,7 @@ def test_a_limit_exceeded_ramps_down(tmp_path, limits, words):
     rig = done.session.rig
     assert next(fault.kind for fault in rig.states.faults) is FaultKind.SUPPLY
     assert re.search(words, done.ended)
-    assert "ramp down" in [state for _, state, _ in rig.transitions]
+    assert "ramp down" in [state for _, state, _ in transitions(rig)]
     assert done.log["throttle"][-1] < 0.01
 
 

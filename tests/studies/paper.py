@@ -11,6 +11,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
@@ -19,12 +20,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hil.calibration import read_calibration
-from hil.campaign import PARTS, CampaignSize, measure, seconds, steep
+from hil.campaign import CampaignSize, steep
+from hil.campaign_folder import Measuring
 from hil.emulator.rig import EmulatedRig
 from hil.rig import RunEnded
 from hil.run import run_on_rig
 from hil.safety.limits import Limits
-from hil.session import Setup, session
+from hil.session import Setup
 from identification.assessment.prediction import predict
 from identification.assessment.quality import rmse
 from identification.fit.gradient_descent import descend
@@ -42,7 +44,7 @@ from vpp_fmu.kernel.controller import CONTROLLER, DUAL, SPEED_ONLY
 from vpp_fmu.kernel.plant import AVERAGED, BASE, FINE_TUNED
 from vpp_fmu.loop import run as run_loop
 from vpp_fmu.plants import KernelController, KernelPlant
-from vpp_fmu.record import Record, write_record
+from vpp_fmu.record import Record
 from vpp_fmu.response import smoothed, steps
 
 FULL, REPEATS = CampaignSize(before=5.0), 6
@@ -160,13 +162,9 @@ def emulated(limits: Limits, seed: int, map_is_known: bool = True) -> Setup:
 
 
 def recorded(folder: Path, plan: CampaignSize, seed: int) -> Campaign:
-    """Measure a campaign into a folder, part by part as `vpp hil campaign --virtual --seed` does, and read it back."""
-    for k, part in enumerate(PARTS):
-        setup = emulated(steep(Limits()), 100 * seed + k, map_is_known=False)
-        with session(setup, folder, f"log_{part}.csv.gz", seconds(plan, [part]), watch=False) as one:
-            record = measure(one.rig, part, plan, lambda share: None)
-        write_record(OutputFolder(folder), f"{part}.csv", record)
-        print(f"measured: {part}", file=sys.stderr)
+    """Measure a campaign into a folder as `vpp hil campaign --virtual --seed` does, and read it back."""
+    measuring = Measuring(emulated(steep(Limits()), seed, map_is_known=False), plan)
+    measuring.run(OutputFolder(folder), {"parts": {}}, None, partial(print, file=sys.stderr))
     return read_campaign(folder)
 
 

@@ -90,6 +90,14 @@ EITHER = Number(BETA_REF.minimum, OMEGA_REF.maximum)
 """Range of both numbers of --start; each is checked against its own range later."""
 
 
+class Which(NamedTuple):
+    """The rig of --rig: its `kind`, the `plant` FMU in its place, and its rig.json as `file`."""
+
+    kind: str = "emulated"
+    plant: str | None = None
+    file: str | None = None
+
+
 def configure(parser):
     if sys.platform != "linux":
         parser.error(f"platform: found {sys.platform}, expected Linux: a rig needs its clock, PWM files, I2C and terminals")
@@ -112,7 +120,7 @@ def add_rig(parser, fmu: bool = False) -> None:
     kinds = "emulated (default) or real" + (", or fmu PLANT.fmu, which runs its author's code" if fmu else "")
     text = f"{kinds}; and the rig's rig.json, which declares what it may do (default: what --parameters tells of its campaign, "
     text += "the paper's rig for the emulated one; the real rig needs one of the two)"
-    add("--rig", nargs="+", default=["emulated"], metavar=("KIND", "FILE"), help=text)
+    add("--rig", nargs="+", action=_Rig, const=fmu, default=Which(), metavar=("KIND", "FILE"), help=text)
     add(
         "--calibration",
         type=calibration_file,
@@ -225,7 +233,7 @@ def _run(options) -> Answer:
     Tares, arms, spins up, settles, runs, ramps down. Ctrl-C ramps down, a second one stops at once; measured data are kept."""
     profile = read_profile(options.profile)
     lines = [] if options.controller else [said_of(gains_of(options), options.gains)]
-    rig = which(options, fmu=True)
+    rig = options.rig
     if options.inject and rig.kind != "emulated":
         raise BadInput("command line", "--inject", f"--rig {rig.kind}", "an emulated rig, in which a fault can be injected")
     if rig.kind == "fmu":
@@ -249,7 +257,7 @@ def _run(options) -> Answer:
     twin = _twin(options)
     other = (Path(options.beside).name, _fmu_loop(options.beside, options, profile)[0]) if options.beside else None
     inject = _injected(options, setup, float(profile.time[-1] - profile.time[0]))
-    task = RunSetup(setup, controller, profile, start, twin, other, ON_ALARM[options.on_alarm], inject)
+    task = RunSetup(setup, controller, profile, start, twin, other, inject)
     parent = OutputFolder(options.output)
     lines.append(allowed_words(setup.allowed))
     content = _begun(options, setup) | task.summary()
@@ -293,7 +301,7 @@ def _campaign(options) -> Answer:
     lines = [allowed_words(setup.allowed)]
     with watched(options, content) as page, Lines(options) as shown:
         confirm(setup, lines)
-        if (file := which(options).file) or not (folder.path / FILE).exists():  # readers of the campaign need it, too
+        if (file := options.rig.file) or not (folder.path / FILE).exists():  # readers of the campaign need it, too
             folder.write(FILE, read_text(file) if file else as_json(setup.allowed.commanded))
         content = measuring.run(folder, content, page, shown)
     parts = content["parts"]
@@ -337,9 +345,9 @@ def _selftest(options) -> Answer:
     folder.write("hil.json", as_json(content))
     folder.write("report.html", selftest_page(found, content, options.seconds).html())
     lines = [f"{'good' if one.good else 'BAD '}  {one.what}: {one.found}" for one in found.checks]
-    if found.session.timing:
+    if timing := found.session.timing:
         busy = f"{options.load} busy processes beside it"
-        lines.insert(0, f"loop: {content['real_time']}; {busy}\n{found.session.timing.text()}")
+        lines.insert(0, f"loop: {content['real_time']}; {busy}\n{timing.text()}")
     good = sum(one.good for one in found.checks)
     text = f"{good} of {len(found.checks)} checks of the rig are good."
     return Answer(text, content, lines, written=written(options, folder), failure=_failure(found.judge))
@@ -389,30 +397,24 @@ class _Hide(argparse.Action):
         setattr(namespace, self.dest, [*getattr(namespace, self.dest), values])
 
 
-class Which(NamedTuple):
-    """The words of --rig: `kind`, the `plant` FMU in the rig's place, and the rig.json as `file`."""
+class _Rig(argparse.Action):
+    """Stores the words of --rig as Which; `const`: whether a plant FMU may be in the rig's place. BadInput."""
 
-    kind: str
-    plant: str | None
-    file: str | None
-
-
-def which(options, fmu: bool = False) -> Which:
-    """The rig of the option --rig. BadInput."""
-    words = list(options.rig)
-    kind = words.pop(0) if words[0] in ("emulated", "real", "fmu") else "emulated"
-    plant = plant_file(words.pop(0)) if kind == "fmu" and words else None
-    file = rig_file(words.pop(0)) if words else None
-    if words or (kind == "fmu" and not (fmu and plant)) or (file and not Path(file).is_file()):
-        allowed = "emulated or real" + (", or fmu PLANT.fmu" if fmu else "") + ", and a rig.json that is there"
-        raise BadInput("command line", "--rig", " ".join(options.rig), allowed)
-    return Which(kind, plant, file)
+    def __call__(self, parser, namespace, values, option_string=None):
+        words = list(values)
+        kind = words.pop(0) if words[0] in ("emulated", "real", "fmu") else "emulated"
+        plant = plant_file(words.pop(0)) if kind == "fmu" and words else None
+        file = rig_file(words.pop(0)) if words else None
+        if words or (kind == "fmu" and not (self.const and plant)) or (file and not Path(file).is_file()):
+            allowed = "emulated or real" + (", or fmu PLANT.fmu" if self.const else "") + ", and a rig.json that is there"
+            raise BadInput("command line", "--rig", " ".join(values), allowed)
+        namespace.rig = Which(kind, plant, file)
 
 
 def allowed_of(options, turning: bool = True) -> Rig:
     """The rig's ranges: those of its rig.json, else of the campaign of --parameters, else the paper's. BadInput for a real rig
     of unknown range that is to turn."""
-    rig, rest = which(options, fmu=True), None
+    rig, rest = options.rig, None
     if getattr(options, "parameters", None):
         content = as_parameters(options.parameters).rig
         rest = None if content.unknown else content
@@ -427,13 +429,13 @@ def allowed_of(options, turning: bool = True) -> Rig:
 
 
 def _limits(options, allowed: Rig, steps: bool = False) -> tuple[Limits, Rig]:
-    where = which(options, fmu=True).file or getattr(options, "parameters", None) or "rig"
+    where = options.rig.file or getattr(options, "parameters", None) or "rig"
     return limits_for(allowed, where, options.limits, steps)
 
 
 def setup_of(options, steps: bool = False, turning: bool = True) -> Setup:
     """The rig that the options describe; `steps` as in `limits_for`, `turning`: whether the rotor will turn. BadInput."""
-    real = which(options).kind == "real"
+    real = options.rig.kind == "real"
     if real and (options.virtual or options.hide):
         raise BadInput("command line", "--rig", "real with --virtual or --hide", "an emulated rig for these options")
     if real and not options.calibration:
@@ -474,7 +476,7 @@ def _wiring(options) -> Wiring:
 def gains_of(options) -> ParameterSet:
     """The kernel's controller for the rig of the options; it samples once per tick, unless its file has another sample time.
     BadInput if its limits exceed the rig's."""
-    parameters, file = as_parameters(options.parameters), which(options, fmu=True).file
+    parameters, file = as_parameters(options.parameters), options.rig.file
     given = as_gains(options.gains)
     rig = declared_rig(file, parameters.rig) if file else None
     return rig_controller(parameters, given, options.gains, rig, tick_of(given))
@@ -519,7 +521,7 @@ def _twin(options) -> Twin | None:
     band = read_band(source)
     if options.parameters:
         check_same_model(source, parameters, options.parameters)
-    return Twin(twin_of(parameters, band, options.adapt, "command line"))
+    return Twin(twin_of(parameters, band, options.adapt, "command line"), on_alarm=ON_ALARM[options.on_alarm])
 
 
 def _injected(options, setup: Setup, length: float) -> tuple[str, float] | None:
@@ -539,7 +541,7 @@ def _injected(options, setup: Setup, length: float) -> tuple[str, float] | None:
 
 def _begun(options, setup: Setup) -> dict:
     """The content of hil.json before the rotor turns; each file with its hash."""
-    given = {"limits_file": options.limits, "rig_file": which(options).file, "parameters": options.parameters}
+    given = {"limits_file": options.limits, "rig_file": options.rig.file, "parameters": options.parameters}
     given["profile"] = getattr(options, "profile", None)
     content = begun(setup, options.calibration or str(CALIBRATION), options.operator or _user(), given)
     if not hasattr(options, "controller"):
