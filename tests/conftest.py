@@ -17,7 +17,6 @@ from tests.hil.quick_vpp import shorten_waits
 from tests.stalls import Stalls
 from vpp_fmu.app.cli import main
 from vpp_fmu.export import python_fmu
-from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.kernel.types import Model
@@ -127,15 +126,6 @@ def fmu_files(tmp_path_factory):
     for name, path in paths.items():
         path.write_bytes(built[name])
     return paths
-
-
-@pytest.fixture(scope="session")
-def fmus(fmu_files):
-    """The same FMUs, unpacked."""
-    unpacked = {name: Fmu(path) for name, path in fmu_files.items()}
-    yield unpacked
-    for fmu in unpacked.values():
-        fmu.close()
 
 
 @pytest.fixture(scope="session")

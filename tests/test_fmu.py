@@ -55,7 +55,7 @@ def fmu_files(make, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def fmus(fmu_files):
-    """The same, unpacked."""
+    """The FMUs, unpacked."""
     unpacked = {name: Fmu(path) for name, path in fmu_files.items()}
     yield unpacked
     for fmu in unpacked.values():

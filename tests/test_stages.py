@@ -155,8 +155,8 @@ def test_with_another_logger_a_search_is_needed_only_if_it_may_find_a_simpler_se
         return SimpleNamespace(selection=selection, after=SimpleNamespace(significant=lack))
 
     found, again = (stage(False), stage(lacks)), (stage(False), stage(lacks_again, refused))
-    assert stages._complete(found, again) is complete
-    assert not stages._complete((), ())
+    assert stages._no_simpler(found, again) is complete
+    assert not stages._no_simpler((), ())
 
 
 def test_with_another_logger_the_effects_are_fitted_to_its_records_without_a_search(monkeypatch):
@@ -180,6 +180,25 @@ def test_with_another_logger_the_effects_are_fitted_to_its_records_without_a_sea
     found = diagnose(rig(**{"thrust_gain_drift.rate": -0.004}), DELAYS)
     assert found.final.effects == ("thrust_gain_drift",)
     assert (len(second), len(searches)) == (1, 2)
+
+
+def test_a_selection_on_other_records_has_their_noise(monkeypatch):
+    """A single record, whose noise is estimated from its residual; then the same with three times the noise."""
+    found, stage = [], stages._stage
+
+    def kept(*arguments):
+        found.append(stage(*arguments))
+        return found[-1]
+
+    monkeypatch.setattr(stages, "_stage", kept)
+    diagnose(replace(rig(), repeat=None, validation=None), DELAYS, thorough=False)
+    thrust = found[-1]
+    (one,) = thrust.groups[0]
+    more = np.sqrt(8.0) * NOISE * np.random.default_rng(7).standard_normal(len(one.record))
+    noisier = thrust.on([[replace(one, record=one.record.with_columns(thrust=one.record["thrust"] + more))]], [], thrust.at)
+    before, after = (s.judge.searcher.experiments[0].noise.slow for s in (thrust, noisier))
+    # Powers below 10 Hz: of 320 blocks each, so their ratio has a standard error of an eighth at most.
+    assert after / before == pytest.approx(9.0, rel=3.0 / 8.0)
 
 
 @pytest.mark.parametrize(

@@ -112,7 +112,7 @@ class Stage:
     def on(
         self, groups: Sequence[Sequence[Fitted]], runs: Sequence[Record], at: InitialModel, speed_error: float = 0.0
     ) -> "Stage":
-        """The same selection, fitted to records of another speed or logger."""
+        """The same selection, fitted to records of another speed or logger, with their own noise."""
         old, selection = self.judge.searcher, self.selection
         searcher, base = with_noise(groups, at, old, selection.base, old.experiments[0].noise)
         noise = noise_beside(groups, at, old.experiments[0].noise, searcher.again(selection.whole))
@@ -148,7 +148,7 @@ def searched(
     it would find no simpler set."""
     if not any("omega" in one.record and np.isfinite(one.record["omega"]).any() for group in groups for one in group):
         again = [s.on(groups, runs, at) for s in found]
-        return again if _complete(found, again) else [_stage(groups, runs, at, 0.0, options, smallest, effort, pool)]
+        return again if _no_simpler(found, again) else [_stage(groups, runs, at, 0.0, options, smallest, effort, pool)]
     own, others = ([c for c in options if c.effect.in_speed == in_speed] for in_speed in (True, False))
 
     def of_speed(at: InitialModel, known: Stage | None = None) -> Stage:
@@ -212,7 +212,7 @@ def searched(
     if found:
         speed = by_thrust(of_speed(with_pitch_of(found[1]), found[0]))
         thrust = found[1].on(*of_known(speed))
-        if _complete(found, (speed, thrust)):
+        if _no_simpler(found, (speed, thrust)):
             return checked(speed, thrust)
     speed = by_thrust(of_speed(at))
     thrust = of_thrust(speed)
@@ -225,9 +225,9 @@ def searched(
     return checked(again, known_thrust if known_thrust.word not in UNEXPLAINED else of_thrust(again))
 
 
-def _complete(found: Sequence[Stage], again: Sequence[Stage]) -> bool:
-    """Whether the effects of a search are all accepted again with another logger, and leave no lack of fit with one of both:
-    another search would find no simpler set."""
+def _no_simpler(found: Sequence[Stage], again: Sequence[Stage]) -> bool:
+    """Whether another search would find no simpler set: the effects found are all accepted `again` with another logger, and
+    leave no lack of fit with one of both."""
     accepted = all(not j.refused for s in again for j in s.selection.judgements.values())
     return accepted and any(each and not any(s.after.significant for s in each) for each in (found, again))
 

@@ -185,11 +185,3 @@ def _nearest(weighted: np.ndarray, thrust: np.ndarray, degrees: int) -> tuple[np
     residual = thrust - weighted @ (usual + c)
     scatter = max(1.0, float(residual @ residual) / degrees) if degrees > 0 else 1.0
     return usual + c, np.linalg.inv(weighted.T @ weighted / scatter + np.eye(len(c)) / WIDE**2)
-
-
-def check_enough(static: StaticMap, points: int, terms: int, rank: int) -> None:
-    """BadInput if there are not more points than terms, or if the points do not identify the terms."""
-    if points <= terms or rank < terms:
-        found = f"{points} points that identify {rank} terms"
-        allowed = f"more than {terms} points on a grid that identifies {terms} terms"
-        raise BadInput(static.source, "steady points", found, allowed)
