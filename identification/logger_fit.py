@@ -244,19 +244,12 @@ class _Estimate:
         if rows < FINEST - EARLIEST:
             rows, std = 0.0, 0.0
 
-        def logger_at(value: float, fit: "_SensorFit") -> Logger:
-            own = delayed and SPEED_DELAY in self._delays and loose.late(SPEED_DELAY).differs_from(value * self._period)
-            if delayed and fit.with_delay != fit.free and loose.has_delay and not own:
-                other = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit, held=value).solved(FULL)
-                fit = other if fit.worse_than(other) else fit
-            return Logger(value, std, fit.sensor, {name: fit.estimate(name)[1] for name in fit.free}, self._period)
-
-        for value in (0.0, float(round(rows))):
-            simpler = _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=value).solved(FULL)
-            same = abs(rows - value) < FINEST
-            if same or not (simpler.worse_than(fit) or simpler.reads_ahead):
-                return logger_at(value, simpler)
-        return logger_at(rows, _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=rows).solved(FULL))
+        for value in (0.0, float(round(rows)), rows):
+            held = _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=value).solved(FULL)
+            if abs(rows - value) < FINEST or not (held.worse_than(fit) or held.reads_ahead):
+                break
+        uncertain = {name: held.estimate(name)[1] for name in held.free}
+        return Logger(value, std, held.sensor, uncertain, self._period)
 
     def _one_delay(self, fit: "_SensorFit") -> Logger | None:
         """The logger without an offset, if a delay of one command explains the record better than the offset of `fit`, or as
@@ -353,20 +346,10 @@ class _SensorFit:
         return tuple(sorted({*self.free, "delay"})) if self.sensor.kind and "delay" not in self._of._declared else self.free
 
     @property
-    def has_delay(self) -> bool:
-        """Whether the delay of the sensor exceeds its uncertainty: SIGNIFICANT standard errors, and the unknown instant of a
-        value. A negative delay means a late thrust reading, which is an effect of the library."""
-        return self.sensor.delay > self._delay_tolerance
-
-    @property
     def reads_ahead(self) -> bool:
         """Whether the sensor's delay is below zero by more than its uncertainty: no sensor reads a future speed, so the offset
         is wrong."""
-        return -self.sensor.delay > self._delay_tolerance
-
-    @property
-    def _delay_tolerance(self) -> float:
-        return max(SIGNIFICANT * self.estimate("delay")[1], self.unknown_instant)
+        return -self.sensor.delay > max(SIGNIFICANT * self.estimate("delay")[1], self.unknown_instant)
 
     def solved(self, limits: Sequence[int]) -> "_SensorFit":
         """Fit in rounds with `limits` of evaluations; after each round, the channels are weighted by their residuals."""

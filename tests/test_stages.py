@@ -108,14 +108,15 @@ DELAYS = tuple(e for e in LIBRARY if e.off is None or e.name in ("speed_delay", 
 
 
 def test_the_thrust_decides_whether_the_speed_or_its_reading_is_late():
-    """Both are the same to the speed. A late reading is the delay of the sensor, which the logger has."""
+    """Both are the same to the speed. An encoder has no delay of its own: that of a logger is named."""
     found = diagnose(rig(**{"speed_delay.delay": 0.05}), DELAYS, thorough=False)
     assert (found.verdict, found.final.effects) == ("attributed", ("speed_delay",))
     assert found.final.values["speed_delay.delay"] == pytest.approx(0.05, abs=0.003)
     shown = {"speed": ("attributed", ["speed_delay"]), "thrust": ("none", [])}
     assert {name: (one["verdict"], one["effects"]) for name, one in found.channels.items()} == shown
     found = diagnose(rig(**{"speed_reading_delay.delay": 0.05}), DELAYS, thorough=False)
-    assert (found.verdict, found.logger.sensor.delay) == ("none", pytest.approx(0.05, abs=0.003))
+    assert (found.verdict, found.final.effects) == ("attributed", ("speed_reading_delay",))
+    assert found.final.values["speed_reading_delay.delay"] == pytest.approx(0.05, abs=0.003)
 
 
 def test_readings_of_speed_early_by_part_of_a_row_are_no_fault_of_the_thrust():
