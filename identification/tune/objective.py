@@ -8,7 +8,7 @@ So penalties limit the nominal loop's overshoot, its largest sensitivity at the 
 settling and ringing of each step, to those of the initial gains.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
@@ -190,8 +190,7 @@ class Objective:
         """Largest sensitivity of the nominal loop at `points`; 0 without points; at least UNSTABLE if a loop is unstable."""
         if not self.points:
             return 0.0
-        settings = self.with_gains(gains)
-        loop = sum(controller_response(settings, u, self._omega) * self._paths[u] for u in self.channels)
+        loop = self.open_loops(gains, self._omega, self._paths)
         stable = holds(loop, np.array([self.integrators(point) for point in self.points]))
         return float(1.0 / np.abs(1.0 + loop).min()) if stable else float(UNSTABLE + np.abs(loop).max())
 
@@ -202,18 +201,25 @@ class Objective:
 
     @cached_property
     def _paths(self) -> dict[str, np.ndarray]:
-        """By channel the response (points, m) from its command to the thrust reading; 0 at points where it is at a limit."""
-        chain = chain_response(self.chain, self._omega, self.course.dt)
-        return {u: np.array([chain * self._free_path(point, u) for point in self.points]) for u in self.channels}
+        return self.paths(self.points, self._omega)
 
-    def _free_path(self, point: Point, channel: str) -> np.ndarray:
-        return self.plant_path(point, channel, self._omega) if channel in point.channels else np.zeros(len(self._omega))
+    def open_loops(self, gains: np.ndarray, omega: np.ndarray, paths: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Open-loop responses (points, m) of chain, controller and nominal plant; `paths` as of `paths`."""
+        settings = self.with_gains(gains)
+        return sum(controller_response(settings, u, omega) * path for u, path in paths.items())
 
-    def plant_path(self, point: Point, channel: str, omega: np.ndarray) -> np.ndarray:
-        """The response (m,) at `omega` (m,) [rad/s] from a channel's command to the nominal plant's thrust at a point."""
+    def paths(self, points: Sequence[Point], omega: np.ndarray) -> dict[str, np.ndarray]:
+        """By channel the response (points, m) at `omega` (m,) [rad/s] from its command to the thrust reading; 0 at points where
+        it is at a limit."""
         model, dt = self.loop.models[0], self.course.dt
         values = dict(zip((p.name for p in model.parameters), self.plants[0].tolist(), strict=True))
-        return plant_response(pulse_response(model, values, point.commands, channel, dt, self.time_scale), omega, dt)
+        found = {u: np.zeros((len(points), len(omega)), complex) for u in self.channels}
+        chain = chain_response(self.chain, omega, dt)
+        for k, point in enumerate(points):
+            for u in point.channels:
+                pulse = pulse_response(model, values, point.commands, u, dt, self.time_scale)
+                found[u][k] = chain * plant_response(pulse, omega, dt)
+        return found
 
     @cached_property
     def _chain(self) -> np.ndarray:
