@@ -16,7 +16,6 @@ from identification.diagnose.judgement import (
     ALTERNATIVE_WINDOW,
     FORM,
     MIN_EVIDENCE,
-    MOST,
     Judgement,
     chance_threshold,
     refusals,
@@ -56,14 +55,15 @@ def select(problem: Regression, effects: Sequence[PowerEffect]) -> tuple[Regress
     """(fit without effects, with the accepted ones, all that were tried): forward selection by evidence."""
     base = fit = problem.fit()
     tried: list[Tried] = []
-    while len(fit.effects) < MOST and (others := [e for e in effects if e.name not in {a.name for a in fit.effects}]):
+    while others := [e for e in effects if e.name not in {a.name for a in fit.effects}]:
         names = tuple(e.name for e in fit.effects)
-        fits = [(f, Tried(e, names, judged(fit, f, e))) for e in others for f in [fit.with_effect(e)]]
-        tried += [t for _, t in fits]
-        accepted = [(t.judged.evidence, f) for f, t in fits if f and not t.judged.refused]
+        fits = {e: fit.with_effect(e) for e in others}
+        judgements = {e: judged(fit, f, e) for e, f in fits.items()}
+        tried += [Tried(e, names, j) for e, j in judgements.items()]
+        accepted = {fits[e]: j.evidence for e, j in judgements.items() if not j.refused}
         if not accepted:
             break
-        _, best = max(accepted, key=lambda pair: pair[0])
+        best = max(accepted, key=accepted.__getitem__)
         # A missing effect looks like slow noise: the colour is estimated again beside the accepted effects.
         fit = Regression.of(problem.parts, best.effects, best.x).fit(best.effects, best.x)
     return base, fit, tried
