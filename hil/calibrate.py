@@ -14,9 +14,9 @@ from typing import Protocol
 
 import numpy as np
 
-from hil.bench import Bench
-from hil.calibration import Calibration
-from hil.cycle import PERIOD
+from hil.devices.calibration import Calibration
+from hil.loop.bench import Bench
+from hil.loop.cycle import PERIOD
 from hil.safety.faults import DeviceFault
 from hil.safety.supervisor import Supervisor
 from hil.safety.tare import TareGate, TareRefused, tare

@@ -1,7 +1,7 @@
 """A measuring campaign on the rig: the paper's static map and steps, and records for fine-tuning and validation.
 
 Each part is a separate run: tare, arm, run, ramp down. Its data are in the log and in the log's events, from which
-`hil.campaign_folder` makes the records.
+`hil.results.campaign_folder` makes the records.
 """
 
 import math
@@ -12,8 +12,8 @@ import numpy as np
 
 from hil import commands
 from hil.commands import PAPERS, StepCommand
-from hil.cycle import PERIOD
-from hil.rig import RigPlant
+from hil.loop.cycle import PERIOD
+from hil.loop.rig import RigPlant
 from hil.safety.limits import Limits, limits_of, read_limits
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import Record

@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.columns import RUN
-from hil.cycle import PERIOD
 from hil.devices.supply import NAMES
 from hil.emulator.faults import WITHIN, Injector, Saboteur
-from hil.log import Column, cell
+from hil.loop.columns import RUN
+from hil.loop.cycle import PERIOD
+from hil.loop.log import Column, cell
+from hil.loop.rig import ENDINGS, RigPlant, RunEnded
+from hil.loop.session import LOG, Session, Setup, session
 from hil.page.operator_page import OperatorPage
-from hil.rig import ENDINGS, RigPlant, RunEnded
 from hil.safety.faults import Fault, FaultKind
 from hil.safety.limits import Limiter, Limits
-from hil.session import LOG, Session, Setup, session
 from hil.twin.twin import Twin
 from vpp_fmu.commands import idle
 from vpp_fmu.errors import BadInput, VppError
@@ -188,7 +188,7 @@ def profile_start(log: Record) -> float:
 
 
 def loop_part(log: Record) -> Record:
-    """The rows of a log with an active controller, from time 0: the columns of `hil.columns.RUN` and the supply's readings."""
+    """The rows of a log with an active controller, from time 0: the columns RUN and the supply's readings."""
     rows = np.flatnonzero(np.isfinite(log["omega_wanted"]))
     if not len(rows):
         return Record({name: np.empty(0) for name in ("time", *RUN)}, log.source)

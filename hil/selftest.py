@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.calibration import Calibration
-from hil.rig import ENDINGS
-from hil.session import LOG, Session, Setup, session
+from hil.devices.calibration import Calibration
+from hil.loop.rig import ENDINGS
+from hil.loop.session import LOG, Session, Setup, session
 from vpp_fmu.errors import VppError
 from vpp_fmu.record import Record
 

@@ -12,7 +12,7 @@ import pytest
 from hil.campaign import steep
 from hil.commands import grid as campaign_grid
 from hil.commands import open_loop, steps, validation
-from hil.cycle import PERIOD
+from hil.loop.cycle import PERIOD
 from hil.safety.limits import Limiter, limits_of
 from identification.diagnose.experiment import discriminating_experiment
 from identification.plan.excitation import candidate, paper_plan, variant

@@ -8,7 +8,7 @@ import zlib
 import pytest
 from builders import refusal
 
-from hil.calibration import read_calibration
+from hil.devices.calibration import read_calibration
 from hil.safety.limits import read_limits
 from hil.twin.band import read_band
 from identification.assessment.information import read_knowledge, read_noise

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import smbus2
 
-from hil.clock import Clock
+from hil.devices.clock import Clock
 from hil.safety.faults import DeviceFault, FaultKind
 
 CONVERSION, CONFIG = 0x00, 0x01

@@ -10,7 +10,7 @@ import os
 from os import pwrite
 from pathlib import Path
 
-from hil.clock import Clock
+from hil.devices.clock import Clock
 from hil.safety.faults import DeviceFault, FaultKind
 
 ROOT = Path("/sys/class/pwm")

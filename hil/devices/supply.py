@@ -8,8 +8,8 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from hil.clock import Clock
 from hil.devices.ads1115 import Ads1115
+from hil.devices.clock import Clock
 
 NAMES = {"voltage": "V", "current": "A", "temperature": "degC", "torque": "N.m"}
 """Quantities that may be wired, with their units."""

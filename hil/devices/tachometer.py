@@ -11,8 +11,8 @@ from typing import NamedTuple, Protocol
 
 import serial
 
-from hil.clock import Clock
 from hil.devices import frames
+from hil.devices.clock import Clock
 from hil.devices.frames import Frame, FrameReader, Hello, encoded
 from hil.safety.faults import DeviceFault, FaultKind
 

@@ -17,11 +17,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.bench import Bench
-from hil.clock import VirtualClock
+from hil.devices.clock import VirtualClock
 from hil.emulator import i2c, serial_line
 from hil.emulator.rig import BUS, HAND, LINE, PULLED
 from hil.emulator.shared import SharedNumbers
+from hil.loop.bench import Bench
 from vpp_fmu.errors import BadInput, near
 
 ROOT = Path(__file__).parents[2]
@@ -111,7 +111,7 @@ def to_supervisor(number: int) -> Inject:
 
 def to_writer(number: int) -> Inject:
     """A signal to the log's writer; a stopped one hangs, as on a network disk that is gone."""
-    return lambda rig: os.kill(rig.child("hil.log"), number)
+    return lambda rig: os.kill(rig.child("hil.loop.log"), number)
 
 
 def to_all(rig: Target) -> None:
@@ -130,7 +130,7 @@ def to_loop_and_supervisor(rig: Target) -> None:
 
 def second_opener(rig: Target) -> None:
     """Another process tries to open the same outputs."""
-    text = "import sys; from pathlib import Path; from hil.bench import locked; locked(Path(sys.argv[1]))"
+    text = "import sys; from pathlib import Path; from hil.loop.bench import locked; locked(Path(sys.argv[1]))"
     command = [sys.executable, "-c", text, str(rig.esc.parents[1])]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)

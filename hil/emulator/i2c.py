@@ -11,8 +11,8 @@ import math
 import os
 from collections.abc import Callable, Iterator
 
-from hil.clock import Clock
 from hil.devices import ads1115 as driver
+from hil.devices.clock import Clock
 from hil.emulator.shared import SharedNumbers
 
 REGISTERS = ("conversion", "config", "low", "high")

@@ -12,14 +12,14 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from hil.bench import Bench
-from hil.calibration import Calibration, read_calibration, to_json
-from hil.clock import MonotonicClock
+from hil.devices.calibration import Calibration, read_calibration, to_json
+from hil.devices.clock import MonotonicClock
 from hil.emulator.rig import LINE, PORT, EmulatedRig, Emulation, bench_in, folder
 from hil.emulator.serial_line import PtyLine
-from hil.realtime import real_time
+from hil.loop.bench import Bench
+from hil.loop.realtime import real_time
+from hil.loop.ticks import Ticks
 from hil.safety.faults import DeviceFault, FaultKind
-from hil.ticks import Ticks
 
 PERIOD = 0.001
 """Time between two steps, s."""

@@ -9,9 +9,8 @@ from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
-from hil.bench import ESC, LAC, Bench, adc, supply
-from hil.calibration import Calibration
-from hil.clock import Clock, VirtualClock
+from hil.devices.calibration import Calibration
+from hil.devices.clock import Clock, VirtualClock
 from hil.devices.pwm import PwmChannel
 from hil.devices.supply import Input
 from hil.devices.tachometer import Port, Tachometer
@@ -22,6 +21,7 @@ from hil.emulator.serial_line import MemoryLine, SerialLine
 from hil.emulator.shared import SharedNumbers
 from hil.emulator.uno import Uno
 from hil.emulator.world import LoadCell, World
+from hil.loop.bench import ESC, LAC, Bench, adc, supply
 from hil.physics.pitch_actuator import ACTUATOR
 from hil.physics.rig_model import library, powertrain
 from vpp_fmu.errors import BadInput, near

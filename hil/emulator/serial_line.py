@@ -14,7 +14,7 @@ import termios
 import tty
 from pathlib import Path
 
-from hil.clock import Clock
+from hil.devices.clock import Clock
 from hil.emulator.shared import SharedNumbers
 from hil.emulator.uno import Uno
 

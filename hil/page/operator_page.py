@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
-from hil.log import ProcessLog, events_of
+from hil.loop.log import ProcessLog, events_of
 from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.stopping import Stopped
 

@@ -6,9 +6,9 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from hil.columns import LEARNED
-from hil.cycle import PERIOD
-from hil.log import Reader
+from hil.loop.columns import LEARNED
+from hil.loop.cycle import PERIOD
+from hil.loop.log import Reader
 
 BIN = 25
 """Ticks per point of a curve, the mean over 0.1 s."""

@@ -7,7 +7,7 @@ from enum import IntFlag
 from typing import NamedTuple
 
 from hil.commands import PAPERS
-from hil.entries import Entries, NumberEntry
+from hil.devices.entries import Entries, NumberEntry
 from hil.safety.faults import Fault, FaultKind
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.scales import PAPER

@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Sequence
 
-from hil.realtime import WORKERS
+from hil.loop.realtime import WORKERS
 from hil.safety import watchdog
 from hil.safety.faults import DeviceFault, Fault, FaultKind
 
@@ -34,7 +34,7 @@ class Supervisor:
     `outputs`: (duty file, idle pulse [s]); the PWM must be set up already, since the supervisor first writes the idle pulse as
     a test. `report`: a file to which it adds a line if it acts. From the first `beat` on, it stops the rotor after `silence` s
     without one, and kills this process after `grace` s more. `keep`: descriptors that it also holds open, such as the rig's
-    lock. `lifted`: the kernel's workers whose priority `hil.realtime` raised; it restores them if this process dies. `fifo`:
+    lock. `lifted`: the kernel's workers whose priority `realtime` raised; it restores them if this process dies. `fifo`:
     whether it runs in real time. DeviceFault NOT_READY: it could not start, or an output refused the idle pulse.
     """
 

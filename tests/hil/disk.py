@@ -17,9 +17,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.campaign_folder import measured_so_far
-from hil.log import events_of, read_events
-from hil.session import found_log, read_log
+from hil.loop.log import events_of, read_events
+from hil.loop.session import found_log, read_log
+from hil.results.campaign_folder import measured_so_far
 from tests.hil.injection import fill
 
 ROOT = Path(__file__).parents[2]

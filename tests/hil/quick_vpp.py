@@ -2,7 +2,7 @@
 
 import sys
 
-from hil import rig
+from hil.loop import rig
 from hil.safety import polarity
 from vpp_fmu.app.cli import main
 

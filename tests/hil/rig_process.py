@@ -17,13 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.calibration import read_calibration
+from hil.devices.calibration import read_calibration
 from hil.emulator import pwm_tree
 from hil.emulator.faults import Saboteur
 from hil.emulator.rig import EmulatedRig as Emulated
+from hil.loop.session import Setup
 from hil.run import ON_ALARM, run_on_rig
 from hil.safety.limits import Limits
-from hil.session import Setup
 from hil.twin.band import Band
 from hil.twin.twin import Twin, twin_of
 from tests.hil.quick_vpp import shorten_waits

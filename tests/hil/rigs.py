@@ -9,15 +9,15 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from hil.calibration import read_calibration
-from hil.columns import COLUMNS
+from hil.devices.calibration import read_calibration
 from hil.emulator.rig import LINE, virtual_bench
 from hil.emulator.rig import EmulatedRig as Emulated
 from hil.emulator.serial_line import FAULTS
 from hil.emulator.shared import SharedNumbers
-from hil.rig import RigPlant
+from hil.loop.columns import COLUMNS
+from hil.loop.rig import RigPlant
+from hil.loop.session import Setup
 from hil.safety.limits import Limits
-from hil.session import Setup
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.record import Record, write_record
 

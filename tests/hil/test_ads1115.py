@@ -3,8 +3,8 @@ import math
 import pytest
 import smbus2
 
-from hil.clock import VirtualClock
 from hil.devices.ads1115 import Ads1115
+from hil.devices.clock import VirtualClock
 from hil.emulator import i2c
 from hil.safety.faults import DeviceFault, FaultKind
 

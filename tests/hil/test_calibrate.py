@@ -9,7 +9,7 @@ import pytest
 from rigs import CALIBRATION
 
 from hil.calibrate import CalibrationRefused, G, line, pitched, started, weighed
-from hil.calibration import never_measured, read_calibration, to_json
+from hil.devices.calibration import never_measured, read_calibration, to_json
 from hil.emulator.rig import ZERO_SHIFT, virtual_bench
 from hil.emulator.rig import EmulatedRig as Emulated
 

@@ -6,7 +6,7 @@ from importlib.resources import files
 
 import pytest
 
-from hil.calibration import read_calibration, to_json
+from hil.devices.calibration import read_calibration, to_json
 from vpp_fmu.errors import BadInput
 
 SHIPPED = files("hil.emulator") / "calibration.json"

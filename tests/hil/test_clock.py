@@ -2,7 +2,7 @@ import signal
 
 import pytest
 
-from hil.clock import MonotonicClock, VirtualClock
+from hil.devices.clock import MonotonicClock, VirtualClock
 
 
 def test_the_virtual_clock_moves_only_when_somebody_waits():

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from rigs import begun
 
-from hil.session import found_log, read_log
+from hil.loop.session import found_log, read_log
 from tests.hil.stubborn import stubborn
 from vpp_fmu.app.cli import main
 from vpp_fmu.plants import KernelController
@@ -91,8 +91,8 @@ def test_a_log_whose_writer_died_too_is_cut_behind_its_last_whole_row(tmp_path, 
 @pytest.mark.parametrize(("size", "rows"), [(0, 0), (300_000, 1000)], ids=["from the start", "at the end"])
 def test_a_full_disk_loses_no_row_that_was_written(tmp_path, profile, size, rows):
     words = ["hil", "run", "--virtual", "--profile", str(profile), "-o", str(tmp_path / "out")]
-    text = "import resource, sys; from hil.room import Reserve; from vpp_fmu.app.cli import main; size = int(sys.argv[1])\n"
-    text += "def fill(*_): resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))\n"
+    text = "import resource, sys\nfrom hil.loop.room import Reserve\nfrom vpp_fmu.app.cli import main\n"
+    text += "size = int(sys.argv[1])\ndef fill(*_): resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))\n"
     text += "if size: Reserve.free = fill\n"  # others were quicker to take what it gave back
     text += "else: fill()\nsys.exit(main(sys.argv[2:]))"
     command = [sys.executable, "-c", text, str(size), *words]

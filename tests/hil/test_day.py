@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from builders import shorten_tuning
 
-from hil.cycle import PERIOD
-from hil.rig import RunEnded
-from hil.session import read_log
+from hil.loop.cycle import PERIOD
+from hil.loop.rig import RunEnded
+from hil.loop.session import read_log
 from hil.twin.band import read_band
 from identification.diagnose.diagnose import diagnose
 from tests.hil.quick_vpp import shorten_waits

@@ -7,8 +7,8 @@ import time
 import pytest
 from rigs import within
 
-from hil.clock import MonotonicClock
 from hil.devices.ads1115 import Ads1115
+from hil.devices.clock import MonotonicClock
 from hil.devices.pwm import PwmChannel
 from hil.devices.tachometer import Tachometer
 from hil.emulator import i2c, pwm_tree, serial_line

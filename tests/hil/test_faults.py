@@ -5,8 +5,8 @@ import os
 import pytest
 from rigs import IDLE, duties, steps
 
-from hil import rig as hil_rig
-from hil.rig import RunEnded
+from hil.loop import rig as hil_rig
+from hil.loop.rig import RunEnded
 from hil.safety.states import SafetyState
 from tests.hil.faults import ROWS
 from tests.hil.injection import Injected

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.clock import MonotonicClock
+from hil.devices.clock import MonotonicClock
 from hil.devices.frames import (
     ANSWER,
     ARM,

@@ -8,12 +8,12 @@ import pytest
 from rigs import LIMITS
 
 from hil.campaign import PARTS, CampaignSize, measure, plan_for, recorded, same_commands, seconds, steep, step_responses
-from hil.campaign_folder import piece, record_of
 from hil.commands import StepCommand, grid, open_loop, steps, validation
-from hil.cycle import PERIOD
-from hil.log import MemoryLog
+from hil.loop.cycle import PERIOD
+from hil.loop.log import MemoryLog
+from hil.loop.rig import RigPlant
 from hil.physics.rig_model import FULL_RIG
-from hil.rig import RigPlant
+from hil.results.campaign_folder import piece, record_of
 from hil.safety.faults import Fault, FaultKind
 from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import read_campaign

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from rigs import CALIBRATION, LIMITS, setup, step_profile, transitions
 
-from hil.calibration import to_json
-from hil.columns import COLUMNS
 from hil.commands import PAPERS
+from hil.devices.calibration import to_json
 from hil.emulator.rig import EmulatedRig as Emulated
-from hil.outcome import judged_steps
+from hil.loop.columns import COLUMNS
+from hil.loop.session import read_log
+from hil.results.outcome import judged_steps
+from hil.results.runs import sha256_of
 from hil.run import ON_ALARM, LimitedPlant, run_on_rig
-from hil.runs import sha256_of
-from hil.session import read_log
 from hil.twin.band import Band
 from hil.twin.twin import Twin, twin_of
 from vpp_fmu.app.cli import main

@@ -6,9 +6,9 @@ import signal
 import pytest
 from rigs import begun, setup, step_profile, transitions
 
-from hil.cycle import PERIOD
 from hil.emulator.faults import AT_ONCE, FAULTS, OUTSIDE, WITHIN
-from hil.log import read_events
+from hil.loop.cycle import PERIOD
+from hil.loop.log import read_events
 from hil.run import run_on_rig
 from hil.safety.states import SafetyState
 from tests.hil.faults import ROWS

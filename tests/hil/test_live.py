@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from hil.live import EVERY, StatusLine, status_line, text_of
+from hil.loop.live import EVERY, StatusLine, status_line, text_of
 
 ERASE = "\r\x1b[K"
 

@@ -12,7 +12,7 @@ import time
 import numpy as np
 import pytest
 
-from hil.log import Column, Logged, MemoryLog, ProcessLog, Reader, largest
+from hil.loop.log import Column, Logged, MemoryLog, ProcessLog, Reader, largest
 
 COLUMNS = (Column("time"), Column("exact", exact=True), Column("short"), Column("state", words=("safe", "run")))
 ROWS = [(0.004 * k, math.pi / (k + 1), math.e * k if k % 3 else math.nan, float(k % 2)) for k in range(5000)]
@@ -74,7 +74,7 @@ def test_a_row_that_finds_no_room_is_counted_and_the_loop_does_not_wait(tmp_path
 def test_a_killed_loop_leaves_a_complete_log(tmp_path):
     text = f"""
 import os, signal
-from hil.log import Column, ProcessLog
+from hil.loop.log import Column, ProcessLog
 log = ProcessLog({str(tmp_path / "run.csv")!r}, [Column("time"), Column("value")])
 for k in range(1000):
     log.put(0.004 * k, k)
@@ -90,7 +90,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 def test_a_full_disk_loses_rows_and_is_reported_but_stops_nothing(tmp_path):
     text = f"""
 import json, resource, signal
-from hil.log import Column, MemoryLog
+from hil.loop.log import Column, MemoryLog
 resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
 log = MemoryLog({str(tmp_path / "run.csv")!r}, [Column("time"), Column("value")])
 for k in range(5000):
@@ -107,7 +107,7 @@ print(json.dumps([done.rows, done.lost, done.failure]))
 
 
 def test_a_row_that_waits_for_the_disk_for_more_than_a_second_breaks_the_log(tmp_path, monkeypatch):
-    monkeypatch.setattr("hil.log._HANGS", 0.2)
+    monkeypatch.setattr("hil.loop.log._HANGS", 0.2)
     log = ProcessLog(tmp_path / "run.csv", COLUMNS)
     os.kill(log.writer, signal.SIGSTOP)
     for k in range(300):

@@ -15,15 +15,15 @@ from urllib.parse import urlsplit
 import pytest
 from rigs import CALIBRATION, begun
 
-from hil.calibration import to_json
-from hil.columns import COLUMNS, LEARNED
+from hil.devices.calibration import to_json
 from hil.devices.supply import Input
-from hil.log import Column, ProcessLog
+from hil.loop.columns import COLUMNS, LEARNED
+from hil.loop.log import Column, ProcessLog
+from hil.loop.session import read_log
 from hil.page.operator_page import OperatorPage
 from hil.page.story import Story
 from hil.safety.faults import FaultKind
 from hil.safety.stop import StopSignals
-from hil.session import read_log
 from tests.browser import browser
 from tests.hil.disk import esc_of
 from tests.hil.faults import CUT, RAMP

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from rigs import CALIBRATION, IDLE, LIMITS, duties, setup, step_profile, steps
 
-from hil.bench import locked
 from hil.commands import PAPERS
 from hil.emulator.rig import EmulatedRig as Emulated
-from hil.rig import RunEnded
+from hil.loop.bench import locked
+from hil.loop.rig import RunEnded
 from hil.run import run_on_rig
 from hil.safety.faults import FaultKind
 from hil.safety.polarity import Level, Polarity

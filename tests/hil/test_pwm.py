@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.clock import VirtualClock
+from hil.devices.clock import VirtualClock
 from hil.devices.pwm import PwmChannel, find_chip
 from hil.emulator import pwm_tree
 from hil.emulator.pwm_tree import PwmTree

@@ -1,8 +1,8 @@
 import gc
 import os
 
-from hil import realtime
-from hil.realtime import real_time
+from hil.loop import realtime
+from hil.loop.realtime import real_time
 
 
 def test_the_garbage_collector_is_off_within_and_on_afterwards():

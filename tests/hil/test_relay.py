@@ -11,7 +11,7 @@ from hil.emulator.faults import children_of
 from hil.emulator.rig import BYSTANDER, SHOWN
 from hil.emulator.rig import EmulatedRig as Emulated
 from hil.emulator.shared import SharedNumbers
-from hil.rig import RunEnded
+from hil.loop.rig import RunEnded
 from tests.hil.injection import started, wait_for
 
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from rigs import CALIBRATION, IDLE, LIMITS, Rows, asked, duties, serial_faults, steps, transitions
 
-from hil.columns import COLUMNS, STATES
 from hil.emulator.process import real_time_bench
 from hil.emulator.rig import ZERO_SHIFT
 from hil.emulator.rig import EmulatedRig as Emulated
-from hil.realtime import real_time
-from hil.rig import RAMP, RigPlant, RunEnded
+from hil.loop.columns import COLUMNS, STATES
+from hil.loop.realtime import real_time
+from hil.loop.rig import RAMP, RigPlant, RunEnded
 from hil.safety.faults import Fault, FaultKind
 from hil.safety.limits import Cut, Limits
 from hil.safety.states import SafetyState
@@ -35,7 +35,7 @@ def test_a_run_goes_through_its_states_and_comes_back(new_rig):
 
 def test_the_tare_finds_the_zero_that_moved(new_rig, monkeypatch):
     (rig, _), found = new_rig(), []
-    monkeypatch.setattr("hil.rig.tare", lambda *given: found.append(tare_of(*given)) or found[-1])
+    monkeypatch.setattr("hil.loop.rig.tare", lambda *given: found.append(tare_of(*given)) or found[-1])
     rig.start(3000.0, 2.0)
     (tare,) = found
     assert [event["tare"]["zero_counts"] for event in rig.events if "tare" in event] == [tare.zero]

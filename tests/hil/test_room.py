@@ -4,8 +4,8 @@ import os
 import pytest
 from rigs import setup, step_profile
 
-from hil import room
-from hil.room import Reserve
+from hil.loop import room
+from hil.loop.room import Reserve
 from hil.run import run_on_rig
 from vpp_fmu.app.cli import main
 from vpp_fmu.errors import BadInput
@@ -15,7 +15,7 @@ from vpp_fmu.plants import KernelController
 def test_a_disk_too_small_for_the_run_is_refused_before_the_rig_is_opened(tmp_path, monkeypatch):
     """The log: 45 000 rows, 24 cells of up to ten characters, 11 MB. The record behind it: 30 000 rows, 8 of 20, 5 MB."""
     monkeypatch.setattr(room, "free_bytes", lambda folder: 12_000_000)
-    monkeypatch.setattr("hil.session.Setup.bench", lambda self: pytest.fail("opened"))
+    monkeypatch.setattr("hil.loop.session.Setup.bench", lambda self: pytest.fail("opened"))
     with pytest.raises(BadInput, match=r"free space: found 12\.0 MB, expected .* 120 s of log"):
         run_on_rig(setup(), KernelController(), step_profile(hold=40.0), tmp_path)
     assert not list(tmp_path.iterdir())
@@ -44,7 +44,7 @@ def test_the_reason_of_an_end_is_told_even_if_the_files_after_it_are_refused(tmp
     def refused(path, record):
         raise BadInput(path, "output file", "not writable (no space left on device)", "a file that can be written")
 
-    monkeypatch.setattr("hil.outcome.write_run", refused)
+    monkeypatch.setattr("hil.results.outcome.write_run", refused)
     steps = iter([(3000.0, 2.0)] * 100)
     monkeypatch.setattr(KernelController, "step", lambda *_: next(steps, (float("nan"), 0.0)))
     (tmp_path / "step.csv").write_text("time,thrust_set\n0,4\n2,4\n")

@@ -6,8 +6,8 @@ from rigs import setup
 from hil import selftest as module
 from hil.emulator import i2c
 from hil.emulator.rig import BUS
+from hil.loop.session import Setup
 from hil.selftest import selftest
-from hil.session import Setup
 from vpp_fmu.app.cli import main
 
 

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from rigs import CALIBRATION, transitions
 
-from hil.calibration import read_calibration, to_json
+from hil.devices.calibration import read_calibration, to_json
 from hil.devices.supply import Input
 from hil.emulator.rig import EmulatedRig as Emulated
 from hil.emulator.world import AMBIENT, HEATS, WARMS, LoadCell, World
-from hil.outcome import energy
+from hil.loop.session import Setup
 from hil.physics.rig_model import POWERTRAIN
+from hil.results.outcome import energy
 from hil.run import run_on_rig
 from hil.safety.faults import FaultKind
 from hil.safety.limits import Limits
 from hil.safety.plausibility import SupplyLimits
-from hil.session import Setup
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder

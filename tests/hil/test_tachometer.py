@@ -8,7 +8,7 @@ import pytest
 import serial
 from rigs import within
 
-from hil.clock import MonotonicClock, VirtualClock
+from hil.devices.clock import MonotonicClock, VirtualClock
 from hil.devices.frames import ANSWER, HELLO, Answer, Frame, Hello, encoded
 from hil.devices.tachometer import BAUD, Tachometer
 from hil.emulator.serial_line import MemoryLine, PtyLine

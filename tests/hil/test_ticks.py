@@ -1,7 +1,7 @@
 import pytest
 
-from hil.clock import VirtualClock
-from hil.ticks import Ticks
+from hil.devices.clock import VirtualClock
+from hil.loop.ticks import Ticks
 
 
 def test_ticks_come_at_whole_multiples_of_the_period():

@@ -11,8 +11,8 @@ import signal
 import sys
 import time
 
-from hil.clock import MonotonicClock
-from hil.realtime import real_time
+from hil.devices.clock import MonotonicClock
+from hil.loop.realtime import real_time
 from hil.safety.supervisor import Supervisor
 
 OPEN, IDLE = 1.5e-3, 1.0e-3

@@ -19,14 +19,14 @@ from typing import NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hil.calibration import read_calibration
 from hil.campaign import CampaignSize, steep
-from hil.campaign_folder import Measuring
+from hil.devices.calibration import read_calibration
 from hil.emulator.rig import EmulatedRig
-from hil.rig import RunEnded
+from hil.loop.rig import RunEnded
+from hil.loop.session import Setup
+from hil.results.campaign_folder import Measuring
 from hil.run import run_on_rig
 from hil.safety.limits import Limits
-from hil.session import Setup
 from identification.assessment.prediction import predict
 from identification.assessment.quality import rmse
 from identification.fit.gradient_descent import descend

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import ttest_ind
 
-from hil.columns import LEARNED
-from hil.cycle import PERIOD
+from hil.loop.columns import LEARNED
+from hil.loop.cycle import PERIOD
+from hil.loop.session import Setup
 from hil.run import profile_start, run_on_rig, write_run
-from hil.session import Setup
 from hil.twin.twin import Alarm, Twin
 from identification.tune.objective import ALPHA
 from vpp_fmu.files import OutputFolder

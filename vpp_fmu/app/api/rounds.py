@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.rig import RunEnded
-from hil.session import Setup
+from hil.loop.rig import RunEnded
+from hil.loop.session import Setup
 from hil.twin.band import Band
 from hil.twin.twin import Twin, twin_of
 from identification.assessment.prediction import predict

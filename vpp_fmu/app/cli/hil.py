@@ -19,15 +19,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hil import calibrate
-from hil.bench import Wiring, check_limits
-from hil.calibration import Calibration, calibration_file, check, never_measured, read_calibration, to_json
 from hil.campaign import PARTS, CampaignSize, limits_for, plan_for
-from hil.campaign_folder import Measuring, commands_of, records_of
 from hil.commands import PAPERS
-from hil.cycle import PERIOD
+from hil.devices.calibration import Calibration, calibration_file, check, never_measured, read_calibration, to_json
 from hil.emulator.faults import check_fault
 from hil.emulator.rig import CALIBRATION, POWERED, calibrated_for, effects_to_hide, with_effects
-from hil.outcome import (
+from hil.loop.bench import Wiring, check_limits
+from hil.loop.cycle import PERIOD
+from hil.loop.session import REPORT, Setup, found_log
+from hil.page.operator_page import OperatorPage, served
+from hil.replay import other_settings, replay
+from hil.results.campaign_folder import Measuring, commands_of, records_of
+from hil.results.outcome import (
     Outcome,
     RunSetup,
     carry_out,
@@ -42,13 +45,10 @@ from hil.outcome import (
     reach,
     step_lines,
 )
-from hil.page.operator_page import OperatorPage, served
-from hil.replay import other_settings, replay
+from hil.results.runs import begun, file_entry
 from hil.run import ON_ALARM, check_profile, start_of
-from hil.runs import begun, file_entry
 from hil.safety.limits import Limits
 from hil.selftest import selftest
-from hil.session import REPORT, Setup, found_log
 from hil.twin.band import read_band
 from hil.twin.twin import Twin, twin_of
 from identification.tune.controllers import rig_controller, said_of

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import mean
 
-from hil.session import Setup
+from hil.loop.session import Setup
 from hil.twin.band import Band, read_band
 from identification.tune.controllers import controllers
 from vpp_fmu.app.api.objects import as_gains, as_parameters

@@ -5,13 +5,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from hil.calibrate import Measured
-from hil.calibration import Calibration
-from hil.columns import LEARNED
-from hil.outcome import SPAN, Outcome, difference, energy_words, judged_steps, said
+from hil.devices.calibration import Calibration
+from hil.loop.columns import LEARNED
+from hil.loop.timing import PERCENTILES, Timing
 from hil.replay import Replay
+from hil.results.outcome import SPAN, Outcome, difference, energy_words, judged_steps, said
 from hil.run import profile_start
 from hil.selftest import SelfTest
-from hil.timing import PERCENTILES, Timing
 from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import figure
 from vpp_fmu.app.report.figures import stacked, two_records

@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from hil.campaign import PARTS, STATIC, CampaignSize, follow, measure, parts_for, powered, same_commands, seconds
-from hil.columns import COLUMNS
 from hil.commands import grid, resampled
-from hil.cycle import PERIOD
-from hil.log import events_of, read_events
+from hil.loop.columns import COLUMNS
+from hil.loop.cycle import PERIOD
+from hil.loop.log import events_of, read_events
+from hil.loop.rig import ENDINGS, RunEnded
+from hil.loop.room import check_room
+from hil.loop.session import Session, Setup, found_log, read_log, session
 from hil.page.operator_page import OperatorPage
-from hil.rig import ENDINGS, RunEnded
-from hil.room import check_room
-from hil.runs import ENDED, ENDED_EARLY, RUNNING
+from hil.results.runs import ENDED, ENDED_EARLY, RUNNING
 from hil.safety.limits import Limits
-from hil.session import Session, Setup, found_log, read_log, session
 from vpp_fmu.date import now
 from vpp_fmu.errors import BadInput, RecordWarning
 from vpp_fmu.files import OutputFolder

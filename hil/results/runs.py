@@ -8,9 +8,9 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from hil.log import events_of, read_events
-from hil.session import REPORT, Setup, history, read_log, versions
-from hil.timing import timing
+from hil.loop.log import events_of, read_events
+from hil.loop.session import REPORT, Setup, history, read_log, versions
+from hil.loop.timing import timing
 from vpp_fmu.date import now
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import Record

@@ -7,10 +7,10 @@ from dataclasses import asdict
 from statistics import stdev
 from typing import NamedTuple
 
-from hil.bench import Bench
-from hil.cycle import NOBODY, PERIOD, Cycle
-from hil.live import StatusLine
-from hil.log import Log
+from hil.loop.bench import Bench
+from hil.loop.cycle import NOBODY, PERIOD, Cycle
+from hil.loop.live import StatusLine
+from hil.loop.log import Log
 from hil.page.operator_page import OperatorPage
 from hil.physics.speed_pi import SpeedPi
 from hil.safety.faults import DeviceFault, Fault, FaultKind

@@ -15,27 +15,27 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.bench import Bench, Wiring, real_bench
-from hil.calibration import Calibration
-from hil.columns import COLUMNS, LEARNED, STATES
 from hil.commands import PAPERS
-from hil.cycle import PERIOD
+from hil.devices.calibration import Calibration
 from hil.emulator.process import real_time_bench
 from hil.emulator.rig import EmulatedRig as Emulated
 from hil.emulator.rig import virtual_bench
-from hil.live import status_line
-from hil.log import Column, Logged, MemoryLog, ProcessLog
+from hil.loop.bench import Bench, Wiring, real_bench
+from hil.loop.columns import COLUMNS, LEARNED, STATES
+from hil.loop.cycle import PERIOD
+from hil.loop.live import status_line
+from hil.loop.log import Column, Logged, MemoryLog, ProcessLog
+from hil.loop.realtime import real_time
+from hil.loop.rig import RigPlant
+from hil.loop.room import Reserve, check_room, rows_of
+from hil.loop.timing import Timing, timing
 from hil.page.operator_page import OperatorPage
-from hil.realtime import real_time
-from hil.rig import RigPlant
-from hil.room import Reserve, check_room, rows_of
 from hil.safety.limits import Limits
 from hil.safety.plausibility import Plausibility, thresholds_of
 from hil.safety.polarity import Polarity
 from hil.safety.stop import StopSignals
 from hil.safety.supervisor import Supervisor
 from hil.safety.tare import gate_of
-from hil.timing import Timing, timing
 from hil.twin.twin import Twin
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import write_whole

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.columns import LEARNED
-from hil.log import events_of
+from hil.loop.columns import LEARNED
+from hil.loop.log import events_of
+from hil.loop.rig import RunEnded
+from hil.loop.session import LOG, Setup, read_log
+from hil.loop.timing import Timing, timing
 from hil.page.operator_page import OperatorPage
-from hil.rig import RunEnded
+from hil.results.runs import ENDED, ENDED_EARLY, NAMES, RUNNING, run_folder, summary_of_files
 from hil.run import LimitedPlant, Run, loop_part, run_on_rig, write_run
-from hil.runs import ENDED, ENDED_EARLY, NAMES, RUNNING, run_folder, summary_of_files
 from hil.safety.limits import Limits
-from hil.session import LOG, Setup, read_log
-from hil.timing import Timing, timing
 from hil.twin.twin import Twin, alarm_of
 from vpp_fmu.comparison import compare
 from vpp_fmu.date import now

@@ -4,10 +4,12 @@ import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 
-from hil.bench import Bench
-from hil.columns import STATES
-from hil.live import EVERY, StatusLine, text_of
-from hil.log import Log
+from hil.loop.bench import Bench
+from hil.loop.columns import STATES
+from hil.loop.live import EVERY, StatusLine, text_of
+from hil.loop.log import Log
+from hil.loop.sensors import Sensors
+from hil.loop.ticks import Tick, Ticks
 from hil.page.operator_page import OperatorPage
 from hil.safety.faults import DeviceFault, Fault, FaultKind
 from hil.safety.limits import Cut, Limits
@@ -15,8 +17,6 @@ from hil.safety.plausibility import Plausibility, Reading, SupplyLimits
 from hil.safety.states import SafetyState, StateMachine
 from hil.safety.stop import StopSignals
 from hil.safety.supervisor import Supervisor
-from hil.sensors import Sensors
-from hil.ticks import Tick, Ticks
 
 PERIOD = 0.004
 """Period of the loop, s (paper: 250 Hz)."""

@@ -144,7 +144,7 @@ class ProcessLog:
         self._due = LATE + _SYNC_EVERY * (self.path.suffix == ".gz")
         task = json.dumps([str(path), [astuple(c) for c in columns], list(after), self.slots, shared, read, hear])
         self._writer = subprocess.Popen(
-            [sys.executable, "-m", "hil.log", task],
+            [sys.executable, "-m", "hil.loop.log", task],
             pass_fds=(shared, read, hear),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -314,7 +314,7 @@ class _File:
 
     def close(self) -> Logged:
         """Write the waiting rows and give the file its name. A gzip file that a full disk cut off keeps its temporary name, by
-        which `hil.session.found_log` finds it for repair."""
+        which `hil.loop.session.found_log` finds it for repair."""
         self._flush(zlib.Z_FINISH)
         whole = self._rows if self._pack else min(self._rows, self._waiting.count(b"\n"))
         lost = whole if self._waiting else 0

@@ -5,9 +5,9 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from hil.columns import RUN
-from hil.cycle import PERIOD
-from hil.log import Column, free_bytes, largest
+from hil.loop.columns import RUN
+from hil.loop.cycle import PERIOD
+from hil.loop.log import Column, free_bytes, largest
 from vpp_fmu.errors import BadInput
 
 AROUND = 60.0

@@ -3,7 +3,7 @@
 from collections import deque
 from typing import NamedTuple
 
-from hil.clock import Clock
+from hil.devices.clock import Clock
 
 
 class Tick(NamedTuple):

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hil.calibration import Calibration
-from hil.clock import Clock, MonotonicClock
 from hil.devices.ads1115 import Ads1115
+from hil.devices.calibration import Calibration
+from hil.devices.clock import Clock, MonotonicClock
 from hil.devices.pwm import PwmChannel, find_chip
 from hil.devices.supply import Supply
 from hil.devices.tachometer import Tachometer

@@ -3,10 +3,10 @@
 import contextlib
 import math
 
-from hil.bench import Bench
-from hil.clock import Clock
+from hil.devices.clock import Clock
 from hil.devices.supply import NAMES
 from hil.devices.tachometer import Revolution
+from hil.loop.bench import Bench
 from hil.safety.faults import DeviceFault, Fault
 
 PATIENCE = 25

@@ -1,6 +1,6 @@
 """Columns of a tick in the log."""
 
-from hil.log import Column
+from hil.loop.log import Column
 from hil.safety.states import SafetyState
 
 STATES = tuple(state.value for state in SafetyState)

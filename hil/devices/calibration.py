@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 from hil.devices.ads1115 import FULL_SCALES, INPUTS, LARGEST, SMALLEST
+from hil.devices.entries import Entries, NumberEntry
 from hil.devices.supply import NAMES, Input
-from hil.entries import Entries, NumberEntry
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import InFolder
 from vpp_fmu.structured import as_json, read_json, shown

@@ -1,0 +1,1 @@
+"""What a run or a campaign leaves in its folder."""
