@@ -76,7 +76,7 @@ def test_gains_that_cost_less_and_settle_later_are_not_chosen(example, monkeypat
     cost = objective.cost(CREEPING)
     assert cost < 0.99 * objective.cost(objective.gains)
     assert objective.penalised(CREEPING) == cost  # within all limits but those that the first gains set
-    brought = {"dual": (objective, SearchResult(CREEPING, cost, np.array([cost]), (("all", 1),)))}
+    brought = {"dual": (objective, SearchResult(CREEPING, cost))}
     monkeypatch.setattr("identification.tune.tune.rounds", lambda *_: brought)
     found = tune(task, {"dual": settings})
     tuned = found.tuned["dual"]

@@ -91,7 +91,7 @@ def cross_validated(
             raise np.linalg.LinAlgError("the sensitivities diverge")
         if moving is not None:
             jacobian = jacobian * [float(moving(name)) for name in problem.coordinates.names]
-        held, steps = _predicted(fit, residual, jacobian, _fold_of(fit, split), least)
+        held, steps = predicted([residual, *_alternatives(fit)], jacobian, _fold_of(fit, split), least)
         moves = steps @ problem.coordinates.jacobian(fit.solution.value).T
     score = problem.score_of(held)
     return HeldOut(score.squares, score.counts, *_errors(fit, moves, split))
@@ -102,15 +102,18 @@ def _fold_of(fit: Fit, split: Callable[[np.ndarray, float], np.ndarray]) -> np.n
     return np.concatenate([split(time, seconds) for time, seconds in fit.problem.times])
 
 
-def _predicted(
-    fit: Fit, residual: np.ndarray, jacobian: np.ndarray, fold_of: np.ndarray, least: float
+def predicted(
+    residuals: Sequence[np.ndarray], jacobian: np.ndarray, fold_of: np.ndarray, least: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(residual (rows,) in each fold, predicted from the others; step (folds, coordinates) of the fit to them)."""
-    size, residuals = fit.problem.size, [residual, *(fit.problem.residual_at(values) for values in _alternatives(fit))]
+    """(residual (n,) in each fold, predicted from the others; step (folds, coordinates) of the fit to them).
+
+    `residuals`: of the fit and of its alternatives, (rows,) each; `fold_of` (n,): the fold of each row. Further rows, of a
+    prior, are always kept."""
+    size = len(fold_of)
     held, moves = np.empty(size), []
     for fold in range(int(fold_of.max()) + 1):
         out = np.flatnonzero(fold_of == fold)
-        kept = np.append(np.flatnonzero(fold_of != fold), np.arange(size, len(jacobian)))  # the prior's rows always
+        kept = np.append(np.flatnonzero(fold_of != fold), np.arange(size, len(jacobian)))
         j = jacobian[kept]
         inverse = informed_inverse(j.T @ j, jacobian.T @ jacobian, least)
         steps = [-inverse @ (j.T @ r[kept]) for r in residuals]
@@ -126,7 +129,8 @@ def _moves_of_parts(fit: Fit, split: Callable[[np.ndarray, float], np.ndarray]) 
     """(folds, parameters): changes of the parameters when each part is fitted to the other folds."""
     found: dict[str, np.ndarray] = {}
     for part in fit.parts:
-        steps = _predicted(part, *part.tangent(), _fold_of(part, split), 0.0)[1]
+        residual, jacobian = part.tangent()
+        _, steps = predicted([residual, *_alternatives(part)], jacobian, _fold_of(part, split))
         moves = steps @ part.problem.coordinates.jacobian(part.solution.value).T
         found |= zip(part.problem.coordinates.names, moves.T, strict=True)
     names = fit.problem.coordinates.names
@@ -199,14 +203,14 @@ def informed_inverse(part: np.ndarray, whole: np.ndarray, least: float) -> np.nd
     return (estimable / share[share > least]) @ estimable.T
 
 
-def _alternatives(fit: Fit) -> list[dict[str, float]]:
-    """Values of the fit with each threshold varied in and around its interval."""
+def _alternatives(fit: Fit) -> list[np.ndarray]:
+    """Residuals (rows,) of the fit with each threshold varied in and around its interval."""
     bounds = {p.name: (p.minimum, p.maximum) for p in fit.problem.model.parameters}
     found = []
     for name, (low, high) in fit.thresholds.items():
         wide = max(high - low, 0.1 * abs(fit.values[name]))
         ends = np.clip([low - wide, high + wide], *bounds[name])
-        found += [{**fit.values, name: v} for v in np.linspace(*ends, THRESHOLDS).tolist()]
+        found += [fit.problem.residual_at({**fit.values, name: v}) for v in np.linspace(*ends, THRESHOLDS).tolist()]
     return found
 
 

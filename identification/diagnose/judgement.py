@@ -81,6 +81,17 @@ class Judgement:
     small: bool = False
     speed: float = 0.0
 
+    def summary(self, unit: str = "N") -> dict:
+        """For diagnosis.json; `unit`: of the size."""
+        return {
+            "evidence": self.evidence,
+            "log_likelihood": self.likelihood_gain,
+            "log_likelihood_by_chance": self.needed,
+            "held_out_gain": dict(self.gain),
+            "size": {"value": self.size, "unit": unit},
+            "least_size": {"value": self.least, "unit": unit},
+        }
+
 
 @cache
 def chance_threshold(parameters: int, comparisons: int) -> float:

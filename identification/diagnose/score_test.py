@@ -58,24 +58,25 @@ class ScoreTest:
 
 def score_test(fit: Fit) -> ScoreTest:
     """Score test of the thrust residual of a fit; directions that its parameters can follow are projected out."""
-    about, parts = fit.linearised(), channel_rows(fit, "thrust")
+    parts, scale = channel_rows(fit, "thrust"), fit.problem.scale["thrust"]
     if not parts:
         return ScoreTest(0.0, 0, ())
-    columns, at = shape_columns(fit, "thrust", parts), slice(parts[0].start, parts[-1].stop)
+    repeats = [e.differences() / scale if len(e.records) > 1 else None for e in fit.problem.experiments]
+    return tested(fit.linearised(), shape_columns(fit, "thrust", parts), parts, repeats)
+
+
+def tested(about: "Projected", columns: np.ndarray, parts: Sequence[slice], repeats: Sequence[np.ndarray | None]) -> ScoreTest:
+    """Score test of columns (k, n), overwritten, beside a fit. `parts`: the rows of each experiment; `repeats`: samples (c,
+    rows) of its noise; None: the residual has the noise."""
+    at = slice(parts[0].start, parts[-1].stop)
     turned, score = orthonormal_scores(about, columns, at)
     if not len(score):
         return ScoreTest(0.0, 0, ())
-    left, fitted, scale = about.residual[at] - columns.T @ (turned.T @ score), about.directions(at), fit.problem.scale["thrust"]
-
-    def noise_of(e: Experiment, i: slice, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(samples of the noise, directions that were fitted out of them)."""
-        if len(e.records) > 1:
-            return e.differences() / scale, directions[:0]
-        return left[None, i], np.vstack([directions, fitted[:, i]])
-
-    own = [turned @ columns[:, i] for i in parts]
-    noises = [noise_of(e, i, d) for e, i, d in zip(fit.problem.experiments, parts, own, strict=True)]
-    covariance, bands = scores_covariance([(d, *noise) for d, noise in zip(own, noises, strict=True)])
+    left, fitted, found = about.residual[at] - columns.T @ (turned.T @ score), about.directions(at), []
+    for i, noise in zip(parts, repeats, strict=True):
+        own = turned @ columns[:, i]
+        found.append((own, left[None, i], np.vstack([own, fitted[:, i]])) if noise is None else (own, noise, own[:0]))
+    covariance, bands = scores_covariance(found)
     return ScoreTest(0.5 * float(score @ np.linalg.solve(covariance, score) - len(score)), len(score), bands)
 
 
@@ -118,6 +119,8 @@ class Projected(Protocol):
     def residual(self) -> np.ndarray: ...
 
     def channel_orthogonal_gram(self, rows: np.ndarray, at: slice) -> np.ndarray: ...
+
+    def directions(self, at: slice) -> np.ndarray: ...
 
 
 def orthonormal_scores(about: Projected, columns: np.ndarray, at: slice) -> tuple[np.ndarray, np.ndarray]:

@@ -6,10 +6,11 @@ Instead of power alone, a weight also counts the reserve: how much thrust pitch 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import minimize_scalar
 
 from identification.fit.uncertainty import NORMAL_95
 from identification.power.model import PowerModel
@@ -69,11 +70,20 @@ class Surface:
         """Thrust [N] at pairs, which broadcast."""
         return self.spline.ev(omega, beta)
 
-    @property
+    @cached_property
     def grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(speeds (m,), pitches (k,), thrust (m, k)) on the fine grid."""
         speeds, pitches = np.linspace(*self.speed, SPEEDS), np.linspace(*self.pitch, PITCHES)
         return speeds, pitches, self.spline(speeds, pitches)
+
+    def speeds_of(self, thrust: np.ndarray, pitches: np.ndarray) -> np.ndarray:
+        """Lowest speed [rpm] (n, k) that gives each thrust (n,) at each pitch (k,); NaN where none does."""
+        speeds, found = self.grid[0], []
+        for column in self.spline(speeds, pitches).T:
+            highest = np.maximum.accumulate(column)
+            kept = np.append(True, np.diff(highest) > 0.0)
+            found.append(np.interp(thrust, highest[kept], speeds[kept], left=np.nan, right=np.nan))
+        return np.array(found).T
 
     def reserve(self, omega, beta) -> np.ndarray:
         """Thrust [N] that pitch alone can both add and remove at pairs; negative pitch of more thrust counts, too."""
@@ -134,23 +144,27 @@ def allocate(parameters: ParameterSet, power: PowerModel, weight: float = 0.0, c
     def cost(watts, reserve):
         return (1.0 - weight) * watts / highest - weight * reserve / most
 
-    found = []
-    for thrust in thrusts:
-        omega, beta = _pairs(speeds, pitches, grid, thrust)
+    reached = surface.speeds_of(thrusts, pitches)
+    taken = power.at(reached, np.broadcast_to(pitches, reached.shape))
+    best, low, high = (np.empty((2, count)) for _ in range(3))
+    for k, thrust in enumerate(thrusts):
+        there = np.isfinite(reached[k])
+        omega, beta = reached[k, there], pitches[there]
         spare = surface.reserve(omega, beta)
-        here = power.at(omega, beta)
-        at = int(np.argmin(cost(here, spare)))
-        best = _refined(surface, power, cost, thrust, (float(omega[at]), float(beta[at])))
-        drawn = np.argmin(cost(here[:, None] + power.gradient(omega, beta) @ draws.T, spare[:, None]), axis=0)
-        low, high = np.quantile([omega[drawn], beta[drawn]], BAND, axis=1)
-        found.append([best, np.minimum(low, best), np.maximum(high, best)])  # drawn pairs are on the grid, the best is between
-    best, low, high = np.moveaxis(np.array(found), 0, -1)
+        best[:, k] = _refined(surface, power, cost, thrust, float(beta[np.argmin(cost(taken[k, there], spare))]))
+        drawn = np.argmin(cost(taken[k, there, None] + power.gradient(omega, beta) @ draws.T, spare[:, None]), axis=0)
+        ends = np.quantile([omega[drawn], beta[drawn]], BAND, axis=1)
+        # Drawn pairs are on the grid, the best is between.
+        low[:, k], high[:, k] = np.minimum(ends[0], best[:, k]), np.maximum(ends[1], best[:, k])
     omega, beta = best
     watts = power.at(omega, beta)
     if (least := float(watts.min())) <= 0.0:
         k = int(np.argmin(watts))
         where = f"{least:.4g} W at {omega[k]:.4g} rpm, {beta[k]:.4g} deg"
         raise BadInput("parameters", "power", where, "a positive power", "steady points measured there")
+    # The best fixed pitch has the least mean power, among those that reach the most thrusts.
+    counts = np.isfinite(taken).sum(axis=0)
+    fixed = min(np.flatnonzero(counts == counts.max()).tolist(), key=lambda k: float(np.nansum(taken[:, k])))
     return Allocation(
         surface,
         power,
@@ -163,61 +177,26 @@ def allocate(parameters: ParameterSet, power: PowerModel, weight: float = 0.0, c
         np.column_stack([low[0], high[0]]),
         np.column_stack([low[1], high[1]]),
         surface.reserve(omega, beta),
-        *_fixed(power, speeds, pitches, grid, thrusts),
+        float(pitches[fixed]),
+        taken[:, fixed],
     )
 
 
-def _pairs(speeds: np.ndarray, pitches: np.ndarray, grid: np.ndarray, thrust: float) -> tuple[np.ndarray, np.ndarray]:
-    """All pairs (omega (n,), beta (n,)) of a thrust on the pitches of the grid, interpolated between its speeds."""
-    over = grid - thrust
-    row, column = np.nonzero((over[:-1] * over[1:] <= 0.0) & (over[:-1] != over[1:]))
-    share = over[row, column] / (over[row, column] - over[row + 1, column])
-    omega, beta = speeds[row] + share * (speeds[1] - speeds[0]), pitches[column]
-    if not len(omega):  # the greatest thrust of all is at one point of the grid
-        at = np.unravel_index(np.argmin(np.abs(over)), over.shape)
-        return speeds[at[0] : at[0] + 1], pitches[at[1] : at[1] + 1]
-    return omega, beta
+def _refined(surface: Surface, power: PowerModel, cost, thrust: float, beta: float) -> tuple[float, float]:
+    """The best pair (speed, pitch) of this thrust within a step of the grid from a pitch."""
+    step = (surface.pitch[1] - surface.pitch[0]) / (PITCHES - 1)
 
-
-def _refined(surface: Surface, power: PowerModel, cost, thrust: float, pair: tuple[float, float]) -> tuple[float, float]:
-    """The best pair near one of the grid, exactly of this thrust."""
-    omega, beta = pair
-    step = ((surface.speed[1] - surface.speed[0]) / (SPEEDS - 1), (surface.pitch[1] - surface.pitch[0]) / (PITCHES - 1))
-
-    def speed_at(b: float) -> float | None:
-        """Speed of this thrust at a pitch, near the pair's."""
-        for width in (2.0, 8.0, 32.0):
-            low, high = (float(np.clip(omega + s * width * step[0], *surface.speed)) for s in (-1.0, 1.0))
-            ends = [float(surface.at(w, b)) - thrust for w in (low, high)]
-            if ends[0] * ends[1] <= 0.0:
-                return float(brentq(lambda w: float(surface.at(w, b)) - thrust, low, high))
-        return None
+    def omega(b: float) -> float:
+        return float(surface.speeds_of(np.array([thrust]), np.array([b]))[0, 0])
 
     def value(b: float) -> float:
-        w = speed_at(b)
-        return UNREACHED if w is None else float(cost(power.at(w, b), surface.reserve(w, b)))
+        w = omega(b)
+        return float(cost(power.at(w, b), surface.reserve(w, b))) if np.isfinite(w) else UNREACHED
 
-    ends = [float(np.clip(beta + s * step[1], *surface.pitch)) for s in (-1.0, 1.0)]
-    best = minimize_scalar(value, bounds=ends, method="bounded", options={"xatol": 1e-3 * step[1]})
-    b = min((float(best.x), beta), key=value)
-    return speed_at(b) or omega, b
-
-
-def _fixed(
-    power: PowerModel, speeds: np.ndarray, pitches: np.ndarray, grid: np.ndarray, thrusts: np.ndarray
-) -> tuple[float, np.ndarray]:
-    """(pitch [deg], power (n,) [W] over the thrusts) of the fixed pitch with the least mean power, among those that reach the
-    most thrusts; NaN where it does not reach a thrust."""
-    watts = np.full((len(pitches), len(thrusts)), np.nan)
-    for k, beta in enumerate(pitches):
-        monotone = np.maximum.accumulate(grid[:, k])
-        kept = np.append(True, np.diff(monotone) > 0.0)
-        omega = np.interp(thrusts, monotone[kept], speeds[kept], left=np.nan, right=np.nan)
-        watts[k] = power.at(omega, np.full(len(thrusts), beta))
-    reached = np.isfinite(watts).sum(axis=1)
-    widest = np.flatnonzero(reached == reached.max())
-    best = min(widest.tolist(), key=lambda k: float(np.nanmean(watts[k])) if reached[k] else np.inf)
-    return float(pitches[best]), watts[best]
+    ends = np.clip([beta - step, beta + step], *surface.pitch)
+    found = minimize_scalar(value, bounds=ends, method="bounded", options={"xatol": 1e-3 * step})
+    b = min((float(found.x), beta), key=value)
+    return omega(b), b
 
 
 COLUMNS = ("thrust", "omega", "beta", "power", "power_low", "power_high", "omega_low", "omega_high", "beta_low", "beta_high")

@@ -1,8 +1,8 @@
 """Diagnosis of the power in time: the effects that the steady power model needs to explain the records.
 
 Candidates (effects.py) are added one by one to the regression of the readings (records.py, regression.py). Each must pass the
-rules of a diagnosis of thrust: likelihood ratio, evidence, cross-validation, size, and a 95 % interval without 0. A score test
-on shapes of the commands and of time reports lack of fit.
+rules of a diagnosis of thrust: likelihood ratio, evidence, cross-validation and size. A score test on shapes of the commands
+and of time reports lack of fit.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,137 +11,77 @@ from functools import cached_property, partial
 
 import numpy as np
 
+from identification.diagnose.crossval import rms
 from identification.diagnose.judgement import (
-    ACCURACY,
-    ALPHA,
-    ALPHA_BASE,
     ALTERNATIVE_WINDOW,
     FORM,
     MIN_EVIDENCE,
-    MOST,
+    Judgement,
     chance_threshold,
     refusals,
 )
-from identification.diagnose.score_test import ScoreTest, orthonormal_scores, scores_covariance
+from identification.diagnose.lack_of_fit import LackOfFit
 from identification.power.effects import EFFECTS, POWER, SAG, PowerEffect
 from identification.power.fit import TIMES, electrical
 from identification.power.model import PowerModel
 from identification.power.records import power_part, respond, squared_torque, supply_parts
-from identification.power.regression import Part, Regression, RegressionFit, scan
+from identification.power.regression import STARTS, Part, Regression, RegressionFit
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 
 UNITS = {"power": "W", "voltage": "V"}
 
-
-@dataclass(frozen=True)
-class Lack:
-    """Score test for lack of fit: p-value, and rms `size` [W] that the shapes explain, with its minimum `least`."""
-
-    p: float
-    size: float
-    least: float
-    has_effects: bool
-
-    @property
-    def significant(self) -> bool:
-        """Whether the test rejects, above the minimum size."""
-        return self.p < (ALPHA if self.has_effects else ALPHA_BASE) and self.size > self.least
-
-    def summary(self) -> dict:
-        """For diagnosis.json."""
-        size, least = ({"value": value, "unit": "W"} for value in (self.size, self.least))
-        return {"p": self.p, "size": size, "least_size": least}
-
-
-def lack_of_fit(fit: RegressionFit, least: float) -> Lack:
-    """Score test of the power, as `score_test` of the thrust."""
-    problem = fit.problem
-    each = [np.stack([p.at.mean(shape) for shape in p.shapes()], axis=1) for p in problem.parts]
-    columns = np.ascontiguousarray(problem.whitened(each).T)
-    turned, score = orthonormal_scores(fit, columns, slice(0, columns.shape[1]))
-    if not len(score):
-        return Lack(1.0, 0.0, least, bool(fit.effects))
-    rest, parts = fit.residual - columns.T @ (turned.T @ score), []
-    which = problem.rows_of([np.full(len(p.at.time), k) for k, p in enumerate(problem.parts)])
-    for k in range(len(problem.parts)):
-        own = turned @ columns[:, which == k]
-        parts.append((own, rest[None, which == k], np.vstack([own, fit.basis[which == k].T])))
-    covariance, bands = scores_covariance(parts)
-    test = ScoreTest(0.5 * float(score @ np.linalg.solve(covariance, score) - len(score)), len(score), bands)
-    power = float(np.nanmean(np.concatenate([fit.error(p) for p in problem.parts]) ** 2))
-    return Lack(test.p, float(np.sqrt(max(2.0 * test.gain, 0.0) / len(rest) * power)), least, bool(fit.effects))
+COMPARISONS = sum(STARTS ** (len(e.parameters) - 1) for e in EFFECTS)
+"""Number of points of a search."""
 
 
 @dataclass(frozen=True)
 class Tried:
-    """A candidate beside `beside` others: its statistics, and why it is rejected; empty: accepted."""
+    """An effect that was tried `beside` others."""
 
     effect: PowerEffect
     beside: tuple[str, ...]
-    likelihood_gain: float
-    needed: float
-    evidence: float
-    gain: float
-    size: float
-    least: float
-    refused: tuple[str, ...]
-
-    def summary(self) -> dict:
-        """For diagnosis.json."""
-        unit = UNITS[self.effect.reading]
-        return {
-            "evidence": self.evidence,
-            "log_likelihood": self.likelihood_gain,
-            "log_likelihood_by_chance": self.needed,
-            "held_out_gain": self.gain,
-            "size": {"value": self.size, "unit": unit},
-            "least_size": {"value": self.least, "unit": unit},
-        }
+    judged: Judgement
 
 
-def select(
-    problem: Regression, effects: Sequence[PowerEffect], comparisons: int
-) -> tuple[RegressionFit, RegressionFit, list[Tried]]:
+def lack_of_fit(fit: RegressionFit) -> LackOfFit:
+    """Score test of the power, in W; `size`: rms that the shapes explain."""
+    test, errors = fit.score_test(), [fit.error(p) for p in fit.problem.parts]
+    size = float(np.sqrt(max(2.0 * test.gain, 0.0) / len(fit.residual))) * rms(errors)
+    return LackOfFit((), test, test.p, size, fit.problem.least, bool(fit.effects))
+
+
+def select(problem: Regression, effects: Sequence[PowerEffect]) -> tuple[RegressionFit, RegressionFit, list[Tried]]:
     """(fit without effects, with the accepted ones, all that were tried): forward selection by evidence."""
     base = fit = problem.fit()
     tried: list[Tried] = []
-    while len(fit.effects) < MOST and (others := [e for e in effects if e.name not in {a.name for a in fit.effects}]):
-        fits = [(with_effect(fit, e), e) for e in others]
-        judged = [(f, judged_effect(fit, f, e, comparisons)) for f, e in fits]
-        tried += [t for _, t in judged]
-        accepted = [(f, t) for f, t in judged if not t.refused]
+    while others := [e for e in effects if e.name not in {a.name for a in fit.effects}]:
+        names = tuple(e.name for e in fit.effects)
+        fits = {e: fit.with_effect(e) for e in others}
+        judgements = {e: judged(fit, f, e) for e, f in fits.items()}
+        tried += [Tried(e, names, j) for e, j in judgements.items()]
+        accepted = {fits[e]: j.evidence for e, j in judgements.items() if not j.refused}
         if not accepted:
             break
-        best, _ = max(accepted, key=lambda pair: pair[1].evidence)
+        best = max(accepted, key=accepted.__getitem__)
         # A missing effect looks like slow noise: the colour is estimated again beside the accepted effects.
         fit = Regression.of(problem.parts, best.effects, best.x).fit(best.effects, best.x)
     return base, fit, tried
 
 
-def with_effect(fit: RegressionFit, effect: PowerEffect) -> RegressionFit | None:
-    """One more effect beside a fit; None if no possible size fits."""
-    start = fit.problem.started(fit, effect)
-    return fit.problem.fit((*fit.effects, effect), np.append(fit.x, start)) if start[0] != 0.0 else None
-
-
-def judged_effect(beside: RegressionFit, fit: RegressionFit | None, effect: PowerEffect, comparisons: int) -> Tried:
-    """Statistics of an effect against the fit without it, and the reasons to reject it."""
-    problem, k, names = beside.problem, len(effect.parameters), tuple(e.name for e in beside.effects)
-    form = FORM * max(problem.fit().squares - beside.squares, 0.0) / 2.0
-    needed, least = chance_threshold(k, comparisons) + form, ACCURACY * problem.largest
+def judged(beside: RegressionFit, fit: RegressionFit | None, effect: PowerEffect) -> Judgement:
+    """Judge an effect against the fit without it; None: its best size is impossible."""
+    problem, k = beside.problem, len(effect.parameters)
+    needed = chance_threshold(k, COMPARISONS) + FORM * max(problem.fit().squares - beside.squares, 0.0) / 2.0
     if fit is None:
-        return Tried(effect, names, 0.0, needed, 0.0, 0.0, 0.0, least, ("its best size has the wrong sign",))
-    likelihood = 0.5 * (beside.squares - fit.squares)
-    changes = [beside.error(p) - fit.error(p) for p in problem.parts]
-    evidence, size = fit.evidence - beside.evidence, float(np.sqrt(np.nanmean(np.concatenate(changes) ** 2)))
-    (before, _), (after, _) = beside.held_out, fit.held_out
-    gain = 0.5 * len(problem.measured) * float(np.log(before / after))
-    refused = refusals(likelihood, needed, evidence, {effect.reading: gain}, k, size > least)
-    low, high = (0.0, 0.0) if refused else fit.interval(len(fit.x) - k)
-    if not refused and low <= 0.0 <= high:
-        refused = ["the 95 % interval of its size includes 0"]
-    return Tried(effect, names, likelihood, needed, evidence, gain, size, least, tuple(refused))
+        wrong = ("its best size has the wrong sign",)
+        return Judgement(effect.name, 0.0, needed, 0.0, {effect.reading: 0.0}, 0.0, problem.least, False, wrong)
+    likelihood, evidence = 0.5 * (beside.squares - fit.squares), fit.evidence - beside.evidence
+    size = rms([beside.error(p) - fit.error(p) for p in problem.parts])
+    gain = {effect.reading: 0.5 * len(problem.measured) * float(np.log(beside.held_out[0] / fit.held_out[0]))}
+    material = size > problem.least
+    refused = refusals(likelihood, needed, evidence, gain, k, material)
+    return Judgement(effect.name, likelihood, needed, evidence, gain, size, problem.least, material, tuple(refused))
 
 
 def rivals(fit: RegressionFit, effects: Sequence[PowerEffect]) -> dict[str, list[str]]:
@@ -151,7 +91,7 @@ def rivals(fit: RegressionFit, effects: Sequence[PowerEffect]) -> dict[str, list
         at = np.arange(first, first := first + len(effect.parameters))
         rest = fit.problem.fit([e for e in fit.effects if e is not effect], np.delete(fit.x, at))
         others = [e for e in effects if e.name not in {a.name for a in fit.effects}]
-        near = ((e.name, f) for e in others if (f := with_effect(rest, e)) and f.evidence > rest.evidence + MIN_EVIDENCE)
+        near = ((e.name, f) for e in others if (f := rest.with_effect(e)) and f.evidence > rest.evidence + MIN_EVIDENCE)
         if names := {name for name, f in near if f.evidence > fit.evidence - ALTERNATIVE_WINDOW}:
             found[effect.name] = sorted(names)
     return found
@@ -165,9 +105,9 @@ class PowerDiagnosis:
 
     before: RegressionFit
     after: RegressionFit
-    voltage: tuple[RegressionFit, RegressionFit] | None
-    lack: tuple[Lack, Lack]
-    tried: tuple[Tried, ...]
+    voltage: Sequence[RegressionFit] | None
+    lack: tuple[LackOfFit, LackOfFit]
+    tried: Sequence[Tried]
     family: Mapping[str, Sequence[str]]
     unseen: Part | None
     refuted: str
@@ -180,9 +120,9 @@ class PowerDiagnosis:
         return "family" if self.family else "attributed" if self.effects else "none"
 
     @property
-    def fits(self) -> tuple[RegressionFit, ...]:
+    def fits(self) -> list[RegressionFit]:
         """Final fits, of power and of the voltage."""
-        return (self.after, self.voltage[1]) if self.voltage else (self.after,)
+        return [self.after, *(self.voltage or ())[1:]]
 
     @property
     def effects(self) -> list[PowerEffect]:
@@ -214,42 +154,64 @@ class PowerDiagnosis:
         """By effect and name: value, standard error, 95 % interval, unit."""
         found: dict[str, dict[str, dict]] = {}
         for fit in self.fits:
-            declared = [(e, p) for e in fit.effects for p in e.parameters]
-            for k, (effect, p) in enumerate(declared):
-                own = {"value": float(fit.x[k]), "std": float(fit.std[k]), "interval": list(fit.interval(k)), "unit": p.unit}
-                found.setdefault(effect.name, {})[p.name] = own
+            declared = [(e.name, p) for e in fit.effects for p in e.parameters]
+            for (name, p), x, std, ends in zip(declared, fit.x.tolist(), fit.std.tolist(), fit.intervals, strict=True):
+                found.setdefault(name, {})[p.name] = {"value": x, "std": std, "interval": list(ends), "unit": p.unit}
         return found
 
     def why_not(self, tried: Tried) -> str | None:
         """Why a candidate is rejected; None if it is accepted."""
-        if tried.refused or tried.effect in self.effects:
-            return "; ".join(tried.refused) or None
+        if tried.judged.refused or tried.effect in self.effects:
+            return "; ".join(tried.judged.refused) or None
         return self.refuted or "another effect explains more"
 
     def summary(self) -> dict:
         """The entry `power` of diagnosis.json."""
-        accepted = {t.effect.label: t for t in self.tried if not t.refused}
-        source = {"record": (self.unseen or self.after.problem.parts[0]).name}
-        source["from"] = "validation" if self.unseen else "cross-validation"
-        before, after = ({**source, "rmse_power": {"value": error, "unit": "W"}} for error in self.errors)
-        effects = []
-        for effect in self.effects:
-            entry = {"name": effect.name, "form": effect.form, "parameters": self.parameters[effect.name]}
-            effects.append({**entry, "evidence": accepted[effect.label].summary()})
-        found = {"verdict": self.verdict, "refuted": self.refuted or None, "effects": effects, "family": dict(self.family)}
-        found |= {"before": before, "after": after, "block": {"value": self.block, "unit": "s"}}
-        if self.voltage:
-            found["voltage"] = dict(
-                zip(("before", "after"), ({"value": f.held_out[1], "unit": "V"} for f in self.voltage), strict=True)
-            )
-        else:
-            found["not_identifiable"] = {SAG.name: "needs measured voltage and current"}
-        found["lack_of_fit"] = dict(zip(("before", "after"), (lack.summary() for lack in self.lack), strict=True))
-        found["candidates"] = [
-            {"name": t.effect.name, "form": t.effect.form, "beside": list(t.beside), **t.summary(), "why_not": self.why_not(t)}
-            for t in self.tried
-        ]
-        return found
+        accepted = {t.effect: t.judged for t in self.tried if not t.judged.refused}
+        source = {
+            "record": (self.unseen or self.after.problem.parts[0]).name,
+            "from": "validation" if self.unseen else "cross-validation",
+        }
+        before, after = ({**source, "rmse_power": _in("W", error)} for error in self.errors)
+        found = {
+            "verdict": self.verdict,
+            "refuted": self.refuted or None,
+            "effects": [
+                {
+                    "name": e.name,
+                    "form": e.form,
+                    "parameters": self.parameters[e.name],
+                    "evidence": accepted[e].summary(UNITS[e.reading]),
+                }
+                for e in self.effects
+            ],
+            "family": dict(self.family),
+            "before": before,
+            "after": after,
+            "block": _in("s", self.block),
+            "lack_of_fit": {
+                when: {"p": lack.p, "size": _in("W", lack.size), "least_size": _in("W", lack.least)}
+                for when, lack in zip(("before", "after"), self.lack, strict=True)
+            },
+            "candidates": [
+                {
+                    "name": t.effect.name,
+                    "form": t.effect.form,
+                    "beside": list(t.beside),
+                    **t.judged.summary(UNITS[t.effect.reading]),
+                    "why_not": self.why_not(t),
+                }
+                for t in self.tried
+            ],
+        }
+        if not self.voltage:
+            return found | {"not_identifiable": {SAG.name: "needs measured voltage and current"}}
+        before, after = (_in("V", fit.held_out[1]) for fit in self.voltage)
+        return found | {"voltage": {"before": before, "after": after}}
+
+
+def _in(unit: str, value: float) -> dict:
+    return {"value": value, "unit": unit}
 
 
 def held_out_error(fit: RegressionFit, unseen: Part | None) -> float:
@@ -273,23 +235,15 @@ def diagnose_power(
     parts = [power_part(name, r, model, block, largest) for name, r in measured.items()]
     if sum(int(np.isfinite(p.means[0]).sum()) for p in parts) < TIMES * (parts[0].base.shape[1] + len(list(parts[0].shapes()))):
         return None
-    with_both = {name: r.shown for name, r in measured.items() if {"voltage", "current"} <= set(r.shown.record.columns)}
-    offered = [e for e in EFFECTS if e.reading == POWER or with_both]
-    comparisons = sum(len(scan(e)) for e in offered)
-    of_power = [e for e in offered if e.reading == POWER]
-    before, after, tried = select(Regression.of(parts), of_power, comparisons)
-    family = rivals(after, of_power)
-    least = ACCURACY * before.problem.largest
-    hold_out, refuted = None, ""
+    of_power = [e for e in EFFECTS if e.reading == POWER]
+    before, after, tried = select(Regression.of(parts), of_power)
+    family, hold_out, refuted, voltage = rivals(after, of_power), None, "", None
     if unseen is not None and electrical(unseen.columns) is not None:
         hold_out = power_part("validation", plant(unseen), model, block, largest)
-    errors = [held_out_error(fit, hold_out) for fit in (before, after)]
-    if errors[1] > errors[0]:
+    if held_out_error(after, hold_out) > held_out_error(before, hold_out):
         after, family, refuted = before, {}, "the error on held-out data increases"
-    lack = lack_of_fit(before, least), lack_of_fit(after, least)
-    voltage = None
-    if with_both:
-        supply = supply_parts({p.name: p for p in parts}, with_both, after)
-        one, two, further = select(Regression.of(supply), [SAG], comparisons)
-        voltage, tried = (one, two), [*tried, *further]
-    return PowerDiagnosis(before, after, voltage, lack, tuple(tried), family, hold_out, refuted)
+    if supply := supply_parts(after):
+        *voltage, further = select(Regression.of(supply), [SAG])
+        tried += further
+    lack = lack_of_fit(before), lack_of_fit(after)
+    return PowerDiagnosis(before, after, voltage, lack, tried, family, hold_out, refuted)

@@ -53,10 +53,6 @@ class PowerEffect:
     says: str
     form: str = "only"
 
-    def possible(self, size: float) -> bool:
-        """Whether the first parameter may have a value other than 0."""
-        return size != 0.0 and self.parameters[0].minimum <= size <= self.parameters[0].maximum
-
     @property
     def label(self) -> str:
         """Name, with the form if there are several."""

@@ -160,33 +160,16 @@ def fit_power(readings: Readings) -> PowerFit:
     """
     if readings.torque is None:
         assert readings.power is not None
-        return _polynomial(readings, POWER_MAP.name, POWER_TERMS, readings.power).alone(readings)
-    torque = _polynomial(readings, TORQUE_MAP.name, TORQUE_TERMS, readings.torque)
-    return torque.alone(readings) if readings.power is None else _with_motor(readings, torque)
-
-
-@dataclass(frozen=True, eq=False)
-class _Map:
-    """A map of torque or power: names of its coefficients, their values and covariance, and the residual (n,)."""
-
-    effect: str
-    names: Sequence[str]
-    values: np.ndarray
-    covariance: np.ndarray
-    residual: np.ndarray
-
-    def alone(self, readings: Readings) -> PowerFit:
-        """The fit of a map without a motor."""
-        names = tuple(f"{self.effect}.{name}" for name in self.names)
-        rmse = {"torque" if self.effect == TORQUE_MAP.name else "power": _rms(self.residual)}
-        return PowerFit((self.effect,), names, self.values, self.covariance, rmse, len(readings.w), readings.source)
+        return _map(readings, POWER_MAP.name, POWER_TERMS, readings.power)
+    torque = _map(readings, TORQUE_MAP.name, TORQUE_TERMS, readings.torque)
+    return torque if readings.power is None else _with_motor(readings, torque)
 
 
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _polynomial(readings: Readings, effect: str, terms, measured: np.ndarray) -> _Map:
+def _map(readings: Readings, effect: str, terms, measured: np.ndarray) -> PowerFit:
     """The map of torque or power. If speed changes, every subset has the inertia's term; the result does not."""
     first = min(i for i, _ in terms)
     speeds, pitches = (len(np.unique(np.round(values, 3))) for values in (readings.w, readings.b))
@@ -215,9 +198,9 @@ def _polynomial(readings: Readings, effect: str, terms, measured: np.ndarray) ->
     c, *_ = np.linalg.lstsq(a, measured, rcond=None)
     residual = measured - a @ c
     covariance = np.linalg.inv(a.T @ a) * _variance(residual, len(c), readings.rate is not None)
-    k = len(best)
-    letter = "q" if effect == TORQUE_MAP.name else "p"
-    return _Map(effect, [f"{letter}{terms[i][0]}{terms[i][1]}" for i in best], c[:k], covariance[:k, :k], residual)
+    k, (letter, reading) = len(best), ("q", "torque") if effect == TORQUE_MAP.name else ("p", "power")
+    names = tuple(f"{effect}.{letter}{terms[i][0]}{terms[i][1]}" for i in best)
+    return PowerFit((effect,), names, c[:k], covariance[:k, :k], {reading: _rms(residual)}, n, readings.source)
 
 
 def _variance(residual: np.ndarray, count: int, in_time: bool) -> float:
@@ -230,44 +213,38 @@ def _variance(residual: np.ndarray, count: int, in_time: bool) -> float:
     return variance * (1.0 + r) / (1.0 - r)
 
 
-def _with_motor(readings: Readings, torque: _Map) -> PowerFit:
+def _with_motor(readings: Readings, torque: PowerFit) -> PowerFit:
     """Fit the torque's map, and friction, copper loss and idle power of the motor, none below 0, together to both readings,
     each weighted by its noise. The fit starts from the map of torque alone."""
     omega, power = readings.omega, readings.power
     assert power is not None
     assert readings.rate is None
     k, n, mean = len(torque.values), len(power), float(np.mean(power))
-    columns = np.column_stack([polynomial([(int(q[1]), int(q[2]))], (1.0,), readings.w, readings.b) for q in torque.names])
+    columns = np.column_stack([polynomial([(int(q[-2]), int(q[-1]))], (1.0,), readings.w, readings.b) for q in torque.names])
     load = columns @ torque.values
     motor = mean * np.array([1.0 / float(np.mean(omega)), 1.0 / float(np.mean(load**2)), 1.0])
-    scale, lower = np.append(np.abs(torque.values), motor), np.append(np.full(k, -np.inf), np.zeros(3))
+    scale, bounds = np.append(np.abs(torque.values), motor), (np.append(np.full(k, -np.inf), np.zeros(3)), np.inf)
     x = np.append(np.sign(torque.values), [0.05, 0.1, 0.01])
-    noise, least = np.array([_rms(torque.residual), SHARE * mean]), EXACT * np.array([float(np.mean(load)), mean])
+    noise, least = np.array([torque.rmse["torque"], SHARE * mean]), EXACT * np.array([float(np.mean(load)), mean])
 
     def residuals(x: np.ndarray) -> np.ndarray:
-        driven = columns @ (x * scale)[:k] + x[k] * scale[k]
-        electrical = driven * omega + x[k + 1] * scale[k + 1] * driven**2 + x[k + 2] * scale[k + 2]
-        return np.array([columns @ (x * scale)[:k] - readings.torque, electrical - power])
+        aerodynamic = columns @ (x * scale)[:k]
+        friction, loss, idle = (x * scale)[k:]
+        driven = aerodynamic + friction
+        return np.array([aerodynamic - readings.torque, driven * omega + loss * driven**2 + idle - power])
+
+    def weighted(x: np.ndarray) -> np.ndarray:
+        return (residuals(x) / noise[:, None]).ravel()
 
     for _ in range(ROUNDS):
         noise = np.maximum(noise, least)
-        found = least_squares(
-            lambda x, noise=noise: (residuals(x) / noise[:, None]).ravel(),
-            x,
-            bounds=(lower, np.inf),
-            x_scale="jac",
-            xtol=1e-12,
-            ftol=1e-12,
-        )
-        x, weighed = found.x, noise
-        free = np.isinf(lower) | (x > 1e-6)
+        found = least_squares(weighted, x, bounds=bounds, x_scale="jac", xtol=1e-12, ftol=1e-12)
+        x, free = found.x, np.append(np.full(k, True), found.x[k:] > 1e-6)
         # Degrees of freedom: the map's terms count for torque, the motor's for power.
-        shares = np.array([n - k, n - free[k:].sum()])
-        noise = np.sqrt(np.sum(residuals(x) ** 2, axis=1) / shares)
+        noise = np.sqrt(np.sum(residuals(x) ** 2, axis=1) / np.array([n - k, n - free[k:].sum()]))
     covariance = np.zeros((k + 3, k + 3))
-    jacobian = (found.jac.reshape(2, n, k + 3) * (weighed / np.maximum(noise, least))[:, None, None]).reshape(2 * n, k + 3)
-    covariance[np.ix_(free, free)] = np.linalg.pinv(jacobian[:, free].T @ jacobian[:, free])
-    names = [*(f"{TORQUE_MAP.name}.{q}" for q in torque.names), *(f"{MOTOR.name}.{p.name}" for p in MOTOR.parameters)]
+    covariance[np.ix_(free, free)] = np.linalg.pinv(found.jac[:, free].T @ found.jac[:, free])
+    names = *torque.names, *(MOTOR.full(p.name) for p in MOTOR.parameters)
     rmse = dict(zip(("torque", "power"), map(_rms, residuals(x)), strict=True))
     effects = TORQUE_MAP.name, MOTOR.name
-    return PowerFit(effects, tuple(names), x * scale, covariance * np.outer(scale, scale), rmse, n, readings.source)
+    return PowerFit(effects, names, x * scale, covariance * np.outer(scale, scale), rmse, n, readings.source)

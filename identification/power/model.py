@@ -33,18 +33,15 @@ def _covariance(path: str | os.PathLike, names: tuple[str, ...]) -> np.ndarray |
         return None
     try:
         order = list(found["parameters"])
-        whole = np.array(found["covariance"], float)
-    except (TypeError, KeyError, ValueError):
-        order, whole = [], np.zeros(0)
-    n = len(order)
-    if whole.shape != (n, n) or n == 0 or not np.isfinite(whole).all() or not np.allclose(whole, whole.T):
+        if not set(names) <= set(order):
+            return None
+        at = [order.index(name) for name in names]
+        own = np.array(found["covariance"], float)[np.ix_(at, at)]
+    except (TypeError, KeyError, ValueError, IndexError) as error:
         raise BadInput(
-            path, "power", "no covariance of its parameters", "parameters by name, and a symmetric matrix of numbers"
-        )
-    if not set(names) <= set(order):
-        return None
-    at = [order.index(name) for name in names]
-    return whole[np.ix_(at, at)]
+            path, "power", "no covariance of its parameters", "a matrix of numbers, as `vpp identify` writes it"
+        ) from error
+    return own
 
 
 @dataclass(frozen=True, eq=False)

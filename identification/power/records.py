@@ -6,7 +6,6 @@ The voltage has a line in time as its base. The current is predicted from the fi
 bias the resistance (two-stage least squares).
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -92,30 +91,25 @@ def power_part(name: str, r: Response, model: PowerModel, block: float, largest:
     outputs = np.column_stack([expected, p.omega, p.beta])
     shapes = partial(output_shapes, p.record, outputs, (to_pitch, to_speed), slowest(values, values))
     reading, at = electrical(p.record.columns), blocks(p.record, block)
-    return Part(name, p.record, at, reading - expected, np.column_stack(base), signals, shapes, _largest(reading))
+    return Part(
+        name, p.record, at, reading - expected, np.column_stack(base), signals, shapes, float(np.nanmax(np.abs(reading)))
+    )
 
 
-def _supply(part: Part, p: Prediction, power: RegressionFit) -> Part:
-    """The voltage of a record; its current is regressed on the power that the final fit predicts."""
-    time, measured = p.record.time, p.record["current"]
+def supply_parts(power: RegressionFit) -> list[Part]:
+    """The voltages of the records of a fit of power that have voltage and current."""
+    parts = [p for p in power.problem.parts if {"voltage", "current"} <= set(p.record.columns)]
+    return [_supply(part, power, np.eye(len(parts))[k]) for k, part in enumerate(parts)]
+
+
+def _supply(part: Part, power: RegressionFit, own: np.ndarray) -> Part:
+    """The voltage of a record; its current is regressed on the power that the final fit predicts. `own` (records,): 1 for this
+    record, whose line in time no other has."""
+    time, measured = part.record.time, part.record["current"]
     predicted = part.signals.power + part.base @ power.coefficients + part.response(power.effects, power.x)
     seen, terms = np.isfinite(measured), np.vander(predicted / np.max(np.abs(predicted)), 3)
     current = terms @ np.linalg.lstsq(terms[seen], measured[seen], rcond=None)[0]
     since = time / time[-1]
     shapes, signals = partial(iter, (since**2, current)), replace(part.signals, current=current)
-    volts = p.record["voltage"]
-    return replace(part, measured=volts, base=np.vander(since, 2), signals=signals, shapes=shapes, largest=_largest(volts))
-
-
-def _largest(reading: np.ndarray) -> float:
-    return float(np.nanmax(np.abs(reading)))
-
-
-def supply_parts(parts: Mapping[str, Part], shown: Mapping[str, Prediction], power: RegressionFit) -> list[Part]:
-    """The voltages of records, by name, beside a fit of their `parts` of power. Each record has its own coefficients."""
-    found = [_supply(parts[name], p, power) for name, p in shown.items()]
-    width = found[0].base.shape[1]
-    wide = [np.zeros((len(p.measured), width * len(found))) for p in found]
-    for k, p in enumerate(found):
-        wide[k][:, k * width : (k + 1) * width] = p.base
-    return [replace(p, base=base) for p, base in zip(found, wide, strict=True)]
+    base, volts = np.kron(own, np.vander(since, 2)), part.record["voltage"]
+    return replace(part, measured=volts, base=base, signals=signals, shapes=shapes, largest=float(np.nanmax(np.abs(volts))))

@@ -6,24 +6,25 @@ in the few parameters of the effects.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
+from itertools import product
 
 import numpy as np
-from scipy.optimize import brentq, least_squares
-from scipy.stats import chi2
+from scipy.optimize import least_squares
 
 from identification.diagnose.command_shapes import regress_out
-from identification.diagnose.crossval import folds, informed_inverse
+from identification.diagnose.crossval import folds, predicted, rms
 from identification.diagnose.judgement import ACCURACY
 from identification.diagnose.learned.score import ESTIMABLE
+from identification.diagnose.score_test import ScoreTest, tested
 from identification.fit.noise import Blocks, Colour, colour_of
 from identification.fit.uncertainty import NORMAL_95
 from identification.power.effects import PowerEffect, Signals
 from identification.power.fit import EXACT
 from vpp_fmu.record import Record
 
-SCAN = 1.6
-"""Ratio of neighbouring time constants of a scan: a lag loses less than 2 % of its power between two of them."""
+STARTS = 7
+"""Values of a time constant from which an effect is fitted."""
 
 STEP = 1e-4
 """Relative step of a derivative."""
@@ -31,13 +32,16 @@ STEP = 1e-4
 RANK = 1e-6
 """Relative singular value below which columns of the base count as collinear."""
 
+LARGEST = 50.0
+"""Largest logarithm of a ratio of an interval's end to the value."""
+
 NONE = np.zeros(0)
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
     """One reading of one record: `measured` (rows,) and `base` (rows, k), whose coefficients are free; `shapes` that span the
-    residual of a missing effect, for the noise and the lack of fit. `largest`: the sensor's largest reading. Block means are
+    residual of a missing effect, for the noise and the lack of fit; `largest`: the sensor's largest reading. Block means are
     compared."""
 
     name: str
@@ -54,18 +58,16 @@ class Part:
         """Block means of the reading (blocks,) and of the base (blocks, k)."""
         return self.at.mean(self.measured), self.at.mean(self.base)
 
+    def response(self, effects: Sequence[PowerEffect], x: np.ndarray) -> np.ndarray:
+        """Change (rows,) of the reading by effects with parameters `x`."""
+        total, values = np.zeros(len(self.measured)), iter(x.tolist())
+        for effect in effects:
+            total = total + effect.response(self.signals, {p.name: next(values) for p in effect.parameters})
+        return total
+
     def mean_response(self, effects: Sequence[PowerEffect], x: np.ndarray) -> np.ndarray:
         """Block means (blocks,) of `response`."""
         return self.at.mean(self.response(effects, x))
-
-    def response(self, effects: Sequence[PowerEffect], x: np.ndarray) -> np.ndarray:
-        """Change (rows,) of the reading by effects with parameters `x`."""
-        total, first = np.zeros(len(self.measured)), 0
-        for effect in effects:
-            names = [p.name for p in effect.parameters]
-            own = dict(zip(names, x[first : first + len(names)].tolist(), strict=True))
-            total, first = total + effect.response(self.signals, own), first + len(names)
-        return total
 
 
 class Regression:
@@ -74,12 +76,15 @@ class Regression:
     def __init__(self, parts: Sequence[Part], colours: Sequence[Colour]):
         self.parts, self.colours = parts, colours
         self._seen = [np.isfinite(c.whiten(p.means[0])) for p, c in zip(parts, colours, strict=True)]
+        ends = np.cumsum([seen.sum() for seen in self._seen]).tolist()
+        self.slices = [slice(first, end) for first, end in zip([0, *ends], ends, strict=False)]
         base = self.whitened([p.means[1] for p in parts])
         self.size = np.linalg.norm(base, axis=0)
         self.size[self.size == 0.0] = 1.0
         self.base, self.measured = base / self.size, self.whitened([p.means[0] for p in parts])
         turned, power, _ = np.linalg.svd(self.base, full_matrices=False)
         self.basis = turned[:, power > RANK * power[0]]
+        self.least = ACCURACY * max(p.largest for p in parts)
 
     @classmethod
     def of(cls, parts: Sequence[Part], effects: Sequence[PowerEffect] = (), x: np.ndarray = NONE) -> "Regression":
@@ -91,11 +96,6 @@ class Regression:
             colour = colour_of([p.at.mean(rest)], removed)
             found.append(replace(colour, innovation=max(colour.innovation, EXACT * p.largest)))  # readings without noise
         return cls(parts, found)
-
-    @cached_property
-    def largest(self) -> float:
-        """The largest reading."""
-        return max(p.largest for p in self.parts)
 
     def whitened(self, columns: Sequence[np.ndarray]) -> np.ndarray:
         """(n, ...) of block means of each record, where the reading exists."""
@@ -110,39 +110,19 @@ class Regression:
         """Part of columns (n, ...) that the base does not span."""
         return columns - self.basis @ (self.basis.T @ columns)
 
+    def response(self, effects: Sequence[PowerEffect], x: np.ndarray) -> np.ndarray:
+        """Whitened response (n,) to effects, orthogonal to the base."""
+        return self.orthogonal(self.whitened([p.mean_response(effects, x) for p in self.parts]))
+
     def fit(self, effects: Sequence[PowerEffect] = (), start: np.ndarray = NONE) -> "RegressionFit":
         """Least squares of effects beside the base, from a `start` of their parameters."""
-        declared = [p for e in effects for p in e.parameters]
+        declared, measured = [p for e in effects for p in e.parameters], self.orthogonal(self.measured)
         if not declared:
             return RegressionFit(self, (), start)
         bounds = np.array([(p.minimum, p.maximum) for p in declared]).T
-        found = least_squares(partial(self.residual, effects), np.clip(start, *bounds), bounds=bounds, x_scale=np.abs(start))
+        start, scale = np.clip(start, *bounds), np.abs(start)
+        found = least_squares(lambda x: measured - self.response(effects, x), start, bounds=bounds, x_scale=scale)
         return RegressionFit(self, tuple(effects), found.x)
-
-    def residual(self, effects: Sequence[PowerEffect], x: np.ndarray) -> np.ndarray:
-        """Whitened residual (n,), orthogonal to the base."""
-        return self.orthogonal(self.measured - self.whitened([p.mean_response(effects, x) for p in self.parts]))
-
-    def started(self, fit: "RegressionFit", effect: PowerEffect) -> np.ndarray:
-        """Start of the parameters of an effect beside a fit: the best of a scan; a size of 0 if no possible one fits."""
-        tiny, best = STEP * ACCURACY * self.largest, (0.0, np.zeros(1))
-        for further in scan(effect):
-            column = self.whitened([p.mean_response([effect], np.array([tiny, *further])) for p in self.parts]) / tiny
-            column -= fit.basis @ (fit.basis.T @ column)
-            power = float(column @ column)
-            size = float(column @ fit.residual) / power if power > 0.0 else 0.0
-            if effect.possible(size) and size**2 * power > best[0]:
-                best = size**2 * power, np.array([size, *further])
-        return best[1]
-
-
-def scan(effect: PowerEffect) -> list[tuple[float, ...]]:
-    """Values of the parameters of an effect beside its size, at which a search tries it."""
-    further = effect.parameters[1:]
-    if not further:
-        return [()]
-    (p,) = further
-    return [(float(v),) for v in np.geomspace(p.minimum, p.maximum, round(np.log(p.maximum / p.minimum) / np.log(SCAN)) + 1)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,24 +136,37 @@ class RegressionFit:
     @cached_property
     def residual(self) -> np.ndarray:
         """Whitened (n,), orthogonal to the base."""
-        return self.problem.residual(self.effects, self.x)
+        return self.problem.orthogonal(self.problem.measured) - self.problem.response(self.effects, self.x)
+
+    def with_effect(self, effect: PowerEffect) -> "RegressionFit | None":
+        """One more effect, fitted beside the others; None if its best size is not a possible one."""
+        tiny, declared, starts = STEP * self.problem.least, effect.parameters[0], []
+        for shape in product(*(np.geomspace(p.minimum, p.maximum, STARTS).tolist() for p in effect.parameters[1:])):
+            column = self.problem.response([effect], np.array([tiny, *shape])) / tiny
+            column -= self.basis @ (self.basis.T @ column)
+            power, along = float(column @ column), float(column @ self.residual)
+            if power > 0.0 and declared.minimum < along / power < declared.maximum:
+                starts.append((along**2 / power, along / power, shape))
+        if not starts:
+            return None
+        _, size, shape = max(starts)
+        return self.problem.fit((*self.effects, effect), np.array([*self.x, size, *shape]))
 
     @cached_property
     def slopes(self) -> list[np.ndarray]:
         """Derivatives (blocks, k) of the effects' block means by their parameters, for each record."""
-        found = []
-        for p in self.problem.parts:
-            columns = []
-            for k, step in enumerate(STEP * np.maximum(np.abs(self.x), STEP)):
-                ends = [p.mean_response(self.effects, self.x + s * step * (np.arange(len(self.x)) == k)) for s in (1.0, -1.0)]
-                columns.append((ends[0] - ends[1]) / (2.0 * step))
-            found.append(np.stack(columns, axis=1) if columns else np.zeros((len(p.at.time), 0)))
+        found = [np.zeros((len(p.at.time), len(self.x))) for p in self.problem.parts]
+        for k, step in enumerate(STEP * np.maximum(np.abs(self.x), STEP)):
+            move = step * (np.arange(len(self.x)) == k)
+            for p, columns in zip(self.problem.parts, found, strict=True):
+                low, high = (p.mean_response(self.effects, self.x + way) for way in (-move, move))
+                columns[:, k] = (high - low) / (2.0 * step)
         return found
 
     @cached_property
     def jacobian(self) -> np.ndarray:
-        """Whitened derivatives (n, k)."""
-        return self.problem.whitened(self.slopes)
+        """Whitened derivatives (n, k) by the effects' parameters, orthogonal to the base."""
+        return self.problem.orthogonal(self.problem.whitened(self.slopes))
 
     @cached_property
     def squares(self) -> float:
@@ -188,18 +181,32 @@ class RegressionFit:
     @cached_property
     def basis(self) -> np.ndarray:
         """Orthonormal directions (n, m) of all that was fitted."""
-        return np.linalg.qr(np.hstack([self.problem.basis, self.problem.orthogonal(self.jacobian)]))[0]
+        return np.linalg.qr(np.hstack([self.problem.basis, self.jacobian]))[0]
 
     def channel_orthogonal_gram(self, rows: np.ndarray, at: slice) -> np.ndarray:
         """Subtract from `rows` (k, n), in place, their part in these directions. Returns their products (k, k)."""
         rows -= (rows @ self.basis) @ self.basis.T
         return rows @ rows.T
 
+    def directions(self, at: slice) -> np.ndarray:
+        """(m, rows): these directions in some rows."""
+        return self.basis[at].T
+
     @cached_property
     def std(self) -> np.ndarray:
         """(k,) standard errors."""
-        j = self.problem.orthogonal(self.jacobian)
-        return np.sqrt(np.diag(np.linalg.pinv(j.T @ j, hermitian=True)))
+        return np.sqrt(np.diag(np.linalg.pinv(self.jacobian.T @ self.jacobian, hermitian=True)))
+
+    @cached_property
+    def intervals(self) -> np.ndarray:
+        """(k, 2) 95 % intervals, by the standard errors. Those of an effect with a time constant are of the logarithms: its
+        parameters are positive, and their likelihood is skewed."""
+        declared = [(p, len(e.parameters) > 1) for e in self.effects for p in e.parameters]
+        half, found = NORMAL_95 * self.std, []
+        for (p, skewed), x, reach in zip(declared, self.x.tolist(), half.tolist(), strict=True):
+            share = float(np.exp(min(reach / x, LARGEST))) if skewed else 1.0
+            found.append((max(x / share, p.minimum), min(x * share, p.maximum)) if skewed else (x - reach, x + reach))
+        return np.array(found)
 
     @cached_property
     def coefficients(self) -> np.ndarray:
@@ -215,42 +222,19 @@ class RegressionFit:
 
     @cached_property
     def held_out(self) -> tuple[float, float]:
-        """(sum of squares of the whitened residual, rms error of the block means) of folds predicted from the others, each
-        after a Gauss-Newton step from this fit."""
+        """(sum of squares of the whitened residual, rms error of the block means) of folds predicted from the others."""
         p = self.problem
-        white = np.hstack([p.base, self.jacobian])
-        raw = [np.hstack([part.means[1] / p.size, s]) for part, s in zip(p.parts, self.slopes, strict=True)]
         own = [folds(part.at.time, float(part.record.time[-1])) for part in p.parts]
-        fold, whole = p.rows_of(own), white.T @ white
-        squares, errors = 0.0, []
-        for k in range(int(fold.max()) + 1):
-            out = fold == k
-            inverse = informed_inverse(white[~out].T @ white[~out], whole, ESTIMABLE)
-            move = inverse @ (white[~out].T @ self.residual[~out])
-            squares += float(np.sum((self.residual[out] - white[out] @ move) ** 2))
-            errors += [(self.error(part) - r @ move)[f == k] for part, r, f in zip(p.parts, raw, own, strict=True)]
-        return squares, float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2)))
+        jacobian = np.hstack([p.base, p.whitened(self.slopes)])
+        held, moves = predicted([self.residual], -jacobian, p.rows_of(own), ESTIMABLE)
+        errors = []
+        for part, slopes, fold in zip(p.parts, self.slopes, own, strict=True):
+            columns = np.hstack([part.means[1] / p.size, slopes])
+            errors.append(self.error(part) - np.einsum("bk,bk->b", columns, moves[fold]))
+        return float(held @ held), rms(errors)
 
-    def interval(self, k: int) -> tuple[float, float]:
-        """95 % interval of a parameter: by its standard error if its effect is linear, else by the profile likelihood."""
-        effect, declared = [(e, p) for e in self.effects for p in e.parameters][k]
-        if len(effect.parameters) == 1:
-            half = NORMAL_95 * float(self.std[k])
-            return float(self.x[k]) - half, float(self.x[k]) + half
-        others, most = np.delete(np.arange(len(self.x)), k), float(chi2.ppf(0.95, 1))
-        bounds = np.array([(p.minimum, p.maximum) for e in self.effects for p in e.parameters])[others].T
-
-        def beyond(logarithm: float) -> float:
-            def residual(rest: np.ndarray) -> np.ndarray:
-                return self.problem.residual(self.effects, np.insert(rest, k, self.x[k] * np.exp(logarithm)))
-
-            start = self.x[others]
-            return 2.0 * least_squares(residual, start, bounds=bounds, x_scale=np.abs(start)).cost - self.squares - most
-
-        ends = []
-        for bound in (declared.minimum, declared.maximum):
-            reach = float(np.log(max(bound / self.x[k], STEP)))
-            steps = np.sign(reach) * np.minimum(0.1 * 2.0 ** np.arange(8), abs(reach))
-            end = next((float(s) for s in steps if beyond(float(s)) > 0.0), None)
-            ends.append(bound if end is None else float(self.x[k]) * np.exp(brentq(beyond, 0.0, end, xtol=1e-2)))
-        return ends[0], ends[1]
+    def score_test(self) -> ScoreTest:
+        """Score test of the shapes, as of the thrust."""
+        p = self.problem
+        each = [np.stack([part.at.mean(shape) for shape in part.shapes()], axis=1) for part in p.parts]
+        return tested(self, np.ascontiguousarray(p.whitened(each).T), p.slices, [None] * len(p.parts))

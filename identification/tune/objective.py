@@ -8,7 +8,7 @@ So penalties limit the nominal loop's overshoot, its largest sensitivity at the 
 settling and ringing of each step, to those of the initial gains.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
@@ -190,9 +190,7 @@ class Objective:
         """Largest sensitivity of the nominal loop at `points`; 0 without points; at least UNSTABLE if a loop is unstable."""
         if not self.points:
             return 0.0
-        loop = np.einsum("i,ijk->jk", gains, self._shares)  # not BLAS: its threads cost more than this
-        if self.allocated:  # speed's integral is of pitch's command: a product of gains
-            loop = loop + gains[self.names.index("k_mid")] * np.einsum("i,ijk->jk", gains, self._shares_by_pitch)
+        loop = self.open_loops(gains, self._omega, self._paths)
         stable = holds(loop, np.array([self.integrators(point) for point in self.points]))
         return float(1.0 / np.abs(1.0 + loop).min()) if stable else float(UNSTABLE + np.abs(loop).max())
 
@@ -202,41 +200,26 @@ class Objective:
         return frequencies(self.course.dt, self.time_scale)[::EVERY]
 
     @cached_property
-    def _paths(self) -> list[dict[str, np.ndarray]]:
-        """For each of the points the response (m,) from a free channel's command to the thrust reading."""
-        chain = chain_response(self.chain, self._omega, self.course.dt)
-        return [{u: chain * self.plant_path(point, u, self._omega) for u in point.channels} for point in self.points]
+    def _paths(self) -> dict[str, np.ndarray]:
+        return self.paths(self.points, self._omega)
 
-    def plant_path(self, point: Point, channel: str, omega: np.ndarray) -> np.ndarray:
-        """The response (m,) at `omega` (m,) [rad/s] from a channel's command to the nominal plant's thrust at a point."""
+    def open_loops(self, gains: np.ndarray, omega: np.ndarray, paths: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Open-loop responses (points, m) of chain, controller and nominal plant; `paths` as of `paths`."""
+        settings = self.with_gains(gains)
+        return sum(controller_response(settings, u, omega) * path for u, path in paths.items())
+
+    def paths(self, points: Sequence[Point], omega: np.ndarray) -> dict[str, np.ndarray]:
+        """By channel the response (points, m) at `omega` (m,) [rad/s] from its command to the thrust reading; 0 at points where
+        it is at a limit."""
         model, dt = self.loop.models[0], self.course.dt
         values = dict(zip((p.name for p in model.parameters), self.plants[0].tolist(), strict=True))
-        return plant_response(pulse_response(model, values, point.commands, channel, dt, self.time_scale), omega, dt)
-
-    def _unit_shares(self, channel: str, units: np.ndarray, of: str) -> np.ndarray:
-        """Contribution to the open loop (n, points, m) by one channel, of each gain that belongs to the channel `of`; `units`:
-        (n, n) gains, one set a row."""
-        shares = np.zeros((len(self.names), len(self.points), len(self._omega)), complex)
-        for i, name in enumerate(self.names):
-            if name.endswith(of):
-                response = controller_response(self.with_gains(units[i]), channel, self._omega)
-                for k, paths in enumerate(self._paths):
-                    if channel in paths:
-                        shares[i, k] = paths[channel] * response
-        return shares
-
-    @cached_property
-    def _shares(self) -> np.ndarray:
-        """Contribution of each unit gain to the open loop (n, points, m), in the order of the gains."""
-        units = np.eye(len(self.names))
-        return sum(self._unit_shares(channel, units, channel) for channel in self.channels)
-
-    @cached_property
-    def _shares_by_pitch(self) -> np.ndarray:
-        """The same for each unit gain of pitch through the speed channel, with k_mid 1."""
-        units = np.eye(len(self.names))
-        units[:, self.names.index("k_mid")] = 1.0
-        return self._unit_shares("omega", units, "beta")
+        found = {u: np.zeros((len(points), len(omega)), complex) for u in self.channels}
+        chain = chain_response(self.chain, omega, dt)
+        for k, point in enumerate(points):
+            for u in point.channels:
+                pulse = pulse_response(model, values, point.commands, u, dt, self.time_scale)
+                found[u][k] = chain * plant_response(pulse, omega, dt)
+        return found
 
     @cached_property
     def _chain(self) -> np.ndarray:

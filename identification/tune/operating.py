@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.tune.linear import CHANNELS, chain_response, controller_response
+from identification.tune.linear import CHANNELS
 from identification.tune.margins import Margins, frequencies, margins
 from identification.tune.objective import Objective, Point
 
@@ -47,14 +47,8 @@ def _free(objective: Objective, commands: tuple[float, float]) -> tuple[str, ...
     return tuple(found)
 
 
-def open_loop(objective: Objective, gains: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
-    """(frequencies [rad/s], open-loop response of chain, controller and nominal plant), each (n,), at an operating point."""
-    dt, settings = objective.course.dt, objective.with_gains(gains)
-    omega = frequencies(dt, objective.time_scale)
-    paths = (controller_response(settings, u, omega) * objective.plant_path(point, u, omega) for u in point.channels)
-    return omega, chain_response(objective.chain, omega, dt) * sum(paths)
-
-
 def margins_at(objective: Objective, gains: np.ndarray, points: tuple[Point, ...]) -> tuple[Margins, ...]:
     """Margins at each point."""
-    return tuple(margins(*open_loop(objective, gains, point), objective.integrators(point)) for point in points)
+    omega = frequencies(objective.course.dt, objective.time_scale)
+    loops = objective.open_loops(gains, omega, objective.paths(points, omega))
+    return tuple(margins(omega, loop, objective.integrators(point)) for point, loop in zip(points, loops, strict=True))

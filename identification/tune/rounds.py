@@ -40,7 +40,7 @@ def rounds(
         jobs = [(o, *start) for name, o in pending.items() for start in starts[name]]
         best = _best(pending, jobs, workers, scheduler, what)
         for name, each in best.items():
-            done[name] = pending[name], each.after(done[name][1]) if name in done else each
+            done[name] = pending[name], each
         extended = {name: _extended(o, best[name].gains, reserve) for name, o in pending.items()}
         pending = {name: o for name, o in extended.items() if o is not pending[name]}
         # From the initial gains if they are better: the best gains may be infeasible under the added limits.
@@ -51,14 +51,14 @@ def rounds(
     if names:  # all starts ended in local minima worse than the initial gains
         jobs = [(done[name][0], done[name][0].gains, ("all",)) for name in names]
         for name, each in _best(names, jobs, workers, scheduler, what).items():
-            done[name] = done[name][0], each.after(done[name][1])
+            done[name] = done[name][0], each
     if shakes:
         names = list(objectives)
         jobs = [(done[name][0], perturbed, ("all",)) for name in names for perturbed in _perturbed(done[name][1].gains, shakes)]
         for name, each in _best(names, jobs, workers, scheduler, what).items():
             o, before = done[name]
             if each.cost < before.cost and _extended(o, each.gains, reserve) is o:
-                done[name] = o, each.after(before)
+                done[name] = o, each
     return {name: done[name] for name in objectives}
 
 

@@ -5,7 +5,7 @@ the best proportional gains depend on the derivative. Positive gains are searche
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize
@@ -34,36 +34,23 @@ RESOLVED = 10.0 * CLOSE
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """Result of a search: `gains` (n,), their `cost` with penalties, and the `curve` of costs of all evaluations.
-
-    `stages`: (name, evaluations up to its end).
-    """
+    """Result of a search: `gains` (n,), and their `cost` with penalties."""
 
     gains: np.ndarray
     cost: float
-    curve: np.ndarray
-    stages: tuple[tuple[str, int], ...]
-
-    def after(self, before: "SearchResult") -> "SearchResult":
-        """This search as the continuation of `before`."""
-        stages = [(name, len(before.curve) + end) for name, end in self.stages]
-        return replace(self, curve=np.r_[before.curve, self.curve], stages=(*before.stages, *stages))
 
 
 def search(objective: Objective, start: np.ndarray, stages: Sequence[str] = ("PI", "D", "all")) -> SearchResult:
     """Search from the gains `start` (n,) through the stages; with a stage "PI", derivative gains start at 0."""
-    curve: list[float] = []
-    ends = []
     derivative = np.array([name.startswith("kd") for name in objective.names])
-    gains = np.where(derivative, 0.0, start) if "PI" in stages else start
+    gains, cost = np.where(derivative, 0.0, start) if "PI" in stages else start, np.inf
     chosen = {"PI": ~derivative, "D": derivative, "all": np.ones_like(derivative)}
     for stage in stages:
-        gains, cost = _stage(objective, gains, chosen[stage], derivative, curve)
-        ends.append((stage, len(curve)))
-    return SearchResult(gains, cost, np.array(curve), tuple(ends))
+        gains, cost = _stage(objective, gains, chosen[stage], derivative)
+    return SearchResult(gains, cost)
 
 
-def _stage(objective: Objective, start: np.ndarray, free: np.ndarray, derivative: np.ndarray, curve: list[float]):
+def _stage(objective: Objective, start: np.ndarray, free: np.ndarray, derivative: np.ndarray) -> tuple[np.ndarray, float]:
     """Repeat the simplex from its result until the cost no longer decreases: a single simplex may collapse on a ridge."""
     size = np.where(derivative, DERIVATIVE * objective.time_scale * np.tile(start[: derivative.sum()], 3), 1.0)
     low, high = np.where(derivative, 0.0, np.log(RANGE[0]))[free], np.where(derivative, np.inf, np.log(RANGE[1]))[free]
@@ -75,8 +62,7 @@ def _stage(objective: Objective, start: np.ndarray, free: np.ndarray, derivative
         return gains
 
     def cost_at(x: np.ndarray) -> float:
-        curve.append(objective.penalised(gains_at(x)))
-        return curve[-1]
+        return objective.penalised(gains_at(x))
 
     x = np.where(derivative, start / size, np.log(np.clip(start, *RANGE)))[free]
     best = cost_at(x)

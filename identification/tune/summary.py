@@ -58,8 +58,6 @@ def _controller(found: Tuning, tuned: Tuned) -> dict:
     content: dict = {"handed_out": names[tuned.chosen], "limits": {name: tuned.objective.settings[name] for name in limits}}
     content |= {"verdict": {which: each.summary() for which, each in tuned.verdicts.items()}}
     content |= {names[which]: _gains(tuned, which) for which in tuned.gains}
-    content["evaluations"] = {which: len(each.curve) for which, each in tuned.searches.items()}
-    content["stages"] = {which: [list(stage) for stage in each.stages] for which, each in tuned.searches.items()}
     content["fmu_difference_thrust"] = tuned.fmu_difference
     if tuned.judged:
         content["judged"] = {

@@ -117,14 +117,13 @@ class TuningTask:
 class Tuned:
     """Result for one controller. `gains`: "start" (initial), "tuned", and "robust" if requested, each (n,).
 
-    `searches` and `verdicts` of tuned and robust gains; `points` and `margins`: operating points of each gain set. `judged`,
+    `verdicts`: of tuned and robust gains; `points` and `margins`: operating points of each gain set. `judged`,
     `overshoots`: cost and overshoot (share of a step) of each gain set on hold-out plants (JUDGED,). `fmu_difference` N:
     largest difference of thrust between FMUs and compiled loop under the chosen gains.
     """
 
     objective: Objective
     gains: Mapping[str, np.ndarray]
-    searches: Mapping[str, SearchResult]
     verdicts: Mapping[str, Verdict]
     points: Mapping[str, tuple[Point, ...]]
     margins: Mapping[str, tuple[Margins, ...]]
@@ -233,5 +232,4 @@ def _tuned(objective: Objective, found: Found, plants: np.ndarray | None) -> Tun
         others = replace(objective, plants=plants)
         judged = {name: others.costs(own) for name, own in gains.items()}
         overshoots = {name: others.merits(own)[:, 1] for name, own in gains.items()}
-    searches = {name: search for name, (_, search) in found.items()}
-    return Tuned(objective, gains, searches, verdicts, points, margins, judged, overshoots)
+    return Tuned(objective, gains, verdicts, points, margins, judged, overshoots)

@@ -190,16 +190,7 @@ def reached(fit: Fit, name: str) -> dict[str, tuple[float, int]]:
 
 def evidence(found: Diagnosis, judged: Judgement) -> dict:
     """Statistics of an effect."""
-    return {
-        "delta_bic": 2.0 * judged.evidence,
-        "evidence": judged.evidence,
-        "log_likelihood": judged.likelihood_gain,
-        "log_likelihood_by_chance": judged.needed,
-        "held_out_gain": dict(judged.gain),
-        "size": {"value": judged.size, "unit": "N"},
-        "least_size": {"value": judged.least, "unit": "N"},
-        "explained_fraction": found.explained,
-    }
+    return {"delta_bic": 2.0 * judged.evidence, **judged.summary(), "explained_fraction": found.explained}
 
 
 def artefact(found: Diagnosis, name: str) -> str:

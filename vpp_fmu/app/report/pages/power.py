@@ -51,7 +51,7 @@ def add_power(page: Page, found: PowerDiagnosis) -> None:
     if sizes:
         page.table(("effect", "parameter", "value", "95 % interval"), sizes, "Effects of the power. They are not in the FMU.")
     rows = [
-        (t.effect.label, " + ".join(t.beside) or "nothing", f"{t.evidence:.1f}", found.why_not(t) or "accepted")
+        (t.effect.label, " + ".join(t.beside) or "nothing", f"{t.judged.evidence:.1f}", found.why_not(t) or "accepted")
         for t in found.tried
     ]
     page.table(("effect", "beside", "evidence [nat]", "verdict"), rows, "Candidates.")
