@@ -11,10 +11,12 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import pytest
-from builders import ALL_ON, FAST_PITCH, PROBES, random_steps, reference, shorten_tuning
+from builders import ALL_ON, FAST_PITCH, PROBES, SHORT_CAMPAIGN, random_steps, reference, shorten_tuning
 
 from tests.hil.quick_vpp import shorten_waits
 from tests.stalls import Stalls
+from tests.studies.cases import draw
+from tests.studies.rig import save
 from vpp_fmu.app.cli import main
 from vpp_fmu.export import python_fmu
 from vpp_fmu.kernel.controller import CONTROLLER
@@ -133,6 +135,14 @@ def long_run():
     """700 steps of 4 ms with every effect at its probe: (commands, step lengths, outputs of the functions in Python)."""
     commands, steps = random_steps(701, 100, seed=10_000, model=ALL_ON), np.full(700, 0.004)
     return commands, steps, reference(ALL_ON, PROBES, commands, steps)
+
+
+@pytest.fixture(scope="session")
+def short_campaign(tmp_path_factory):
+    """Folder of a campaign of an emulated rig with a dead band of its pitch servo: every file, 20 s at 100 Hz."""
+    case = draw(11, "single", hidden=("pitch_command_deadband",), **SHORT_CAMPAIGN)
+    save(case.measured(), case.rig.size, folder := tmp_path_factory.mktemp("campaigns") / "2026-03-01")
+    return folder
 
 
 @pytest.fixture(scope="module")
