@@ -37,7 +37,10 @@ LONGEST_FIRST = (
 )
 """Groups that take longest. They start first, so that none of them is still running when all others are done."""
 
-IN_VIRTUAL_TIME = ("test_day", "test_hil_campaign")
+IN_VIRTUAL_TIME = (
+    *("test_day", "test_hil_campaign", "test_physics", "test_physics_fmu", "test_physics_hidden", "test_physics_speed"),
+    *("test_plausibility", "test_polarity"),
+)
 """Files of the rig whose clock is simulated."""
 
 
@@ -209,7 +212,7 @@ def pytest_terminal_summary(terminalreporter):
     """Print in one line which tests were not run, and why."""
     reasons = {report.longrepr[2].removeprefix("Skipped: ") for report in terminalreporter.stats.get("skipped", ())}
     drawn = [
-        "two thirds of the effects and of the rigs in tests of each (a file that runs alone tries all)",
+        "two thirds of the effects, rigs, faults and logs in tests of each (a file that runs alone tries all)",
         "slow tests (make study)",
     ]
     side_by_side = bool(terminalreporter.config.getoption("numprocesses", None))
