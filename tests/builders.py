@@ -10,6 +10,7 @@ import pytest
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackAllocateMemoryTYPE, fmi2CallbackFreeMemoryTYPE, fmi2CallbackFunctions
 from fmpy.fmi2 import fmi2CallbackLoggerTYPE as Logger
 
+from tests.studies.cases import WHOLE
 from vpp_fmu.errors import BadInput
 from vpp_fmu.export import native_fmu
 from vpp_fmu.fmu import Fmu, FmuInstance
@@ -79,6 +80,10 @@ def slope_errors(model: Model, values: Mapping[str, float], wrt, inputs, steps, 
             assert valid.mean() > smooth, f"{name}: hardly a row where differences agree"
             errors[name] = float((np.where(valid, np.abs(tangents[:, :, j] - numeric), 0.0) / size).max())
     return errors
+
+
+SHORT_CAMPAIGN = {"size": "paper", "rate": 100, "noise": "white", "level": 1.0, "strength": 1.0, "seconds": 20.0} | WHOLE
+"""Factors of a campaign of the studies' emulator that has every file and takes a few seconds to diagnose."""
 
 
 def shorten_tuning(change) -> None:

@@ -11,10 +11,12 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import pytest
-from builders import ALL_ON, FAST_PITCH, PROBES, random_steps, reference, shorten_tuning
+from builders import ALL_ON, FAST_PITCH, PROBES, SHORT_CAMPAIGN, random_steps, reference, shorten_tuning
 
 from tests.hil.quick_vpp import shorten_waits
 from tests.stalls import Stalls
+from tests.studies.cases import draw
+from tests.studies.rig import save
 from vpp_fmu.app.cli import main
 from vpp_fmu.export import python_fmu
 from vpp_fmu.kernel.controller import CONTROLLER
@@ -35,7 +37,10 @@ LONGEST_FIRST = (
 )
 """Groups that take longest. They start first, so that none of them is still running when all others are done."""
 
-IN_VIRTUAL_TIME = ("test_day", "test_hil_campaign")
+IN_VIRTUAL_TIME = (
+    *("test_day", "test_hil_campaign", "test_physics", "test_physics_fmu", "test_physics_hidden", "test_physics_speed"),
+    *("test_plausibility", "test_polarity"),
+)
 """Files of the rig whose clock is simulated."""
 
 
@@ -135,6 +140,14 @@ def long_run():
     return commands, steps, reference(ALL_ON, PROBES, commands, steps)
 
 
+@pytest.fixture(scope="session")
+def short_campaign(tmp_path_factory):
+    """Folder of a campaign of an emulated rig with a dead band of its pitch servo: every file, 20 s at 100 Hz."""
+    case = draw(11, "single", hidden=("pitch_command_deadband",), **SHORT_CAMPAIGN)
+    save(case.measured(), case.rig.size, folder := tmp_path_factory.mktemp("campaigns") / "2026-03-01")
+    return folder
+
+
 @pytest.fixture(scope="module")
 def short_waits():
     """Runs on the emulated rig wait less before they begin, in a whole file."""
@@ -199,7 +212,7 @@ def pytest_terminal_summary(terminalreporter):
     """Print in one line which tests were not run, and why."""
     reasons = {report.longrepr[2].removeprefix("Skipped: ") for report in terminalreporter.stats.get("skipped", ())}
     drawn = [
-        "two thirds of the effects and of the rigs in tests of each (a file that runs alone tries all)",
+        "two thirds of the effects, rigs, faults and logs in tests of each (a file that runs alone tries all)",
         "slow tests (make study)",
     ]
     side_by_side = bool(terminalreporter.config.getoption("numprocesses", None))

@@ -242,8 +242,7 @@ def test_the_exported_loop_settles_on_the_pair_of_least_power(tmp_path):
     assert float(last["omega"]) == pytest.approx(np.interp(6.0, best.thrust, best.omega), rel=0.02)
 
 
-def test_the_allocated_law_is_tuned_for_an_objective(tmp_path, capsys, refused):
-    """No step settles later than with the gains of `vpp allocate`, and the loop keeps the limit on sensitivity."""
+def test_the_allocated_law_is_tuned_for_an_objective(tmp_path, capsys, refused, short_search):
     words = parameters(tmp_path, points())
     (tmp_path / "profile.csv").write_text("time,thrust_set\n0,3\n1,6\n4,6\n")
     common = [*words[1:3], "--profile", str(tmp_path / "profile.csv"), "-o", str(tmp_path / "tuned")]

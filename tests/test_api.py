@@ -35,6 +35,11 @@ def identified():
     return vpp.identify(vpp.example_campaign(), starts=1)
 
 
+@pytest.fixture(scope="module")
+def checked():
+    return vpp.check(vpp.example_campaign())
+
+
 @pytest.mark.parametrize("name", vpp.__all__)
 def test_every_public_name_is_documented(name):
     assert (inspect.getdoc(getattr(vpp, name)) or "").strip()
@@ -42,9 +47,10 @@ def test_every_public_name_is_documented(name):
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_the_example_of_every_public_name_runs(name, identified, monkeypatch):
-    if name != "identify":  # the others begin with its result for the example campaign: once is enough
-        monkeypatch.setattr(vpp, "identify", lambda campaign, starts: identified, raising=False)
+def test_the_example_of_every_public_name_runs(name, identified, checked, short_search, monkeypatch):
+    for verb, found in (("identify", identified), ("check", checked)):
+        if name != verb:  # the others begin with its result for the example campaign: once is enough
+            monkeypatch.setattr(vpp, verb, lambda campaign, starts=1, found=found: found, raising=False)
     flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
     found = doctest.DocTestFinder().find(getattr(vpp, name), name, globs={"vpp": vpp})
     assert any(test.examples for test in found), f"{name} has no example"

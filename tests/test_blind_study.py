@@ -21,7 +21,7 @@ def studied(kind, *hidden, size="paper", rate=100, seconds=40.0, **like):
 
 
 def test_nothing_is_named_where_nothing_is_hidden():
-    found = studied("none")
+    found = studied("none", seconds=20.0)
     assert found["verdict"] == "none"
     assert not scores.found(found)
 

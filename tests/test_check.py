@@ -65,6 +65,7 @@ def campaign_of(record: Record) -> Campaign:
     return Campaign(Path("nowhere"), None, (), record, None, None)
 
 
+@pytest.mark.sampled("fault")
 @pytest.mark.parametrize("fault", FAULTS)
 def test_every_planted_fault_is_found(fault, short):
     """Each fault in one size of rig, the sizes in turn; the study plants every fault in every size."""

@@ -5,28 +5,27 @@ import json
 
 import numpy as np
 import pytest
+from builders import SHORT_CAMPAIGN
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from identification.workers import spread
-from tests.studies.cases import WHOLE, draw
+from tests.studies.cases import draw
 from tests.studies.rig import save
 from vpp_fmu.app.api import diagnose as command
 from vpp_fmu.app.cli import main
 from vpp_fmu.app.report.pages.fleet import Entry, FleetResult, ThrustMap, compared
 
 FEW = ["--effects", "pitch_command_deadband"]
-SHORT = {"size": "paper", "rate": 100, "noise": "white", "level": 1.0, "strength": 1.0, "seconds": 20.0} | WHOLE
 
 
 @pytest.fixture(scope="module")
-def campaigns(tmp_path_factory):
+def campaigns(short_campaign, tmp_path_factory):
     """Folders of campaigns: one with a dead band, one without a hidden effect, one empty."""
     folder = tmp_path_factory.mktemp("fleet")
-    for name, kind, hidden in (("2026-03-01", "single", ("pitch_command_deadband",)), ("2026-03-08", "none", None)):
-        case = draw(11, kind, hidden=hidden, **SHORT)
-        save(case.measured(), case.rig.size, folder / name)
+    case = draw(11, "none", **SHORT_CAMPAIGN)
+    save(case.measured(), case.rig.size, folder / "2026-03-08")
     (folder / "empty").mkdir()
-    return [str(folder / name) for name in ("2026-03-01", "2026-03-08", "empty")]
+    return [str(short_campaign), str(folder / "2026-03-08"), str(folder / "empty")]
 
 
 @pytest.fixture(scope="module")

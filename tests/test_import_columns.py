@@ -539,6 +539,7 @@ CASES = {
 """(columns, parts of the refusal, records by the words that import them); or the words in place of the records."""
 
 
+@pytest.mark.sampled("name")
 @pytest.mark.parametrize("name", CASES)
 def test_a_doubtful_log_is_refused_and_imported_by_the_words_of_the_refusal(tmp_path, log, imported, refused, name):
     columns, parts, then = CASES[name]

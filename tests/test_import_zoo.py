@@ -17,6 +17,7 @@ def run(capsys):
     return lambda words: (main(words), *capsys.readouterr())
 
 
+@pytest.mark.sampled("format")
 @pytest.mark.parametrize("format", formats(), ids=lambda format: format.name)
 def test_the_imported_record_equals_the_log(format, tmp_path, run):
     if format in containers() or "half a" in format.name:

@@ -276,6 +276,7 @@ def done(out: Path, verb: str, *words) -> dict:
     return {path.name: json.loads(path.read_text(), parse_constant=pytest.fail) for path in out.glob("*.json")}
 
 
+@pytest.mark.sampled("name")
 @pytest.mark.parametrize("name", CASES)
 def test_parameters_are_identified_or_named_and_the_other_verbs_take_them(name, tmp_path):
     folder = folder_of(*CASES[name], tmp_path / "campaign")

@@ -147,8 +147,8 @@ def test_the_loop_that_gains_are_tuned_on_has_the_effect(parameters):
         vpp.tune(held)
 
 
-def test_a_diagnosis_tries_a_user_defined_effect():
-    found = vpp.diagnose(vpp.example_campaign(), effects=["cell_lag", "pitch_command_deadband"], effects_from=[FILE])
+def test_a_diagnosis_tries_a_user_defined_effect(short_campaign):
+    found = vpp.diagnose(short_campaign, effects=["cell_lag", "pitch_command_deadband"], effects_from=[FILE])
     assert {"cell_lag", "pitch_command_deadband"} <= {
         str(c.get("name", c.get("effects"))) for c in found.to_dict()["candidates"]
     }

@@ -20,7 +20,7 @@ from vpp_fmu.rig import infer_rig
 
 PITCH, SPEED = "pitch_command_resolution", "speed_command_resolution"
 FEW = tuple(e for e in LIBRARY if e.off is None or e.name in (PITCH, SPEED, "pitch_command_deadband", "sensor_lag"))
-NOISE = 0.1  # N
+NOISE, STEP = 0.1, 0.008  # N, s
 NAMES = ("tau_omega_1", "tau_omega_2", "tau_beta_1", "tau_beta_2", "c20", "c11", "c21", "c12", "c30")
 
 
@@ -92,7 +92,7 @@ def test_the_step_of_a_command_is_named():
     """Of speed; the tests above search that of pitch."""
     name, rng = SPEED, np.random.default_rng(11)
     step = float(np.exp(rng.uniform(*np.log([10.0, 100.0]))))
-    told, other = commands(rng, 20.0), commands(rng, 8.0)
+    told, other = commands(rng, 20.0, STEP), commands(rng, 8.0, STEP)
     records = [
         replace(measured(r, rng, **{name: step}), source=f"{n}.csv")
         for r, n in ((told, "open_loop"), (told, "repeat"), (other, "validation"))
@@ -105,7 +105,7 @@ def test_the_step_of_a_command_is_named():
 
 def test_no_step_is_named_where_commands_are_executed_as_they_are():
     rng = np.random.default_rng(13)
-    told = commands(rng, 20.0)
+    told = commands(rng, 20.0, STEP)
     records = [replace(measured(told, rng), source=f"{n}.csv") for n in ("open_loop", "repeat")]
     found = diagnose(campaign(*records), FEW)
     assert (found.verdict, found.final.effects) == ("none", ())

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from studies.synthetic import STEP, TRUTH, commands
+from studies.synthetic import TRUTH, commands
 
 from identification.diagnose.diagnose import diagnose
 from identification.gate.gate import passed
@@ -16,6 +16,7 @@ from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record, write_record
 
 NOISE, JITTER = 0.1, 3.0  # N, rpm
+STEP = 0.008  # s
 LAG = sum(TRUTH[f"tau_beta_{k}"] for k in (1, 2))  # s, of the slower channel
 SOME = tuple(e for e in LIBRARY if e.off is None or e.name in ("sensor_lag", "pitch_command_deadband"))
 
@@ -23,7 +24,7 @@ SOME = tuple(e for e in LIBRARY if e.off is None or e.name in ("sensor_lag", "pi
 def cut(seed: int, since: float = 0.0, section: float = 8.0) -> tuple[Record, np.ndarray]:
     """(a record that begins `since` s after both commands had moved, 0: settled; what the true model predicts for it)."""
     rng = np.random.default_rng(seed)
-    asked, rows = commands(rng, section), round(since / STEP)
+    asked, rows = commands(rng, section, STEP), round(since / STEP)
     before = {"omega_ref": 6500.0 - asked["omega_ref"][0] * 0.6, "beta_ref": asked["beta_ref"][0] - 3.0}
     longer = {n: np.r_[before[n] if rows else asked[n][0], np.full(rows, asked[n][0]), asked[n]] for n in before}
     time = np.arange(len(longer["omega_ref"])) * STEP
@@ -116,14 +117,14 @@ def test_a_diagnosis_finds_no_lack_of_fit_after_the_run_in(campaigns, name):
 
 def test_of_step_runs_those_in_motion_lose_their_run_in(campaigns):
     def run(since: float) -> Record:
-        commanded = {"omega_ref": np.full(2000, 5000.0), "beta_ref": np.where(np.arange(2000) < 1000, 2.0, 6.0)}
+        commanded = {"omega_ref": np.full(1000, 5000.0), "beta_ref": np.where(np.arange(1000) < 500, 2.0, 6.0)}
         rows = round(since / STEP)
         longer = {
             n: np.r_[c[0] - 1500.0 * (n == "omega_ref") * bool(rows), np.full(rows, c[0]), c] for n, c in commanded.items()
         }
-        shown = Simulator(BASE).simulate(TRUTH, longer, np.full(2000 + rows, STEP))[rows + 1 :]
-        thrust = shown[:, 0] + NOISE * np.random.default_rng(3).standard_normal(2000)
-        return Record({"time": np.arange(2000) * STEP, **commanded, "thrust": thrust}, f"steps.csv, run {since:g}")
+        shown = Simulator(BASE).simulate(TRUTH, longer, np.full(1000 + rows, STEP))[rows + 1 :]
+        thrust = shown[:, 0] + NOISE * np.random.default_rng(3).standard_normal(1000)
+        return Record({"time": np.arange(1000) * STEP, **commanded, "thrust": thrust}, f"steps.csv, run {since:g}")
 
     gate = passed(campaigns["settled"])
     gate = as_logged(type(gate)(type(gate.campaign)(**{**vars(gate.campaign), "steps": (run(0.0), run(0.1))}), {}, ()))

@@ -25,7 +25,7 @@ from vpp_fmu.record import Record
 from vpp_fmu.rig import infer_rig
 from vpp_fmu.sensors import SpeedSensor
 
-NOISE, SPEED_NOISE = 0.1, 2.0  # N, rpm
+NOISE, SPEED_NOISE, STEP = 0.1, 2.0, 0.008  # N, rpm, s
 ENCODER = SpeedSensor("encoder")
 
 
@@ -90,10 +90,10 @@ def test_a_fast_remainder_is_kept():
     assert np.std(np.delete(found, slice(2800, 3210))) < 3.0
 
 
-def rig(seed=0, noise=NOISE, **values) -> Campaign:
+def rig(seed=0, noise=NOISE, step=STEP, **values) -> Campaign:
     """Records with an encoder's speed, a repeat and a validation record."""
     rng = np.random.default_rng(seed)
-    first, other = commands(rng, 16.0), commands(rng, 8.0)
+    first, other = commands(rng, 16.0, step), commands(rng, 8.0, step)
     model, records = plant({name.partition(".")[0] for name in values}), []
     for record, name in ((first, "open_loop"), (first, "repeat"), (other, "validation")):
         shown = Simulator(model).simulate(model.values(TRUTH | values), *record.run)
@@ -122,7 +122,7 @@ def test_the_thrust_decides_whether_the_speed_or_its_reading_is_late():
 def test_readings_of_speed_early_by_part_of_a_row_are_no_fault_of_the_thrust():
     """An encoder's instant within the row of 4 ms is unknown. The thrust then seems to be late, by 1.6 ms."""
     lags = [e for e in LIBRARY if e.off is None or e.name in ("inflow_lag", "pitch_rate_feedthrough", "sensor_lag")]
-    campaign = rig(noise=0.02)
+    campaign = rig(noise=0.02, step=0.004)
 
     def early(record):
         return record.with_columns(omega=np.interp(record.time + 0.0016, record.time, record["omega"]))
@@ -173,7 +173,7 @@ def test_with_another_logger_the_effects_are_fitted_to_its_records_without_a_sea
         if not effects:
             return found
         second.append(effects)
-        logger = replace(found.logger, rows=0.5, std=0.01, period=0.004)
+        logger = replace(found.logger, rows=0.5, std=0.01, period=STEP)
         return replace(gate.changed(logger.applied), logger=logger)
 
     monkeypatch.setattr(stages, "_stage", counted)

@@ -129,8 +129,8 @@ def test_a_missed_slot_leaves_its_row_empty(rig_and_log):
 
 @pytest.fixture(autouse=True, scope="module")
 def small_plan():
-    """One level of steps, half a second about each, and sections of 3 s, which no option sets."""
-    small = {"levels": 1, "before": 0.5, "after": 0.5, "section": 3.0}
+    """One level of steps, half a second about each, and sections of 1.5 s, which no option sets."""
+    small = {"levels": 1, "before": 0.5, "after": 0.5, "section": 1.5}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("vpp_fmu.app.cli.hil.plan_for", lambda rig: replace(plan_for(rig), **small))
         yield

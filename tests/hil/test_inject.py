@@ -29,6 +29,7 @@ def test_every_fault_that_can_be_injected_is_a_row_of_the_table():
         assert row.task.get("sabotage") == WITHIN.get(name, row.task.get("sabotage"))
 
 
+@pytest.mark.sampled("name")
 @pytest.mark.parametrize("name", [*(name for name in AT_ONCE if not name.startswith("twin: ")), "controller: NaN"])
 def test_in_virtual_time_it_ends_as_the_table_says_at_the_time_that_was_asked_for(name, tmp_path):
     row, profile = CAUSES[name], step_profile(5.0, 8.0, hold=1.0)

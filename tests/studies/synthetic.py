@@ -23,19 +23,19 @@ TRUTH = FINE_TUNED | {"tau_beta_1": FINE_TUNED["tau_beta_2"], "tau_beta_2": FINE
 """The fine-tuned set, each channel's slower constant first, as a fit reports them; the response is the same."""
 
 
-def commands(rng: np.random.Generator, section: float = SECTION) -> Record:
-    """Three sections of `section` s; a channel that does not move is in the middle of its range."""
-    rows = round(section / STEP)
-    speed = [_levels(rng, rows, *SPEED), np.full(rows, np.mean(SPEED)), _levels(rng, rows, *SPEED)]
-    pitch = [np.full(rows, np.mean(PITCH)), _levels(rng, rows, *PITCH), _levels(rng, rows, *PITCH)]
-    columns = {"time": np.arange(3 * rows) * STEP, "omega_ref": np.concatenate(speed), "beta_ref": np.concatenate(pitch)}
+def commands(rng: np.random.Generator, section: float = SECTION, step: float = STEP) -> Record:
+    """Three sections of `section` s, a row every `step` s; a channel that does not move is in the middle of its range."""
+    rows = round(section / step)
+    speed = [_levels(rng, rows, step, *SPEED), np.full(rows, np.mean(SPEED)), _levels(rng, rows, step, *SPEED)]
+    pitch = [np.full(rows, np.mean(PITCH)), _levels(rng, rows, step, *PITCH), _levels(rng, rows, step, *PITCH)]
+    columns = {"time": np.arange(3 * rows) * step, "omega_ref": np.concatenate(speed), "beta_ref": np.concatenate(pitch)}
     return Record(columns, "synthetic")
 
 
-def _levels(rng: np.random.Generator, rows: int, low: float, high: float) -> np.ndarray:
+def _levels(rng: np.random.Generator, rows: int, step: float, low: float, high: float) -> np.ndarray:
     """A command (rows,) that jumps to a new level after each hold."""
-    most = int(rows * STEP / HOLD[0]) + 2
-    holds = np.round(rng.uniform(*HOLD, most) / STEP).astype(int)
+    most = int(rows * step / HOLD[0]) + 2
+    holds = np.round(rng.uniform(*HOLD, most) / step).astype(int)
     return np.repeat(rng.uniform(low, high, most), holds)[:rows]
 
 
