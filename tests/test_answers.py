@@ -67,7 +67,7 @@ CALLS = {
 """Words by schema, in an order in which each call finds the files of earlier ones."""
 
 ALARMED = {"hil-run"}
-"""Calls that end with the exit code of an alarm: the pitch zero of the emulated rig is not that of the campaign's rig."""
+"""Calls that end with the exit code of an alarm: the emulated rig is another one than that of the campaign."""
 
 SAME = {
     "check": "checked/check.json",
