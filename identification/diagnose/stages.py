@@ -27,7 +27,7 @@ from identification.diagnose.lack_of_fit import LackOfFit, with_rotor_order
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.selection import Selection, select, without
-from identification.diagnose.validation import CHANGED, UNEXPLAINED, unnamed, verdict
+from identification.diagnose.validation import CHANGED, unnamed, verdict
 from identification.fit.noise import Noise
 from identification.logger import SIGNIFICANT
 from identification.roles import Fitted
@@ -219,10 +219,7 @@ def searched(
     if not _takes_pitch(speed.selection.whole) or not effort.allows(AGAIN):
         return checked(speed, thrust)
     again = by_thrust(of_speed(with_pitch_of(thrust)))
-    if again.selection.final.effects != speed.selection.final.effects:
-        return checked(again, of_thrust(again))
-    known_thrust = thrust.on(*of_known(again))
-    return checked(again, known_thrust if known_thrust.word not in UNEXPLAINED else of_thrust(again))
+    return checked(again, of_thrust(again))
 
 
 def _no_simpler(found: Sequence[Stage], again: Sequence[Stage]) -> bool:
