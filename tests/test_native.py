@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from builders import ALL_ON, OPTIONAL, PROBES, TWO_DELAYS, random_steps, reference, simulator, slope_errors
 
+from identification.diagnose.initial_model import always_on
 from vpp_fmu.errors import SimulationFailed
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
@@ -196,6 +197,15 @@ def test_a_user_defined_effect_with_the_name_of_a_traced_one_is_traced_anew(own_
     np.testing.assert_allclose(Simulator(plant([name], own)).simulate(values, inputs, steps)[:, 0], 1.2 * theirs[:, 0])
     monkeypatch.setattr(simulators, "trace", None)  # tracing again would fail
     np.testing.assert_array_equal(Simulator(plant([name])).simulate(values, inputs, steps), theirs)
+
+
+def test_an_effect_that_is_always_on_is_not_taken_for_one_that_may_be_off():
+    """It takes short steps at any size; the other one takes whole rows if it is off."""
+    on = tuple(always_on(e) if e.name == "pitch_stall_latch" else e for e in LIBRARY)
+    inputs, steps = random_steps(201, 20), np.full(200, 0.02)
+    for model in (plant([], on), plant(["pitch_stall_latch"])):
+        values = model.values({})
+        assert np.array_equal(Simulator(model).simulate(values, inputs, steps), reference(model, values, inputs, steps))
 
 
 @pytest.mark.parametrize(("rows", "steps"), [((10, 10), 10), ((10, 10), 8), ((1, 1), 1), ((0, 0), 0), ((10, 9), 9)])

@@ -120,13 +120,15 @@ def completed(model: Model, inputs: Mapping[str, np.ndarray], steps: np.ndarray)
 
 
 class _Chain:
-    """Cache key of a model: models with the same effects have the same trace, whatever their scales."""
+    """Cache key of a model: models with the same effects have the same trace, whatever their scales. An effect that is always
+    on takes short steps at any size."""
 
     def __init__(self, model: Model):
         self.model = model
         self._effects = tuple(e.declared or e for e in model.effects)
         names = (tuple(s.name for s in signals) for signals in (model.inputs, model.outputs))
-        self._key = (model.name, *names, model.sample_time, *map(id, self._effects))
+        on = [e.off is None for e in model.effects]
+        self._key = (model.name, *names, model.sample_time, *on, *map(id, self._effects))
 
     def __eq__(self, other):
         return self._key == other._key
