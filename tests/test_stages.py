@@ -259,9 +259,9 @@ def test_what_is_missing_if_a_set_is_refuted(monkeypatch, channel, effects, sign
     assert Stage(at, (), (), None, None, lack, SimpleNamespace(significant=False, turns=False)).lacks is lacks
 
 
-@pytest.mark.parametrize(("map_error", "expected"), [(0.0, 1.5), (3.4, 3.4), (1.0, 1.5)])
-def test_the_error_of_a_speed_map_bounds_what_the_thrust_shows(monkeypatch, map_error, expected):
-    """The standard error of the known speed is 1.5 rpm, from its readings."""
+def stages_of_a_search(monkeypatch, takes_pitch: bool, map_error: float = 0.0) -> list[float]:
+    """The errors of the known speed [rpm] of the stages that `searched` runs, in their order: 0 of the speed's. The readings
+    give 1.5 rpm."""
     errors = []
 
     def stage(groups, runs, at, speed_error, *_):
@@ -274,14 +274,23 @@ def test_the_error_of_a_speed_map_bounds_what_the_thrust_shows(monkeypatch, map_
     at = SimpleNamespace(library=(), names=(), first={}, values={}, of_channels=lambda *_, **__: at)
     monkeypatch.setattr(stages, "_stage", stage)
     monkeypatch.setattr(stages, "_keeping", lambda at, *_: at)
-    monkeypatch.setattr(stages, "_takes_pitch", lambda fit: False)
+    monkeypatch.setattr(stages, "_takes_pitch", lambda fit: takes_pitch)
     monkeypatch.setattr(stages, "with_given_speed", lambda library: library)
     monkeypatch.setattr(stages, "with_speed_of", lambda groups, *_: (groups, 1.5))
     monkeypatch.setattr(stages, "fitted_base", lambda *_: (None, SimpleNamespace(deviance=0.0)))
     monkeypatch.setattr(stages, "replace", lambda found, **_: found)
     groups = [[SimpleNamespace(record={"omega": np.ones(3)})]]
-    stages.searched(groups, [], at, [], None, None, None, map_error)
-    assert errors == [0.0, expected]
+    stages.searched(groups, [], at, [], None, SimpleNamespace(allows=lambda step: True), None, map_error)
+    return errors
+
+
+@pytest.mark.parametrize(("map_error", "expected"), [(0.0, 1.5), (3.4, 3.4), (1.0, 1.5)])
+def test_the_error_of_a_speed_map_bounds_what_the_thrust_shows(monkeypatch, map_error, expected):
+    assert stages_of_a_search(monkeypatch, False, map_error) == [0.0, expected]
+
+
+def test_both_channels_are_searched_again_where_the_speed_takes_the_pitch(monkeypatch):
+    assert stages_of_a_search(monkeypatch, True) == [0.0, 1.5, 0.0, 1.5]
 
 
 def test_the_lack_of_fit_of_the_speed_is_that_of_its_stage():

@@ -39,7 +39,7 @@ from vpp_fmu.record import Record
 
 PITCH = ("tau_beta_1", "tau_beta_2")
 
-AGAIN = "the speed again, with the pitch that was found"
+AGAIN = "speed and thrust again, with the pitch that was found"
 """Name of a step of the search."""
 
 
