@@ -89,11 +89,13 @@ class Experiment:
 
     @property
     def compared(self) -> list[int]:
-        """Columns of the model's outputs (rows, 3) that these records measure: thrust, and speed if present."""
-        return [0, 1] if len(self.omega_time) else [0]
+        """Columns of the model's outputs (rows, 3) that the fit compares: thrust, speed, or both."""
+        return [i for i, channel in enumerate(CHANNELS) if self.sizes.get(channel)]
 
     def thrust_residual(self, predicted: np.ndarray) -> np.ndarray:
         """Whitened residual, predicted minus measured thrust (n, ...), from predicted thrust (rows, ...) N."""
+        if not self.sizes["thrust"]:
+            return np.zeros((0, *predicted.shape[1:]))
         shown = self._over_rows(predicted)
         shown = shown if self._is_fine else self.converter.reads(shown)
         means = self._blocks.mean(self._where_measured(shown))
@@ -107,7 +109,7 @@ class Experiment:
 
     def thrust_columns(self, tangents: np.ndarray) -> np.ndarray:
         """Whitened change of the residual (n, ...) for a change, or for sensitivities, of the thrust (rows, ...) N."""
-        if not tangents.any():
+        if not (self.sizes["thrust"] and tangents.any()):
             return np.zeros((self.sizes["thrust"], *tangents.shape[1:]))
         return self._white(self._blocks.mean(self._where_measured(self._over_rows(tangents))))
 
@@ -129,12 +131,13 @@ class Experiment:
         memory. If a block has several rows, the record is simulated in pieces, and only block means of the thrust's
         sensitivities are kept. A logger's means over its rows are then negligible, and omitted.
         """
-        k, count, length = len(simulator.wrt), len(self._blocks.time), int(self._blocks.edges[1])
+        k, length, count = len(simulator.wrt), int(self._blocks.edges[1]), len(self._blocks.time) * bool(self.sizes["thrust"])
         means = np.empty((count, k)) if into is None or len(into) < count else into
         speed = np.empty((len(self.record) * bool(len(self.omega_time)), k))
-        if length == 1:
-            outputs = simulator.simulate(values, *self.record.run, {0: means, 1: speed} if len(speed) else {0: means})
-            thrust = self._thrust_tangents(slice(None), outputs, self._over_rows(means))
+        if length == 1 or not count:
+            wanted = {i: rows for i, rows in enumerate((means, speed)) if len(rows)}
+            outputs = simulator.simulate(values, *self.record.run, wanted)
+            thrust = self._thrust_tangents(slice(None), outputs, self._over_rows(means)) if count else means
         else:
             outputs, first, rows = np.empty((len(self.record), len(simulator.outputs))), 0, max(1, PIECE // length) * length
             for at, shown, tangents in simulator.pieces(values, *self.record.run, rows=rows, of=self.compared):
@@ -146,7 +149,7 @@ class Experiment:
                 if len(speed):
                     speed[at] = tangents[:, 1]
             thrust = means
-        found = {"thrust": self._white(thrust, means)}
+        found = {"thrust": self._white(thrust, means) if count else means}
         return outputs, found | ({"omega": self.omega_columns(speed)} if len(self.omega_time) else {})
 
     def _thrust_tangents(self, rows: slice, outputs: np.ndarray, tangents: np.ndarray) -> np.ndarray:

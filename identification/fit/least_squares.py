@@ -68,7 +68,8 @@ def solve(
     Stops after a Gauss-Newton step that gains less than FLAT, if predicted and actual decrease of the cost are below
     `tolerance` of it, or after `limit` evaluations. A parameter at a bound is fixed until the gradient points inside. Damping
     follows Nielsen's rule. `residual_at(x)`: the residual alone, if that is cheaper. It evaluates trial steps, and the Jacobian
-    is kept while steps are small and as predicted (a chord method), also at the end.
+    is kept while steps are small and as predicted (a chord method), but for the last step: a sum of squares has its minimum
+    where its own Jacobian is orthogonal to the residual.
     """
     inner = inner or (lambda x: np.eye(len(x)))
     x = np.clip(np.asarray(start, float), lower, upper)
@@ -78,7 +79,7 @@ def solve(
     normal, gradient = chain.T @ (jacobian.T @ jacobian) @ chain, chain.T @ (jacobian.T @ residual)
     while evaluations < limit and damping < 1e12:
         there, predicted = _step(x, normal, gradient, lower, upper, ROUNDING)
-        if abs(predicted) <= FLAT * costs[-1]:
+        if fresh and abs(predicted) <= FLAT * costs[-1]:
             residual = residual + jacobian @ (chain @ (there - x))
             x, converged = there, True
             costs.append(costs[-1] - predicted)
@@ -95,7 +96,7 @@ def solve(
         evaluations += 1
         cost = 0.5 * float(new_residual @ new_residual)
         gained, least = costs[-1] - cost, tolerance * costs[-1]
-        converged = predicted <= least and abs(gained) <= least
+        exact, converged = fresh, predicted <= least and abs(gained) <= least
         if gained > 0:
             x, residual, fresh = there, new_residual, residual_at is None
             costs.append(cost)
@@ -103,10 +104,11 @@ def solve(
         else:
             fresh = fresh and residual_at is not None
             damping, growth = damping * growth, growth * 2
-        if converged:
+        if converged and exact:
             break
         stale = residual_at is not None and not fresh
-        if stale and evaluations < limit and (gained <= 0 or gained > CLOSE * cost or abs(gained / predicted - 1.0) > STRAIGHT):
+        bent = gained <= 0 or gained > CLOSE * cost or abs(gained / predicted - 1.0) > STRAIGHT
+        if stale and evaluations < limit and (converged or bent):
             del jacobian
             jacobian, fresh = evaluate(x)[1], True
         if fresh:

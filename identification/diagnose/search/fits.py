@@ -254,54 +254,64 @@ class Searcher:
         slow_first: Mapping[str, bool] | None = None,
         thorough: bool = True,
         held: Mapping[str, tuple[float, float]] | None = None,
-        scale: Mapping[str, float] | None = None,
     ) -> Fit:
         """Fit base parameters and `free` of a model with `effects`, from the values `start`.
 
         `thorough`: scan the whole range of a threshold, not only about its start value. `held`: intervals of thresholds that
-        keep their values. `scale`: weights of the channels, for a first look: two steps or so, all thresholds held. Results are
-        cached, but for first looks.
+        keep their values. Results are cached.
         """
         order, held = dict(slow_first or {}), dict(held or {})
-        if scale is not None:
-            return self._fitted(effects, forms, free, start, order, thorough, held, scale)
         asked = tuple(effects), frozenset(forms.items()), tuple(free), frozenset(start.items()), thorough
         known = (*asked, frozenset(order.items()), frozenset(held))
         if known not in self._fits:
             self._fits[known] = self._fitted(effects, forms, free, start, order, thorough, held)
         return self._fits[known]
 
-    def _fitted(self, effects, forms, free, start, slow_first, thorough, held, scale=None) -> Fit:
-        model = plant(effects, self.library)
-        values = model.values({k: v for k, v in start.items() if k in model.values()} | dict(forms))
-        smooth, stuck = self._kinds(model, values, free) if free else ([], [])
-        idle = [n for n in free if n not in smooth and n not in stuck]
+    def _fitted(self, effects, forms, free, start, slow_first, thorough, held) -> Fit:
+        model, values = self._model(effects, forms, start)
+        intervals = {name: ends for name, ends in held.items() if name in free}
+        smooth, stuck = self._kinds(model, values, [n for n in free if n not in intervals])
+        idle = [n for n in free if n not in smooth and n not in stuck and n not in intervals]
         # A parameter without influence on these records may have one on others: it is switched off.
         values |= {n: self._off[n] for n in idle if n in self._off and self._unreached(model, values, n)}
-        values = regular_start(model, values, [*self.names, *smooth])
-        prior = self.known(model, values, [*self.names, *smooth])
-        problem = Problem(model, self.experiments, values, [*self.names, *smooth], prior, slow_first)
-        intervals = {name: held[name] for name in stuck if name in held}
-        if scale is not None:
-            problem.scale = dict(scale)
-            solution, stuck = problem.refit(problem.coordinates.vector(values), LOOKS), []
-            intervals = {n: (values[n], values[n]) for n in free if n not in smooth and n not in idle}
-        else:
-            solution = problem.fit(values)
+        problem, x = self._problem(model, values, smooth, slow_first)
+        solution = problem.fit(problem.coordinates.values(x))
         rounding = {e.full(p): e for e in model.effects for p in e.rounds.values()}
-        stuck = [name for name in stuck if name not in intervals]
         for name in stuck if len(stuck) < 2 else stuck * 2:  # two are scanned twice: each with the other's last value
             if name in rounding:
                 solution, intervals[name] = settle(problem, solution, rounding[name])
             else:
                 grids = WHOLE if thorough else NEAR
                 solution, intervals[name] = scan(problem, solution, name, self._off.get(name, 0.0), grids)
-        found = problem.values | problem.coordinates.values(solution.value)
-        score = problem.score_of(solution.residual)
         fitted = tuple(n for n in free if n in smooth or n in intervals)
-        return Fit(
-            tuple(effects), dict(forms), fitted, slow_first, found, problem, solution.slim(), score, intervals, bool(idle)
-        )
+        return _fit(effects, forms, fitted, slow_first, problem, solution, intervals, bool(idle))
+
+    def look(self, effects, forms, free, start, slow_first: Mapping[str, bool], scale: Mapping[str, float]) -> Fit:
+        """A first look from a start: two Gauss-Newton steps or so, under the weights `scale` of the channels. Parameters in
+        which the response jumps, or has no sensitivity, keep their values."""
+        model, values = self._model(effects, forms, start)
+        jumping = {e.full(p) for e in model.effects for p in e.rounds.values()}
+        problem, x = self._problem(model, values, [n for n in free if n not in jumping], slow_first)
+        problem.scale = dict(scale)
+        return _fit(effects, forms, tuple(free), dict(slow_first), problem, problem.refit(x, LOOKS), {}, False)
+
+    def counted(self, look: Fit, held: Mapping[str, tuple[float, float]]) -> Fit:
+        """A first look without the parameters that have no influence, and with its thresholds named; some are `held`."""
+        smooth, stuck = self._kinds(look.problem.model, look.values, [n for n in look.free if n not in held])
+        thresholds = dict(held) | {n: (look.values[n], look.values[n]) for n in stuck}
+        fitted = tuple(n for n in look.free if n in smooth or n in thresholds)
+        return replace(look, free=fitted, thresholds=thresholds, idle=fitted != look.free)
+
+    def _model(self, effects, forms, start) -> tuple[Model, dict[str, float]]:
+        model = plant(effects, self.library)
+        return model, model.values({k: v for k, v in start.items() if k in model.values()} | dict(forms))
+
+    def _problem(self, model, values, smooth, slow_first) -> tuple[Problem, np.ndarray]:
+        """The problem with the base parameters and those in `smooth` free, and the coordinates of a regular start."""
+        names = [*self.names, *smooth]
+        values = regular_start(model, values, names)
+        problem = Problem(model, self.experiments, values, names, self.known(model, values, names), slow_first)
+        return problem, problem.coordinates.vector(values)
 
     def again(self, fit: Fit) -> Fit:
         """Refit, on these experiments, a fit of other experiments or with another noise model."""
@@ -328,6 +338,8 @@ class Searcher:
     def _kinds(self, model, values, free) -> tuple[list[str], list[str]]:
         """Free parameters (with sensitivities; to be scanned, because the response is piecewise constant in them or jumps). The
         others have no influence, and keep their values."""
+        if not free:
+            return [], []
         simulator = Simulator(model, [*self.names, *free])  # if all are smooth, the fit uses the same one
         moved = np.zeros(len(free), bool)
         for e in self.experiments:
@@ -340,6 +352,11 @@ class Searcher:
         scanned = {n for n, does in zip(free, moved, strict=True) if does and n in jumping}
         scanned |= {n for n in free if not {n} & {*smooth, *jumping} and piecewise_constant(model, self.experiments, values, n)}
         return smooth, [n for n in free if n in scanned]
+
+
+def _fit(effects, forms, free, slow_first, problem: Problem, solution: Solution, thresholds, idle: bool) -> Fit:
+    values, score = problem.values | problem.coordinates.values(solution.value), problem.score_of(solution.residual)
+    return Fit(tuple(effects), dict(forms), free, slow_first, values, problem, solution.slim(), score, thresholds, idle)
 
 
 def _corners(record: Record) -> Iterable[dict[str, float]]:

@@ -83,29 +83,28 @@ def search_round(
 def _first_look(searcher: Searcher, fit: Fit, candidate: Candidate, at: ScreeningResult) -> Fit | None:
     """The best fit of a candidate after two steps from each start; None if all diverge.
 
-    Starts are the point that screening predicts, with the fitted parameters there and as they were, and the first grid of
-    shapes at the plausible size; then, if the order of lags matters, the same with the other order, and with hardly any second
-    lag: an effect with a lag of its own replaces it."""
+    Starts are the point that screening predicts, and the first grid of shapes at the plausible size; then, if the order of lags
+    matters, the same with the other order, and with hardly any second lag: an effect with a lag of its own replaces it."""
     points = [({**fit.values, **at.values}, at.slow_first)]
-    points.append(({**fit.values, **{n: at.values[n] for n in candidate.free}}, fit.slow_first))
     points += [({**fit.values, **shape, **candidate.within(candidate.probe)}, fit.slow_first) for shape in candidate.shapes()]
     found = [look for point in points if (look := _look(searcher, fit, candidate, *point))]
     if not found:
         return None
     further, free = [], [u for u in CHANNELS if {f"tau_{u}_1", f"tau_{u}_2"} <= {*searcher.names}]
-    acts_within = not _exchangeable(min(found, key=Fit.bic), candidate.effect.channels)
+    acts_within = not _exchangeable(min(found, key=lambda look: look.deviance), candidate.effect.channels)
     for u in free if acts_within else ():
         if u in candidate.effect.channels:
             further += [_flipped(u, *point) for point in points]
             further += [_alone(u, slow_first, *points[-1]) for slow_first in (True, False)]
-    return min([*found, *(look for point in further if (look := _look(searcher, fit, candidate, *point)))], key=Fit.bic)
+    found += [look for point in further if (look := _look(searcher, fit, candidate, *point))]
+    return searcher.counted(min(found, key=lambda look: look.deviance), fit.thresholds)
 
 
 def _look(searcher: Searcher, fit: Fit, candidate: Candidate, start, order) -> Fit | None:
     """The candidate after two steps or so from a start; None if it diverges."""
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            found = added(searcher, fit, candidate, start, order, scale=fit.problem.scale)
+            found = searcher.look(*_with(fit, candidate), start, order, fit.problem.scale)
     except np.linalg.LinAlgError:
         return None
     return found if np.isfinite(found.deviance) else None
@@ -209,7 +208,11 @@ def simplified(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
         fit = replace(best, idle=fit.idle)
 
 
-def added(searcher: Searcher, fit: Fit, candidate: Candidate, start, order, thorough: bool = True, scale=None) -> Fit:
+def added(searcher: Searcher, fit: Fit, candidate: Candidate, start, order, thorough: bool = True) -> Fit:
     """Fit one more candidate, from the values `start` and with the lags in this `order`. Thresholds of the fit are held."""
-    effects, forms = [*fit.effects, candidate.name], {**fit.forms, **candidate.form}
-    return searcher.fit(effects, forms, [*fit.free, *candidate.free], start, order, thorough, fit.thresholds, scale)
+    return searcher.fit(*_with(fit, candidate), start, order, thorough, fit.thresholds)
+
+
+def _with(fit: Fit, candidate: Candidate) -> tuple[list[str], dict[str, float], list[str]]:
+    """(effects, forms, free parameters) of a fit with one more candidate."""
+    return [*fit.effects, candidate.name], {**fit.forms, **candidate.form}, [*fit.free, *candidate.free]

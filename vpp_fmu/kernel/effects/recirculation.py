@@ -30,7 +30,7 @@ EFFECT = Effect(
         State("thrust_before", "N", "thrust at the start of the step", _at_thrust),
     ),
     off={"share": 0.0},
-    probe={"share": 0.07},
+    probe={"share": 0.07, "time_constant": 4.0},
     largest_step=0.002,
     says="the thrust changes by a share of {share} as the room's air begins to circulate",
 )

@@ -24,7 +24,7 @@ EFFECT = Effect(
     ),
     states=(State("drift", "N", "drift of the thrust reading so far", lambda ops, s, p: 0.0),),
     off={"offset": 0.0, "rate": 0.0},
-    probe={"offset": 0.1 / 15.0, "rate": 0.0002},
+    probe={"offset": 0.1 / 15.0, "rate": 0.0002, "time_constant": 50.0},
     reading="thrust",
     says="the thrust reading is off by {offset} at the start and drifts by {rate}",
 )

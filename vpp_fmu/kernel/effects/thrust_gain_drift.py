@@ -34,6 +34,6 @@ EFFECT = Effect(
         State("heat", "1", "what warms the rig, at the start of the step", _heat),
     ),
     off={"rate": 0.0},
-    probe={"rate": -0.0006},
+    probe={"rate": -0.001, "time_constant": 50.0},
     says="the thrust drifts by {rate} as the rig warms up",
 )
