@@ -188,8 +188,6 @@ CASES = (
     Case("logging before the initialisation", (), lambda h: h.log(1)),
     # what is set
     Case("NaN as an input", RUN, _set(omega_ref=NAN), "omega_ref: found nan"),
-    Case("infinity as an input", RUN, _set(beta_ref=-INF), "beta_ref: found -inf"),
-    Case("NaN before the initialisation", (), _set(omega_ref=NAN), "expected a finite number"),
     Case("set an output", INIT, _set(thrust=1.0), "VppPlant: thrust: found a value, expected none: it is computed"),
     Case(
         "set a state while running",
@@ -205,7 +203,6 @@ CASES = (
         "c20: found a value after initialisation, expected it before: it is fixed",
     ),
     Case("set a parameter before", (), _set(c20=0.3)),
-    Case("NaN as a parameter", INIT, _set(c20=NAN), "c20: found nan"),
     Case("tune a gain while running", RUN, _set(kp_omega=2.0), fmu="controller"),
     Case("tune a gain out of range", RUN, _set(kp_omega=-1.0), "expected 0.0 to 10000.0", "controller"),
     Case("switch while running", RUN, _set("Boolean", speed_only=1), fmu="controller"),
@@ -216,14 +213,11 @@ CASES = (
     Case("text for a number", INIT, _set("String", omega_ref="fast"), "found omega_ref of type Real"),
     Case("no variables at all", RUN, _get("Real")),
     Case("read an unknown reference", RUN, _get("Real", 999), "value reference: found 999, expected 0 to"),
-    Case("set an unknown reference", RUN, _set("Real", (999, 1.0)), "value reference: found 999"),
     Case("read the largest reference", RUN, _get("Real", 2**32 - 1), "value reference: found 4294967295"),
     Case("a parameter out of range", (*INIT, _set(tau_omega_1=35.0)), LEAVE, "omega_1: found 35.0 s"),
     # steps
     Case("no step", RUN, _step(0.0, 0.0), "communication step: found 0.0 s, expected a positive number"),
-    Case("a negative step", RUN, _step(0.0, -0.004), "communication step: found -0.004 s"),
     Case("NaN as a step", RUN, _step(0.0, NAN), "communication step: found nan s"),
-    Case("an infinite step", RUN, _step(0.0, INF), "communication step: found inf s"),
     Case("the plain plant's step of 30 years", RUN, _step(0.0, 1e9), "expected up to 100000.0 s"),
     Case("a step of 30 years", RUN, _step(0.0, 1e9), "expected up to 100.0 s", "all_on"),
     Case("a controller's step of 30 years", RUN, _step(0.0, 1e9), "expected up to 400.0 s", "controller"),
@@ -235,7 +229,6 @@ CASES = (
     Case("a start at another time", (lambda h: h.setup(10.0), ENTER, LEAVE), _step(10.0)),
     Case("no numbers come out", (*RUN, TOO_FAST), STEP, "found no finite numbers from omega_ref = 1e+300"),
     Case("no numbers at the start", (*INIT, TOO_FAST), LEAVE, "found no finite numbers from"),
-    Case("no numbers to read at the start", (*INIT, TOO_FAST), READ, "found no finite numbers from"),
     # after an error
     Case("step after an error", (*RUN, FAIL), STEP, f"{NOT} after an error (a reset or a saved state mends it)"),
     Case("write after an error", (*RUN, FAIL), WRITE, f"{NOT} after an error"),
@@ -253,9 +246,7 @@ CASES = (
         "bytes that hold none",
     ),
     Case("half a state", (*RUN, KEEP), _changed(lambda b: b[: len(b) // 2]), "expected a serialised state"),
-    Case("text for a state", (*RUN, KEEP), _changed(lambda b: b"not a state"), "expected a serialised state"),
     # logging
-    Case("all categories", RUN, lambda h: h.log(1, "logAll")),
     Case("one category", RUN, lambda h: h.log(0, "logStatusError")),
     Case("an unknown category", RUN, lambda h: h.log(1, "logEverything")),
 )

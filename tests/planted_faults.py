@@ -18,7 +18,7 @@ from identification.gate.gate import look
 from identification.gate.synthetic import SyntheticRig, varied, write_campaign
 from identification.identify import identify
 from vpp_fmu.campaign import Campaign, read_campaign
-from vpp_fmu.errors import BadInput, VppError
+from vpp_fmu.errors import VppError
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.record import Record
@@ -136,15 +136,11 @@ def frozen(name: str) -> Change:
     return change
 
 
-def multiplied(factor: float) -> Change:
-    """A speed of another number of marks over a twentieth of the open-loop record, three times."""
-
-    def change(c: Campaign, rng) -> Campaign:
-        part = np.arange(len(c.open_loop)) / len(c.open_loop)
-        wrong = np.any([(part > start) & (part < start + 0.05) for start in (0.1, 0.4, 0.8)], axis=0)
-        return replace(c, open_loop=c.open_loop.with_columns(omega=np.where(wrong, factor, 1.0) * c.open_loop["omega"]))
-
-    return change
+def doubled(c: Campaign, rng) -> Campaign:
+    """A speed of twice the marks over a twentieth of the open-loop record, three times."""
+    part = np.arange(len(c.open_loop)) / len(c.open_loop)
+    wrong = np.any([(part > start) & (part < start + 0.05) for start in (0.1, 0.4, 0.8)], axis=0)
+    return replace(c, open_loop=c.open_loop.with_columns(omega=np.where(wrong, 2.0, 1.0) * c.open_loop["omega"]))
 
 
 def dead(name: str) -> Change:
@@ -196,9 +192,7 @@ FAULTS = {
     "thrust with its sign flipped": Planted(scaled("thrust", -1.0), "thrust_sign"),
     "pitch with its sign flipped": Planted(scaled("beta_ref", -1.0), "pitch_sign"),
     "time in ms": Planted(scaled("time", 1e3), "time_unit"),
-    "time in us": Planted(scaled("time", 1e6), "time_unit"),
     "measured speed in rad/s": Planted(scaled("omega", np.pi / 30.0), "speed_unit"),
-    "measured speed in Hz": Planted(scaled("omega", 1.0 / 60.0), "speed_unit"),
     "both speeds in rad/s": Planted(both_in_rad, "speed_unit"),
     "pitch in rad": Planted(scaled("beta_ref", np.pi / 180.0), "pitch_unit"),
     "records' thrust in gf": Planted(scaled("thrust", 101.972, False), "thrust_unit"),
@@ -209,7 +203,6 @@ FAULTS = {
         "thrust_unit",
         lambda c: {"thrust": {"min": 0.0, "max": SIZES[c.folder.name].scales.thrust_scale, "unit": "N"}},
     ),
-    "all thrust in mN": Planted(scaled("thrust", 1000.0), "thrust_unit"),
     "rows half the fastest lag apart": Planted(thinned, "slow_sampling", fit=True),
     "spikes": Planted(spiked, "spikes"),
     "tare off by 5 %": Planted(offset(0.05, True), "tare"),
@@ -249,8 +242,7 @@ FAULTS = {
         fit=True,
     ),
     "thrust of another time": Planted(unrelated, "poor_fit", fit=True),
-    "speed doubled for a while": Planted(multiplied(2.0), "speed_multiple"),
-    "speed halved for a while": Planted(multiplied(0.5), "speed_multiple"),
+    "speed doubled for a while": Planted(doubled, "speed_multiple"),
     "validation repeats open_loop": Planted(
         lambda c, rng: replace(c, validation=replace(c.repeat, source="validation.csv"), repeat=None), "seen_commands"
     ),
@@ -287,10 +279,5 @@ def planted(fault: str, campaign: Campaign, seed: int = 0) -> tuple[Finding, ...
     """Findings on a good campaign with a fault inserted."""
     plan, rng = FAULTS[fault], np.random.default_rng([seed, 1])
     with tempfile.TemporaryDirectory() as folder:
-        spoilt = plan.change(campaign, rng)
-        try:
-            measured = written(spoilt, Path(folder), plan.rig and plan.rig(campaign))
-        except BadInput as refused:  # the reader itself refuses so large a thrust
-            text = f"the reader refuses {refused.found}"
-            return (Finding(plan.code, refused.where, refused.field, 0.0, "1", text, f"expected {refused.allowed}"),)
+        measured = written(plan.change(campaign, rng), Path(folder), plan.rig and plan.rig(campaign))
         return said(measured, plan.fit)

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from builders import refusal
-from import_logs import lagged
+from import_zoo import lagged
 from planted_faults import FAULTS, good, planted, said, written
 
 from identification.gate.files import (
@@ -18,7 +18,6 @@ from identification.gate.files import (
     as_unit,
     files_of,
     least_diameter,
-    of_files,
     pole_pairs,
     said_of_size,
     speed_ratio,
@@ -68,16 +67,13 @@ def campaign_of(record: Record) -> Campaign:
 @pytest.mark.sampled("fault")
 @pytest.mark.parametrize("fault", FAULTS)
 def test_every_planted_fault_is_found(fault, short):
-    """Each fault in one size of rig, the sizes in turn; the study plants every fault in every size."""
+    """Each fault in one size of rig, the sizes in turn."""
     size = list(SHORT)[list(FAULTS).index(fault) % len(SHORT)]
     findings = planted(fault, short[size])
-    hits = [f for f in findings if f.code == FAULTS[fault].code]
-    assert hits, [f.text for f in findings]
-    finding = hits[0]
+    finding = next((f for f in findings if f.code == FAULTS[fault].code), None)
+    assert finding, [f.text for f in findings]
     assert np.isfinite(finding.value)
-    assert finding.told
-    assert finding.cause
-    assert finding.advice
+    assert all((finding.told, finding.cause, finding.advice))
     assert "\n" not in finding.text
 
 
@@ -86,22 +82,11 @@ def test_good_data_have_no_findings(size, tmp_path):
     assert said(written(good(size, 5), tmp_path), True) == ()
 
 
-REFUSED = {
-    "two rows": (lambda r: r.part(slice(0, 2)), "rows"),
-    "dead thrust sensor": (lambda r: r.with_columns(thrust=np.full(len(r), 0.4)), "thrust"),
-    "constant commands": (lambda r: r.with_columns(omega_ref=np.full(len(r), 4000.0), beta_ref=np.zeros(len(r))), "omega_ref"),
-    "speed in rad/s": (lambda r: r.with_columns(omega=r["omega"] * np.pi / 30), "omega"),
-    "thrust downwards": (lambda r: r.with_columns(thrust=-r["thrust"]), "thrust"),
-    "time in ms": (lambda r: r.with_columns(time=1e3 * r.time), "time"),
-}
-
-
-@pytest.mark.parametrize("case", REFUSED)
-def test_unusable_data_are_refused_in_one_line(case, record):
-    spoil, field = REFUSED[case]
-    told = refusal(identify, campaign_of(spoil(record)))
-    for word in ("open_loop.csv", field, "found", "expected"):
-        assert word in told
+def test_unusable_data_are_refused_in_one_line(record):
+    still = record.with_columns(omega_ref=np.full(len(record), 4000.0), beta_ref=np.zeros(len(record)))
+    for spoiled, field in ((record.part(slice(0, 2)), "rows"), (still, "omega_ref")):
+        told = refusal(identify, campaign_of(spoiled))
+        assert [word for word in ("open_loop.csv", field, "found", "expected") if word not in told] == []
 
 
 def test_clipped_rows_are_left_out_unless_accepted(record):
@@ -118,8 +103,8 @@ def test_clipped_rows_are_left_out_unless_accepted(record):
     assert again == findings
 
 
-@pytest.mark.parametrize("factor", [2.0, 3.0, 0.5, 1.0 / 3.0])
-@pytest.mark.parametrize("place", [(0, 300), (1200, 1350), (3100, 3112), (4300, 5000)])
+@pytest.mark.parametrize("factor", [2.0, 1.0 / 3.0])
+@pytest.mark.parametrize("place", [(0, 300), (3100, 3112), (4300, 5000)])
 def test_a_speed_that_is_a_multiple_for_a_while_is_left_out(record, factor, place):
     """At the record's start, middle and end; across moves of both commands."""
     stretch = (np.arange(len(record)) >= place[0]) & (np.arange(len(record)) < place[1])
@@ -244,24 +229,6 @@ def test_a_ratio_is_recognised_as_a_wrong_unit_or_as_pole_pairs():
     assert as_unit(0.8, FORCES) is None
 
 
-@pytest.mark.parametrize(
-    ("times", "cause"),
-    [
-        (7.0, "electrical speed of a motor with 7 pole pairs"),
-        (6.0, "electrical speed of a motor with 6 pole pairs, or deg/s"),
-        (2.0 * np.pi / 60.0, "omega in rad/s"),
-        (0.9, None),
-    ],
-)
-def test_an_electrical_speed_is_recognised_from_its_ratio_to_the_command(times, cause):
-    command = np.repeat(np.linspace(2000.0, 6000.0, 9), 50)
-    measured = {"time": 0.01 * np.arange(450), "omega_ref": command, "omega": times * command}
-    record = Record(measured | {"beta_ref": np.zeros(450), "thrust": 8.0 * (command / 6000.0) ** 2}, "open_loop.csv")
-    files = files_of(campaign_of(record), {})
-    found = [f for f in of_files(files, campaign_of(record).rig) if f.code == "speed_unit"]
-    assert [f.cause for f in found] == ([cause] if cause else [])
-
-
 def test_the_least_diameter_is_that_of_the_largest_thrust_coefficient():
     """T = C_T rho n^2 D^4 with C_T = 0.4, rho = 1.225 kg/m^3: 49 N at 6000 rpm, n = 100 / s, are D = 0.3162 m."""
     grid = np.repeat([3000.0, 6000.0], 10), np.tile(np.linspace(0.0, 9.0, 10), 2)
@@ -308,17 +275,13 @@ def test_findings_that_cannot_be_accepted_are_refused(short):
 
 
 def test_identify_and_diagnose_refuse_in_the_same_line(short, tmp_path, capsys):
-    spoilt = FAULTS["time in ms"].change(short["15 N"], None)
-    write_campaign(OutputFolder(tmp_path / "bad"), spoilt)
+    write_campaign(OutputFolder(tmp_path / "bad"), FAULTS["time in ms"].change(short["15 N"], None))
     told = []
     for verb in ("identify", "diagnose"):
         assert main([verb, str(tmp_path / "bad"), "-o", str(tmp_path / "out")]) == 2
-        *_, line = (printed := capsys.readouterr().err).splitlines(keepends=True)
-        assert printed.count("\n") == (1 if verb == "identify" else 2)  # in a pipe each stage of a diagnosis is a line
-        told.append(line.removeprefix(f"vpp {verb}: "))
+        told.append(capsys.readouterr().err.splitlines()[-1].removeprefix(f"vpp {verb}: "))
     assert told[0] == told[1]
-    for word in ("open_loop.csv", "time", "time in ms", "--accept time_unit"):
-        assert word in told[0]
+    assert [word for word in ("open_loop.csv", "time", "time in ms", "--accept time_unit") if word not in told[0]] == []
     assert not (tmp_path / "out" / "parameters.json").exists()
 
 

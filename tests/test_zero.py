@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from import_logs import lagged
+from import_zoo import lagged
 
 from identification.gate.gate import look
 from identification.gate.zero import levelled, moved, rests, tare
