@@ -223,6 +223,16 @@ def _texts() -> dict[str, Form]:
             text(dict.fromkeys(timeless, ""), head=[",".join(timeless.values())], **monitor), said=["midnight"]
         ),
         "cut off in the last row": Form(text(lines=also(ROWS, "4.0,3000,2")), said=["cut off at the end 1"]),
+        **{
+            f"R's write.table, {name}": Form(
+                text(
+                    {n: f'"{h}"' for n, h in HEADERS.items()},
+                    mark,
+                    lines=lambda rows, mark=mark: [f'"{k}"{mark}{row}' for k, row in enumerate(rows, 1)],
+                )
+            )
+            for name, mark in (("blanks", " "), ("commas", ","))
+        },
         "a comma at each end": Form(text({**HEADERS, "voltage": "Vbat [V],"}, cells={"voltage": lambda v: f"{v:.10g},"})),
         "an index of dates without a name": Form(text({**HEADERS, "time": ""}, cells={"time": stamped("%F %T.%%f")})),
         "durations": Form(text({**HEADERS, "time": "t"}, cells={"time": lambda s: f"0 days 00:00:{s:09.6f}"})),
