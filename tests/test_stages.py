@@ -293,6 +293,19 @@ def test_both_channels_are_searched_again_where_the_speed_takes_the_pitch(monkey
     assert stages_of_a_search(monkeypatch, True) == [0.0, 1.5, 0.0, 1.5]
 
 
+def test_where_the_speed_takes_the_pitch_its_readings_tell_the_lags_of_the_pitch(monkeypatch):
+    """A noisy thrust tells them poorly. With its lags held, the truth would explain the speed better than the fit does."""
+    library = [e for e in LIBRARY if e.off is None or e.name == "pitch_speed_coupling"]
+    hidden, found = {"pitch_speed_coupling.gain": 12.0}, []
+    searched = stages.searched
+    monkeypatch.setattr("identification.diagnose.diagnose.searched", lambda *a: found.extend(searched(*a)) or found)
+    diagnose(replace(rig(3, 2.0, **hidden), repeat=None, validation=None), library, thorough=False)
+    fit = found[0].selection.final
+    assert fit.effects == ("pitch_speed_coupling",)
+    there = fit.problem.residual_at(TRUTH | hidden)
+    assert np.sum(fit.problem.residual_at(fit.values) ** 2) <= np.sum(there**2) + 0.1
+
+
 def test_the_lack_of_fit_of_the_speed_is_that_of_its_stage():
     def shown(speed, size):
         return LackOfFit((), ScoreTest(0.0, 0, ()), 0.5, size, 0.1, True, speed, speed, 10.0 * speed, 3.0)

@@ -206,11 +206,14 @@ def searched(
         known, error = with_speed_of(groups, first, readings)
         return known, given, known_from(first), max(error, map_error)
 
-    def with_pitch_of(thrust: Stage) -> InitialModel:
-        return _keeping(at, thrust.selection.whole, lambda e: e.channels == ("beta",), PITCH)
+    def with_pitch_of(thrust: Stage, speed: Stage) -> InitialModel:
+        """The start of the speed's search with the pitch of the thrust's. Where the speed takes the pitch, its precise readings
+        tell the lags of the pitch better than the thrust: they are free."""
+        there = _keeping(at, thrust.selection.whole, lambda e: e.channels == ("beta",), PITCH)
+        return replace(there, too=PITCH) if _takes_pitch(speed.selection.whole) else there
 
     if found:
-        speed = by_thrust(of_speed(with_pitch_of(found[1]), found[0]))
+        speed = by_thrust(of_speed(with_pitch_of(found[1], found[0]), found[0]))
         thrust = found[1].on(*of_known(speed))
         if _no_simpler(found, (speed, thrust)):
             return checked(speed, thrust)
@@ -218,7 +221,7 @@ def searched(
     thrust = of_thrust(speed)
     if not _takes_pitch(speed.selection.whole) or not effort.allows(AGAIN):
         return checked(speed, thrust)
-    again = by_thrust(of_speed(with_pitch_of(thrust)))
+    again = by_thrust(of_speed(with_pitch_of(thrust, speed)))
     return checked(again, of_thrust(again))
 
 

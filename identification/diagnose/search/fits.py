@@ -77,8 +77,8 @@ class Fit:
         again.problem.weigh(again.problem.residual_at(values))
         cost = 0.5 * float(np.sum(again.problem.residual_at(values) ** 2))
         idle = np.zeros(len(x), bool)
-        estimate = parts[0].uncertainty
-        for part, own in zip(parts[1:], names[1:], strict=True):
+        estimate = parts[-1].uncertainty
+        for part, own in zip(parts[-2::-1], names[-2::-1], strict=True):
             estimate = estimate.beside(part.uncertainty, own)
         solution = Solution(x, np.zeros(0), np.zeros((0, len(x))), (cost,), 1, True, idle)
         return replace(again, values=values, solution=solution, estimate=estimate, parts=tuple(parts))
