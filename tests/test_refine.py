@@ -40,6 +40,17 @@ def complex_step(p, record):
     return np.column_stack([predicted(p + 1e-30j * own, record).imag / 1e-30 for own in np.eye(9)])
 
 
+def test_many_good_steps_do_not_make_the_damping_of_collinear_parameters_vanish():
+    """The first parameter is halved in each step; the others have the same column."""
+
+    def rows(x):
+        return np.array([x[0] ** 2, x[1] + x[2] - 1.0]), np.array([[2.0 * x[0], 0.0, 0.0], [0.0, 1.0, 1.0]])
+
+    found = solve(rows, np.array([1.0, 0.0, 0.0]), np.full(3, -9.0), np.full(3, 9.0)).value
+    assert found[0] == pytest.approx(0.0, abs=1e-6)
+    assert found[1] + found[2] == pytest.approx(1.0)
+
+
 def test_sensitivities_are_those_of_the_transfer_functions(record):
     problem = Problem(BASE, independent_readings([record], BASE.values(), ("thrust",)), BASE.values(), BASE_PARAMETERS)
     p = np.array([TRUTH[n] for n in BASE_PARAMETERS])

@@ -21,7 +21,7 @@ CLOSE = 0.01
 and an old Jacobian may lead to another minimum."""
 
 ROUNDING = 1e-12
-"""Damping of the Gauss-Newton step: only against a singular normal matrix."""
+"""Least damping: only against a singular normal matrix."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def solve(
         if gained > 0:
             x, residual, fresh = there, new_residual, residual_at is None
             costs.append(cost)
-            damping, growth = damping * max(1 / 3, 1 - (2 * gained / predicted - 1) ** 3), 2.0
+            damping, growth = max(damping * max(1 / 3, 1 - (2 * gained / predicted - 1) ** 3), ROUNDING), 2.0
         else:
             fresh = fresh and residual_at is not None
             damping, growth = damping * growth, growth * 2
