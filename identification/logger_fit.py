@@ -236,10 +236,10 @@ class _Estimate:
         freer = fit.tied or fit.with_delay != fit.free
         loose = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit).solved(FULL) if freer else fit
         delayed = fit.worse_than(loose)
+        if contract := self._one_delay(fit, loose if delayed else fit):
+            return contract
         if delayed:  # the rig or the sensor has further delays
             shared = loose.shared()
-        elif contract := self._one_delay(fit):
-            return contract
         rows, std = shared.value / self._period, shared.std / self._period
         if rows < FINEST - EARLIEST:
             rows, std = 0.0, 0.0
@@ -251,15 +251,16 @@ class _Estimate:
         uncertain = {name: held.estimate(name)[1] for name in held.free}
         return Logger(value, std, held.sensor, uncertain, self._period)
 
-    def _one_delay(self, fit: "_SensorFit") -> Logger | None:
+    def _one_delay(self, fit: "_SensorFit", best: "_SensorFit") -> Logger | None:
         """The logger without an offset, if a delay of one command explains the record better than the offset of `fit`, or as
-        well if the offset is later than a logger's. Shorter lags of the other command hide the difference. No rotor turns
-        before its command: a leading speed is due to the logger."""
+        well if the offset is later than a logger's; and as well as the `best` fit, which may have more delays. Shorter lags of
+        the other command hide the difference. No rotor turns before its command: a leading speed is due to the logger."""
         for name in self._delays:
             one = _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=0.0, alone=name).solved(FULL)
             if name == SPEED_DELAY and one.late(name).leads:
                 continue
-            if fit.worse_than(one) or (fit.is_late and not one.worse_than(fit)):
+            explains = fit.worse_than(one) or (fit.is_late and not one.worse_than(fit))
+            if explains and not one.worse_than(best):
                 return Logger(0.0, 0.0, one.sensor, {name: one.estimate(name)[1] for name in one.free}, self._period)
         return None
 

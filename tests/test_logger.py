@@ -256,15 +256,16 @@ def test_a_logger_is_estimated_beside_a_limit_between_a_fast_and_a_slow_lag():
 
 
 @pytest.mark.parametrize(
-    ("alone", "value", "offset", "none"),
+    ("alone", "value", "offset", "more", "none"),
     [
-        ("speed_delay.delay", -0.016, -0.016, False),  # a speed that leads is the logger's
-        ("pitch_delay.delay", -0.016, -0.016, True),
-        ("speed_delay.delay", 0.1, 0.1, True),
-        ("speed_delay.delay", 0.0403, 0.0403, False),  # two rows, within their uncertainty
+        ("speed_delay.delay", -0.016, -0.016, False, False),  # a speed that leads is the logger's
+        ("pitch_delay.delay", -0.016, -0.016, False, True),
+        ("speed_delay.delay", 0.1, 0.1, False, True),
+        ("speed_delay.delay", 0.1, 0.1, True, False),  # more delays explain more
+        ("speed_delay.delay", 0.0403, 0.0403, False, False),  # two rows, within their uncertainty
     ],
 )
-def test_one_delay_replaces_an_offset_unless_no_rig_has_it(monkeypatch, alone, value, offset, none):
+def test_one_delay_replaces_an_offset_unless_no_rig_has_it(monkeypatch, alone, value, offset, more, none):
     """Rows of 20 ms, errors of 1 ms. Only the delay `alone` explains the record; if it is negative, better than an offset."""
 
     class Alone:
@@ -280,7 +281,7 @@ def test_one_delay_replaces_an_offset_unless_no_rig_has_it(monkeypatch, alone, v
             return _Delay(value, 0.001)
 
         def worse_than(self, fit):
-            return self.name != alone
+            return self.name != alone or (more and fit is best)
 
     monkeypatch.setattr(logger_fit, "_SensorFit", Alone)
     estimate = SimpleNamespace(_delays=["speed_delay.delay", "pitch_delay.delay"], _period=0.02)
@@ -289,7 +290,8 @@ def test_one_delay_replaces_an_offset_unless_no_rig_has_it(monkeypatch, alone, v
     fit.late = lambda *_: _Delay(offset, 0.001)
     fit.worse_than = lambda one: one.name == alone and value < 0.0
     fit.sensor, fit.free, fit.renewed = SpeedSensor(), (), 0.0
-    assert (_Estimate._one_delay(estimate, fit) is not None) == none
+    best = object()
+    assert (_Estimate._one_delay(estimate, fit, best) is not None) == none
 
 
 def test_a_late_log_is_shifted_by_whole_rows():
