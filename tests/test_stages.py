@@ -304,6 +304,11 @@ def test_where_the_speed_takes_the_pitch_its_readings_tell_the_lags_of_the_pitch
     assert fit.effects == ("pitch_speed_coupling",)
     there = fit.problem.residual_at(TRUTH | hidden)
     assert np.sum(fit.problem.residual_at(fit.values) ** 2) <= np.sum(there**2) + 0.1
+    # Where the values of both stages are exported, the lags of the pitch and their errors are those of the thrust.
+    thrust = found[1].selection.final
+    both = fit.with_values_of((fit, thrust))
+    for name in ("tau_beta_1", "tau_beta_2"):
+        assert (both.values[name], both.std()[name]) == (thrust.values[name], thrust.std()[name])
 
 
 def test_the_lack_of_fit_of_the_speed_is_that_of_its_stage():

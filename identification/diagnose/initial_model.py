@@ -65,7 +65,7 @@ class InitialModel:
     """The library, scaled for the `rig`, and the `names` of the free base parameters. `refinement`: start values, with their
     `uncertainty`; `first`: values before any fit; `knowledge`: the prior from the steady points, None without any; `noise`: of
     one thrust reading; `identification`: the source of all this, None for a given model; `channels`: those that are fitted;
-    `too`: base parameters of other channels that these depend on."""
+    `further`: base parameters of other channels that are free, too."""
 
     library: tuple[Effect, ...]
     names: tuple[str, ...]
@@ -77,7 +77,7 @@ class InitialModel:
     noise: ReadingNoise
     identification: Identification | None = None
     channels: tuple[str, ...] = CHANNELS
-    too: tuple[str, ...] = ()
+    further: tuple[str, ...] = ()
 
     @property
     def values(self) -> Mapping[str, float]:
@@ -90,7 +90,7 @@ class InitialModel:
         if len(self.channels) > 1:
             return self.names
         speed = self.channels == ("omega",)
-        return tuple(n for n in self.names if n.startswith("tau_omega") == speed or (speed and n in self.too))
+        return tuple(n for n in self.names if n.startswith("tau_omega") == speed or n in self.further)
 
     def of_channels(self, *channels: str, library: Sequence[Effect], values: Mapping[str, float]) -> "InitialModel":
         """The same for fits of some channels alone, with start values."""

@@ -210,7 +210,7 @@ def searched(
         """The start of the speed's search with the pitch of the thrust's. Where the speed takes the pitch, its precise readings
         tell the lags of the pitch better than the thrust: they are free."""
         there = _keeping(at, thrust.selection.whole, lambda e: e.channels == ("beta",), PITCH)
-        return replace(there, too=PITCH) if _takes_pitch(speed.selection.whole) else there
+        return replace(there, further=PITCH) if _takes_pitch(speed.selection.whole) else there
 
     if found:
         speed = by_thrust(of_speed(with_pitch_of(found[1], found[0]), found[0]))

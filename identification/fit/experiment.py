@@ -131,13 +131,15 @@ class Experiment:
         memory. If a block has several rows, the record is simulated in pieces, and only block means of the thrust's
         sensitivities are kept. A logger's means over its rows are then negligible, and omitted.
         """
-        k, length, count = len(simulator.wrt), int(self._blocks.edges[1]), len(self._blocks.time) * bool(self.sizes["thrust"])
-        means = np.empty((count, k)) if into is None or len(into) < count else into
+        k, count, length = len(simulator.wrt), len(self._blocks.time), int(self._blocks.edges[1])
         speed = np.empty((len(self.record) * bool(len(self.omega_time)), k))
-        if length == 1 or not count:
-            wanted = {i: rows for i, rows in enumerate((means, speed)) if len(rows)}
-            outputs = simulator.simulate(values, *self.record.run, wanted)
-            thrust = self._thrust_tangents(slice(None), outputs, self._over_rows(means)) if count else means
+        wanted = {1: speed} if len(speed) else {}
+        if not self.sizes["thrust"]:
+            return simulator.simulate(values, *self.record.run, wanted), {"omega": self.omega_columns(speed)}
+        means = np.empty((count, k)) if into is None or len(into) < count else into
+        if length == 1:
+            outputs = simulator.simulate(values, *self.record.run, {0: means} | wanted)
+            thrust = self._thrust_tangents(slice(None), outputs, self._over_rows(means))
         else:
             outputs, first, rows = np.empty((len(self.record), len(simulator.outputs))), 0, max(1, PIECE // length) * length
             for at, shown, tangents in simulator.pieces(values, *self.record.run, rows=rows, of=self.compared):
@@ -149,7 +151,7 @@ class Experiment:
                 if len(speed):
                     speed[at] = tangents[:, 1]
             thrust = means
-        found = {"thrust": self._white(thrust, means) if count else means}
+        found = {"thrust": self._white(thrust, means)}
         return outputs, found | ({"omega": self.omega_columns(speed)} if len(self.omega_time) else {})
 
     def _thrust_tangents(self, rows: slice, outputs: np.ndarray, tangents: np.ndarray) -> np.ndarray:

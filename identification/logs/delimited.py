@@ -80,9 +80,9 @@ def read_delimited(path: str | os.PathLike, given: Mapping[str, str]) -> RawTabl
         notes = [(i, _cells(line.lstrip("#%!/ "), delimiter)) for i, line in lines if i < data[0][0] and line[0] in "#%!/"]
         head = [(i, cells) for i, cells in notes if len(cells) == width and not _is_data(cells)][-2:]
         left_out["comments"] -= len(head)
-    numbered = [row[0] for _, row in data[:3]] == ["1", "2", "3"][: len(data)] and data[0][1][-1]
-    if numbered and all(len(cells) == width - 1 for _, cells in head):  # R's numbers of rows have no name
-        head = [(i, ["", *cells]) for i, cells in head]
+    (_, one), (_, two), *_ = data
+    if (one[0], two[0]) == ("1", "2") and one[-1] and all(len(cells) < width for _, cells in head):
+        head = [(i, ["", *cells]) for i, cells in head]  # R gives the numbers of rows no name
     names, units, line = _header(path, head, width)
     left_out["lines before and after the names"] = max(0, len(head) - 1 - any(units))
     numbers, cells = np.array([i for i, _ in data]), [row for _, row in data]

@@ -70,15 +70,16 @@ class Fit:
     def with_values_of(self, parts: Sequence["Fit"]) -> "Fit":
         """The same effects with the values of fits of single channels. Where the law of the speed is not exact, a fit of all
         channels pulls the parameters of the thrust away from theirs."""
-        names = [[n for n in (*p.problem.coordinates.names, *p.free) if n in self.values] for p in parts]
-        values = self.values | {n: p.values[n] for p, own in zip(parts, names, strict=True) for n in own}
+        shares = [(p, [n for n in (*p.problem.coordinates.names, *p.free) if n in self.values]) for p in parts]
+        values = self.values | {n: p.values[n] for p, own in shares for n in own}
         again = replace(self, values=values)._anew(self.problem.experiments, self.problem.prior)
         x = again.problem.coordinates.vector(values)
         again.problem.weigh(again.problem.residual_at(values))
         cost = 0.5 * float(np.sum(again.problem.residual_at(values) ** 2))
         idle = np.zeros(len(x), bool)
-        estimate = parts[-1].uncertainty
-        for part, own in zip(parts[-2::-1], names[-2::-1], strict=True):
+        *others, (last, _) = shares  # its lags of the pitch count, where the speed tells them, too
+        estimate = last.uncertainty
+        for part, own in others:
             estimate = estimate.beside(part.uncertainty, own)
         solution = Solution(x, np.zeros(0), np.zeros((0, len(x))), (cost,), 1, True, idle)
         return replace(again, values=values, solution=solution, estimate=estimate, parts=tuple(parts))
@@ -274,8 +275,8 @@ class Searcher:
         idle = [n for n in free if n not in smooth and n not in stuck and n not in intervals]
         # A parameter without influence on these records may have one on others: it is switched off.
         values |= {n: self._off[n] for n in idle if n in self._off and self._unreached(model, values, n)}
-        problem, x = self._problem(model, values, smooth, slow_first)
-        solution = problem.fit(problem.coordinates.values(x))
+        problem = self._problem(model, values, smooth, slow_first)
+        solution = problem.fit(problem.values)
         rounding = {e.full(p): e for e in model.effects for p in e.rounds.values()}
         for name in stuck if len(stuck) < 2 else stuck * 2:  # two are scanned twice: each with the other's last value
             if name in rounding:
@@ -291,9 +292,10 @@ class Searcher:
         which the response jumps, or has no sensitivity, keep their values."""
         model, values = self._model(effects, forms, start)
         jumping = {e.full(p) for e in model.effects for p in e.rounds.values()}
-        problem, x = self._problem(model, values, [n for n in free if n not in jumping], slow_first)
+        problem = self._problem(model, values, [n for n in free if n not in jumping], slow_first)
         problem.scale = dict(scale)
-        return _fit(effects, forms, tuple(free), dict(slow_first), problem, problem.refit(x, LOOKS), {}, False)
+        solution = problem.refit(problem.coordinates.vector(problem.values), LOOKS)
+        return _fit(effects, forms, tuple(free), dict(slow_first), problem, solution, {}, False)
 
     def counted(self, look: Fit, held: Mapping[str, tuple[float, float]]) -> Fit:
         """A first look without the parameters that have no influence, and with its thresholds named; some are `held`."""
@@ -306,12 +308,11 @@ class Searcher:
         model = plant(effects, self.library)
         return model, model.values({k: v for k, v in start.items() if k in model.values()} | dict(forms))
 
-    def _problem(self, model, values, smooth, slow_first) -> tuple[Problem, np.ndarray]:
-        """The problem with the base parameters and those in `smooth` free, and the coordinates of a regular start."""
+    def _problem(self, model, values, smooth, slow_first) -> Problem:
+        """The problem with the base parameters and those in `smooth` free, at a regular start."""
         names = [*self.names, *smooth]
         values = regular_start(model, values, names)
-        problem = Problem(model, self.experiments, values, names, self.known(model, values, names), slow_first)
-        return problem, problem.coordinates.vector(values)
+        return Problem(model, self.experiments, values, names, self.known(model, values, names), slow_first)
 
     def again(self, fit: Fit) -> Fit:
         """Refit, on these experiments, a fit of other experiments or with another noise model."""
