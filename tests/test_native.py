@@ -16,6 +16,7 @@ from vpp_fmu.kernel.types import Effect, Model, Parameter, Signal, State
 from vpp_fmu.native import Simulator, compiler
 from vpp_fmu.native import simulator as simulators
 from vpp_fmu.native.adjoint import Adjoint
+from vpp_fmu.record import Record
 from vpp_fmu.tracer import LANES
 
 PITCH, SPEED = "pitch_delay.delay", "test_speed_delay.delay"
@@ -39,6 +40,18 @@ def test_uneven_steps_are_the_functions_to_the_bit(model, request, recwarn):
     np.testing.assert_array_equal(Simulator(model).simulate(values, inputs, steps), exact)
     request.getfixturevalue("no_compiler")
     np.testing.assert_array_equal(Simulator(model).simulate(values, inputs, steps), exact)
+
+
+def test_each_model_has_its_own_inputs_of_a_record():
+    """A record keeps the inputs of a model that ran on it: they are those of this model, and of these steps, only."""
+    inputs, steps = random_steps(401, 30), UNEVEN[:400]
+    record = Record({"time": np.append(0.0, np.cumsum(steps)), **inputs}, "a test")
+    for effects in ((), ("supply_voltage",), ("row_clock",), ("row_clock", "supply_voltage")):
+        made, on = Simulator(plant(effects)), {n: v for n, v in PROBES.items() if n.split(".")[0] in effects}
+        for given in (record.run, (record.run[0], 2.0 * steps, 0.0)):
+            fresh = made.simulate(on, dict(record.columns), *given[1:])
+            for _ in range(2):
+                np.testing.assert_array_equal(made.simulate(on, *given), fresh)
 
 
 @pytest.mark.sampled("effect")

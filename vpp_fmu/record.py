@@ -36,6 +36,15 @@ MOST_POINTS = 2_000_000
 """Communication points of a closed loop, 8000 s in steps of 4 ms: a run then takes about 1 GB of memory."""
 
 
+class Held(dict):
+    """Columns by name, each (n,), and the `steps` of their rows; nobody changes them. `memo`: their arrays for each model."""
+
+    def __init__(self, columns: Mapping[str, np.ndarray], steps: np.ndarray):
+        super().__init__(columns)
+        self.steps = steps
+        self.memo: dict = {}
+
+
 @dataclass(frozen=True, eq=False)
 class Record:
     """Columns by name, each (n,), in the units of QUANTITIES, and the file they came from.
@@ -84,11 +93,10 @@ class Record:
     @cached_property
     def run(self) -> tuple[Mapping[str, np.ndarray], np.ndarray, float]:
         """(columns, steps, late): the inputs of a simulation of these rows. Empty cells of the voltage are interpolated."""
-        volts = self.columns.get(VOLTAGE.name)
-        if volts is None or (seen := np.isfinite(volts)).all() or not seen.any():
-            return self.columns, self.steps, self.late
-        filled = np.interp(self.time, self.time[seen], volts[seen])
-        return {**self.columns, VOLTAGE.name: filled}, self.steps, self.late
+        volts, held = self.columns.get(VOLTAGE.name), Held(self.columns, self.steps)
+        if volts is not None and not (seen := np.isfinite(volts)).all() and seen.any():
+            held[VOLTAGE.name] = np.interp(self.time, self.time[seen], volts[seen])
+        return held, self.steps, self.late
 
     def commands_later(self, rows: float) -> "Record":
         """The record with commands that act `rows` rows later (negative: earlier), beside the same readings.
