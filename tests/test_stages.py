@@ -11,10 +11,11 @@ from identification.demo import example_folder
 from identification.diagnose import diagnose as diagnosing
 from identification.diagnose import given_speed, stages
 from identification.diagnose.diagnose import _channels, _other, _with, diagnose
+from identification.diagnose.effort import Effort
 from identification.diagnose.given_speed import with_given_speed
 from identification.diagnose.lack_of_fit import LackOfFit
 from identification.diagnose.score_test import ScoreTest
-from identification.diagnose.selection import Selection
+from identification.diagnose.selection import Selection, nearest
 from identification.diagnose.stages import Stage, lack_of, verdict_of
 from identification.diagnose.validation import NOTHING_LEFT
 from vpp_fmu.campaign import Campaign
@@ -200,6 +201,8 @@ def test_a_selection_on_other_records_has_their_noise(monkeypatch):
     before, after = (s.judge.searcher.experiments[0].noise.slow for s in (thrust, noisier))
     # Powers below 10 Hz: of 320 blocks each, so their ratio has a standard error of an eighth at most.
     assert after / before == pytest.approx(9.0, rel=3.0 / 8.0)
+    tried = nearest(noisier.judge, noisier.selection, noisier.options, Effort(), SimpleNamespace(map=map))
+    assert {fit.problem.experiments for _, fit, _ in tried} == {noisier.judge.searcher.experiments}
 
 
 @pytest.mark.parametrize(

@@ -123,7 +123,8 @@ def nearest(judge: Judge, found: Selection, options: Sequence[Candidate], effort
     """Candidates beside the final set, by decreasing evidence."""
     searcher, final = judge.searcher, found.whole
     last = found.rounds[-1] if found.rounds else []
-    if not last or key(final)[0] != tuple(sorted(last[0].beside)):
+    on_these = all(t.fit.problem.experiments == searcher.experiments for t in last if t.fit)  # not on those of another logger
+    if not last or key(final)[0] != tuple(sorted(last[0].beside)) or not on_these:
         if not effort.allows(f"a best guess beside {' + '.join(final.effects)}"):
             return []
         last = search_round(searcher, final, options, pool, effort.progress)
