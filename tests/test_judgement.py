@@ -27,6 +27,8 @@ from identification.fit.problem import Block, Prior, Score
 from identification.fit.uncertainty import WIDEST, Uncertainty, disagreement
 from identification.roles import Unseen, roles
 from vpp_fmu.campaign import Campaign
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 
 RNG = np.random.default_rng(20)
@@ -618,29 +620,37 @@ def test_a_logger_replaces_a_delay_where_it_predicts_as_well(error, chosen):
     assert diagnose._simpler(nothing, some).name == diagnose._simpler(some, nothing).name == chosen
 
 
-def unseen_beside(monkeypatch, more, zero=0.0):
+def unseen_beside(monkeypatch, more, zero=0.0, shift=0.0):
     """(an unseen record of 60 s with the error `more` (rows,) N beside noise of 0.1 N, its noise model, a fit without misfit).
-    The model predicts no thrust."""
+    The model predicts no thrust; one standard error of its parameter is the share `shift` of `more`."""
     rng, time = np.random.default_rng(3), np.arange(0.0, 60.0, 0.01)
-    monkeypatch.setattr(validation, "predict", lambda model, values, record: SimpleNamespace(thrust=0.0 * record.time))
     thrust = zero + more(time) + 0.1 * rng.standard_normal(len(time))
+    monkeypatch.setattr(validation, "_error_and_shifts", lambda fit, record: np.array([-thrust, shift * more(time)]))
     record = Record({"time": time, "omega_ref": 0.0 * time, "beta_ref": 0.0 * time, "thrust": thrust}, "validation.csv")
     noise, white = replace(independent(0.1 / np.sqrt(5.0)), block=0.05), rng.standard_normal(1200)
     about = SimpleNamespace(residual=white - white.mean(), directions=lambda rows: np.full((1, 1200), 1200.0**-0.5))
     experiment = SimpleNamespace(records=[None], sizes={"thrust": 1200})
-    problem = SimpleNamespace(model=None, experiments=[experiment], scale={"thrust": 1.0})
-    return Unseen("validation", record), SimpleNamespace(problem=problem, values={}, linearised=lambda: about), noise
+    problem = SimpleNamespace(experiments=[experiment], scale={"thrust": 1.0})
+    return Unseen("validation", record), SimpleNamespace(problem=problem, linearised=lambda: about), noise
 
 
-@pytest.mark.parametrize(("extra", "missed"), [(0.0, False), (0.04, True)])
-def test_an_unseen_record_may_have_no_more_power_than_the_noise(monkeypatch, extra, missed):
+@pytest.mark.parametrize(
+    ("extra", "shift", "missed"),
+    [
+        (0.0, 0.0, False),
+        (0.04, 0.0, True),
+        (0.04, 0.5, False),  # two standard errors of a parameter
+        (0.04, 0.01, True),  # a hundred
+    ],
+)
+def test_an_unseen_record_may_have_no_more_power_than_the_noise(monkeypatch, extra, shift, missed):
     """In blocks of 0.05 s the noise is 0.1 / sqrt(5) N; a sine of 2 Hz of 0.04 N rms has 0.8 of its power.
 
     The 120 ordinates from 1 to 3 Hz have a ratio of powers within 1.4 of 1 in 999 of 1000 draws. A constant error is the zero
     of another day.
     """
     sine = lambda time: np.sqrt(2.0) * extra * np.sin(4.0 * np.pi * time)  # noqa: E731
-    unseen, fit, noise = unseen_beside(monkeypatch, sine, zero=0.5)
+    unseen, fit, noise = unseen_beside(monkeypatch, sine, 0.5, shift)
     why = validation.worse_than_noise(unseen, fit, noise, fit, 0.01)
     assert ("worse than the noise allows" in why) is missed
     assert validation.worse_than_noise(unseen, fit, noise, fit, 0.1) == ""  # smaller than anything of interest
@@ -654,9 +664,25 @@ def test_slow_noise_of_another_draw_is_no_misfit(monkeypatch):
     assert validation.worse_than_noise(unseen, fit, noise, fit, 0.001) == ""
 
 
-@pytest.mark.parametrize(("gained", "explained", "stands_in"), [(4.0, 0.0, False), (6.0, 0.0, True), (20.0, 8000.0, False)])
-def test_a_learned_term_must_not_fit_better_than_a_named_effect(monkeypatch, gained, explained, stands_in):
-    """By more than 5 nats and the 0.25 % that the form of a right effect may leave: 20 of 8000."""
+def test_the_variance_of_a_prediction_is_that_of_its_parameters():
+    """Two collinear parameters and one known exactly; the variance of the thrust is that of the linear model."""
+    covariance = np.array([[4e-4, -1.9e-4, 0.0], [-1.9e-4, 1e-4, 0.0], [0.0, 0.0, 0.0]])
+    names, model = ("c20", "c21", "c30"), plant()
+    known = Uncertainty(names, np.ones(3), covariance, np.ones(3))
+    fit = SimpleNamespace(problem=SimpleNamespace(model=model), values=model.values(), uncertainty=known)
+    one = record()
+    _, *shifts = validation._error_and_shifts(fit, one)
+    tangents = Simulator(model, names).sensitivities(fit.values, *one.run)[1][:, 0]
+    variance = np.einsum("ri,ij,rj->r", tangents, covariance, tangents)
+    assert np.sum(np.square(shifts), axis=0) == pytest.approx(variance, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("gained", "beside_flicker", "explained", "stands_in"),
+    [(4.0, 4.0, 0.0, False), (6.0, 6.0, 0.0, True), (20.0, 20.0, 8000.0, False), (40.0, 2.0, 0.0, False)],
+)
+def test_a_learned_term_must_not_fit_better_than_a_named_effect(monkeypatch, gained, beside_flicker, explained, stands_in):
+    """By more than 5 nats, beside flicker noise, and the 0.25 % that the form of a right effect may leave: 20 of 8000."""
     effect = SimpleNamespace(name="lag", channels=("beta",), in_speed=False, reading="")
     with_it = SimpleNamespace(effects=("lag",), problem=SimpleNamespace(model=SimpleNamespace(effects=[effect])))
     rest, term = SimpleNamespace(effects=()), SimpleNamespace(fit="term")
@@ -669,7 +695,7 @@ def test_a_learned_term_must_not_fit_better_than_a_named_effect(monkeypatch, gai
     monkeypatch.setattr(learn, "screened", screened)
     monkeypatch.setattr(learn, "_refitted", lambda *_: [term])
     monkeypatch.setattr(learn, "evidence_over", lambda one, other: gained if one == "term" else explained)
-    judge, pool = SimpleNamespace(searcher=None), SimpleNamespace(map=map)
+    judge, pool = SimpleNamespace(searcher=None, evidence=lambda *_: beside_flicker), SimpleNamespace(map=map)
     assert learn.better_than(judge, rest, with_it, None, pool) is (term if stands_in else None)
     assert channels == ["beta"]
 

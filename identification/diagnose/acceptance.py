@@ -56,7 +56,7 @@ class Judge:
         """Judge one effect of a set."""
         gains, by_forms = self.likelihood_gain(with_it, without)
         likelihood_gain, more = sum(gains.values()), max(1, len(with_it.free) - len(without.free))
-        evidence = evidence_over(with_it, without) - (0.5 * (without.deviance - with_it.deviance) - likelihood_gain)
+        evidence = self.evidence(with_it, without, likelihood_gain)
         needed = chance_threshold(more, self.searcher.points) + by_forms
         gain = self.held_out(with_it).gain(self.held_out(without))
         declared = next(e for e in with_it.problem.model.effects if e.name == effect)
@@ -66,6 +66,12 @@ class Judge:
         small = bool(refused) and not refusals(likelihood_gain, needed, evidence, gain, more, True, True)
         found = Judgement(effect, float(likelihood_gain), needed, float(evidence), gain, size, least, material)
         return replace(found, refused=tuple(refused), small=small, speed=speed)
+
+    def evidence(self, with_it: Fit, without: Fit, likelihood_gain: float | None = None) -> float:
+        """Penalised log-likelihood ratio of two fits, of which only the `likelihood_gain` counts; None: it is computed."""
+        if likelihood_gain is None:
+            likelihood_gain = sum(self.likelihood_gain(with_it, without)[0].values())
+        return evidence_over(with_it, without) - (0.5 * (without.deviance - with_it.deviance) - likelihood_gain)
 
     def likelihood_gain(self, with_it: Fit, without: Fit) -> tuple[dict[str, float], float]:
         """(log-likelihood gain of an effect by channel; the part of it that errors in the forms of the others may cause). The

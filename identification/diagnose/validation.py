@@ -28,6 +28,8 @@ from identification.fit.noise import Noise, blocks
 from identification.fit.uncertainty import NORMAL_95
 from identification.roles import Unseen
 from identification.static.at_rest import Knowledge
+from vpp_fmu.native import Simulator
+from vpp_fmu.record import Record
 
 
 def verdict(base: Fit, final: Fit, before: LackOfFit, after: LackOfFit, family: Mapping[str, Sequence[str]]) -> str:
@@ -140,25 +142,53 @@ def worse_than_noise(unseen: Unseen, known: Fit, noise: Noise, final: Fit, least
     not. In a band below SLOW its whitened error has more power than the noise, by an F test, and the excess has the size
     `least` [N]. `known`: the fit by maximum likelihood, whose residual gives the noise; `final`: the model that predicts.
 
-    The level and the trend of an error are not compared: the zero of a cell differs from record to record, and drifts."""
-    error = predict(final.problem.model, final.values, unseen.record).thrust - unseen.record["thrust"]
-    white = noise.colour.whiten(blocks(unseen.record, noise.block).mean(error))
-    white = detrend(white[np.isfinite(white)])
-    step = max(noise.block, unseen.record.period)
-    power, frequency = mean_powers(white[None]), np.fft.rfftfreq(len(white), step)
-    tests, excess, whole, usual = [], 0.0, float(np.sum(power[frequency < SLOW])), _noise_of(known, step)
+    What the standard errors of its parameters allow is no error of the model: it is compared at their most likely shift. The
+    level and the trend of an error are not compared: the zero of a cell differs from record to record, and drifts."""
+    record, step = unseen.record, max(noise.block, unseen.record.period)
+    rows = _error_and_shifts(final, record)
+    means = blocks(record, noise.block)
+    white = np.array([noise.colour.whiten(means.mean(each)) for each in rows])
+    white = detrend(white[:, np.isfinite(white[0])])
+    spectra, frequency = np.fft.rfft(white) / np.sqrt(white.shape[1]), np.fft.rfftfreq(white.shape[1], step)
+    usual, noises = _noise_of(known, step), []
     for low, high, inside in bands_of(frequency):
         within = [(at >= low) & (at < high) & (at > 0.0) for at, _, _ in usual]
         degrees = sum(float(np.sum(own[rows])) for rows, (_, _, own) in zip(within, usual, strict=True))
         level = sum(float(own[rows] @ each[rows]) for rows, (_, each, own) in zip(within, usual, strict=True)) / degrees
+        noises.append((inside, level, degrees))
+    if not noises:
+        return ""
+    shift = _most_likely_shift([spectra[:, inside] / np.sqrt(level) for inside, level, _ in noises])
+    power = np.abs(shift @ spectra) ** 2
+    tests, excess, whole = [], 0.0, float(np.sum(power[frequency < SLOW]))
+    for inside, level, degrees in noises:
         own, count = float(np.mean(power[inside])), int(inside.sum())
         tests.append(float(f_distribution.sf(own / level, 2 * count, degrees)))
         excess += count * max(own - level, 0.0) if tests[-1] < ALPHA_BASE else 0.0
-    means = blocks(unseen.record, 0.5 / SLOW).mean(error)
-    size = float(np.sqrt(np.var(detrend(means[np.isfinite(means)])) * excess / whole)) if whole else 0.0
+    slow = blocks(record, 0.5 / SLOW).mean(shift @ rows)
+    size = float(np.sqrt(np.var(detrend(slow[np.isfinite(slow)])) * excess / whole)) if whole else 0.0
     if size <= least or -np.expm1(len(tests) * np.log1p(-min(tests, default=1.0))) >= ALPHA_BASE:
         return ""
     return f"{unseen.name}.csv is predicted worse than the noise allows, by {size:.2g} N rms below {SLOW:g} Hz"
+
+
+def _error_and_shifts(fit: Fit, record: Record) -> np.ndarray:
+    """(1 + n, rows) N: the error of the predicted thrust, and its changes by one standard error of the n parameters along each
+    principal axis of their covariance."""
+    names, covariance = fit.uncertainty.names, fit.uncertainty.covariance
+    tangents = np.empty((len(record), len(names)))
+    thrust = Simulator(fit.problem.model, names).simulate(fit.values, *record.run, {0: tangents})[:, 0]
+    power, axes = np.linalg.eigh(covariance)
+    return np.vstack([thrust - record["thrust"], (axes * np.sqrt(np.maximum(power, 0.0))).T @ tangents.T])
+
+
+def _most_likely_shift(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """(1 + n,) the most likely shares of an error, 1, and of n shifts, each from a normal distribution. `parts`: ordinates
+    (1 + n, k) of their spectra, over the root of the noise power."""
+    ordinates = np.sqrt(2.0) * np.hstack(parts)
+    error, *shifts = np.hstack([ordinates.real, ordinates.imag])
+    moved = np.array(shifts).reshape(-1, len(error))
+    return np.append(1.0, -np.linalg.solve(np.eye(len(moved)) + moved @ moved.T, moved @ error))
 
 
 def _noise_of(fit: Fit, step: float) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:

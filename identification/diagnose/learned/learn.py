@@ -146,7 +146,8 @@ def better_than(known: Judge, rest: Fit, with_it: Fit, scales: Scales, pool) -> 
     """A learned term that fits better than an accepted effect, in its place and channel; None without one. The effect then
     stands in for one that the library lacks. `rest`, `with_it`: the fits without and with it.
 
-    The term must exceed the effect by MIN_EVIDENCE, and by what the form of a right effect may leave."""
+    The term must exceed the effect by MIN_EVIDENCE, and by what the form of a right effect may leave. In a single record it may
+    follow flicker noise: only what it gains beside that counts."""
     (name,) = set(with_it.effects) - set(rest.effects)
     effect = next(e for e in with_it.problem.model.effects if e.name == name)
     channel = "omega" if effect.in_speed and not effect.reading else "".join(effect.channels[:1])
@@ -154,7 +155,7 @@ def better_than(known: Judge, rest: Fit, with_it: Fit, scales: Scales, pool) -> 
     terms = _refitted(known.searcher, rest, leads, scales, pool)
     best = max(terms, key=lambda t: evidence_over(t.fit, with_it), default=None)
     needed = MIN_EVIDENCE + FORM * max(evidence_over(with_it, rest), 0.0)
-    return best if best and evidence_over(best.fit, with_it) > needed else None
+    return best if best and known.evidence(best.fit, with_it) > needed else None
 
 
 def remains_beside(term: Term, searcher: Searcher, rest: Fit, with_it: Fit) -> bool:
