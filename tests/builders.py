@@ -2,7 +2,6 @@
 
 import atexit
 from collections.abc import Mapping
-from functools import cache
 
 import fmpy
 import numpy as np
@@ -46,14 +45,9 @@ PROBES = {name: value for e in OPTIONAL for name, value in named(e, e.probe).ite
 MODELS = {"plain": (BASE, {}), "all_on": (ALL_ON, PROBES), "controller": (CONTROLLER, {})}
 
 
-@cache
-def _native(name: str, version: str) -> bytes:
-    return native_fmu(*MODELS[name], version=version)
-
-
 def native(name: str, version: str = "2.0") -> bytes:
-    """The native FMU of one of MODELS, compiled once in a process; with every effect that takes seconds."""
-    return _native(name, version)
+    """The native FMU of one of MODELS."""
+    return native_fmu(*MODELS[name], version=version)
 
 
 _simulators: dict[tuple, Simulator] = {}

@@ -1,5 +1,6 @@
 """FMUs and long runs that are made once in a session; which tests share a worker; which parameters are sampled."""
 
+import functools
 import os
 import random
 import signal
@@ -18,7 +19,7 @@ from tests.stalls import Stalls
 from tests.studies.cases import draw
 from tests.studies.rig import save
 from vpp_fmu.app.cli import main
-from vpp_fmu.export import python_fmu
+from vpp_fmu.export import native_flavour, python_fmu
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.kernel.types import Model
@@ -117,6 +118,14 @@ def pytest_collection_modifyitems(items):
     items[:] = [item for group in dict.fromkeys(order) for item in groups[group]]
 
 
+@pytest.fixture(scope="session", autouse=True)
+def compiled_once():
+    """Compile a native FMU's source for this machine once in a session: the same text gives the same library."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(native_flavour, "binaries", functools.cache(native_flavour.binaries))
+        yield
+
+
 @pytest.fixture(scope="session")
 def fmu_files(tmp_path_factory):
     """Paths of FMUs: the plain plant, with every effect at its probe, the paper's control plant, the controller."""
@@ -201,6 +210,7 @@ def no_compiler(monkeypatch):
     monkeypatch.setattr(compiler.shutil, "which", lambda name: None)
     monkeypatch.setattr(Model, "memo", property(lambda model: {}))  # models compiled before must not be used
     monkeypatch.setattr(simulator, "_runner", simulator._runner.__wrapped__)
+    monkeypatch.setattr(native_flavour, "binaries", native_flavour.binaries.__wrapped__)
     for cached in caches:
         cached.cache_clear()
     yield
