@@ -107,7 +107,7 @@ def test_tuned_gains_cost_less_than_the_published_ones_and_keep_the_limits(nomin
     assert tuned.fmu_difference == 0.0
 
 
-def test_the_gains_do_not_depend_on_the_number_of_workers():
+def test_the_gains_do_not_depend_on_the_number_of_workers(short_search):
     objective = a_task(SHORT).objective(SPEED_ONLY)
     starts = {"speed_only": [(objective.gains, ("all",)), (0.5 * objective.gains, ("all",))]}
     alone, together = (rounds({"speed_only": objective}, starts, workers=n)["speed_only"][1] for n in (1, 2))

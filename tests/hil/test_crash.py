@@ -45,7 +45,6 @@ def ended(out):
     ("how", "code", "cause", "words"),
     [
         ("hangs", -signal.SIGKILL, "is killed", ()),
-        ("crashes", -signal.SIGSEGV, "the loop is ", ()),
         ("errs", 2, "controller: failed", ("--virtual",)),
     ],
 )

@@ -89,16 +89,16 @@ def test_a_run_that_a_fault_ends_keeps_what_was_measured(tmp_path):
 
 
 def twinned(emulated, steady, folder, on_alarm=None):
-    """A run of 9 s beside the paper's model, whose band has the `steady` error [N]."""
+    """A run of 4.5 s beside the paper's model, whose band has the `steady` error [N]."""
     twin = Twin(twin_of(ParameterSet(plant()), Band(0.12, 0.047, 0.13, steady)), on_alarm=on_alarm)
-    return run_on_rig(setup(emulated), KernelController(), step_profile(4.0, 8.0, hold=3.0), folder, twin=twin)
+    return run_on_rig(setup(emulated), KernelController(), step_profile(4.0, 8.0, hold=1.5), folder, twin=twin)
 
 
 def test_a_twin_has_no_alarm_on_its_own_rig(tmp_path):
     run = twinned(Emulated(seed=1), 0.12, tmp_path)
     assert not run.log["alarm"].any()
     residual = run.log["residual"][np.isfinite(run.log["residual"])]
-    assert len(residual) == len(run.record) == round(9.0 / 0.004)
+    assert len(residual) == len(run.record) == round(4.5 / 0.004)
 
 
 @pytest.mark.parametrize(("what", "state"), [("note", "safe"), ("ramp", "fault"), ("idle", "fault")])
