@@ -144,8 +144,8 @@ def fmu_files(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def long_run():
-    """400 steps of 4 ms with every effect at its probe: (commands, step lengths, outputs of the functions in Python)."""
-    commands, steps = random_steps(401, 100, seed=10_000, model=ALL_ON), np.full(400, 0.004)
+    """700 steps of 4 ms with every effect at its probe: (commands, step lengths, outputs of the functions in Python)."""
+    commands, steps = random_steps(701, 100, seed=10_000, model=ALL_ON), np.full(700, 0.004)
     return commands, steps, reference(ALL_ON, PROBES, commands, steps)
 
 

@@ -92,10 +92,7 @@ def slave(paths):
     path = str(paths["controller", "3.0"])
     description, folder = fmpy.read_model_description(path), fmpy.extract(path)
     instance = FMU3Slave(
-        guid=description.guid,
-        unzipDirectory=folder,
-        modelIdentifier=description.coSimulation.modelIdentifier,
-        instanceName="a",
+        guid=description.guid, unzipDirectory=folder, modelIdentifier=description.coSimulation.modelIdentifier, instanceName="a"
     )
     said = []
     instance.instantiate(

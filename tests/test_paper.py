@@ -3,18 +3,7 @@
 import numpy as np
 import pytest
 from builders import shorten_tuning
-from studies.paper import (
-    COST_END,
-    COST_START,
-    QUICK,
-    STATIC_MAP,
-    compared,
-    judged,
-    lags,
-    on_model,
-    paper_thrust,
-    study,
-)
+from studies.paper import COST_END, COST_START, QUICK, STATIC_MAP, compared, judged, lags, on_model, paper_thrust, study
 
 from tests.tables import stored
 from vpp_fmu.kernel.controller import DUAL, SPEED_ONLY

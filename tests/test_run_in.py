@@ -120,4 +120,4 @@ def test_of_step_runs_those_in_motion_lose_their_run_in(campaign):
     settled, moving = (np.isnan(r["thrust"]) for r in gate.campaign.steps)
     assert not settled.any()
     assert np.flatnonzero(moving)[-1] * STEP == pytest.approx(5.0 * LAG, rel=0.05)
-    assert [(f.code, f.file) for f in gate.findings] == [("run_in", "steps.csv")]
+    assert [f.code for f in gate.findings if f.file == "steps.csv"] == ["run_in"]

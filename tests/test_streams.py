@@ -47,10 +47,7 @@ def simulate(here, *more):
     return ["simulate", here + b"/record.csv", "--parameters", here + b"/p.json", "-o", here + b"/out", *more]
 
 
-@pytest.mark.parametrize(
-    ("environment", "redirected"),
-    [(C_LOCALE, ""), (ASCII, "<&- >&- 2>&-")],
-)
+@pytest.mark.parametrize(("environment", "redirected"), [(C_LOCALE, ""), (ASCII, "<&- >&- 2>&-")])
 def test_streams_that_are_closed_or_not_utf_8_are_no_errors(environment, redirected, here):
     code, out, said = run(simulate(here), redirected, **environment)
     assert (code, said) == (0, b"")

@@ -181,10 +181,7 @@ def test_the_command_writes_gains_that_export_takes(tmp_path, capsys, short_sear
     assert content["objective"]["assumed"] == {"tau_beta_1": 0.15}
     assert content["objective"]["effects"] == list(EFFECTS)
     assert content["objective"]["measurement"]["noise"] == 0.1
-    for file, name, label in (
-        ("gains.json", "dual", "both actuators"),
-        ("gains_speed_only.json", "speed_only", "speed alone"),
-    ):
+    for file, name, label in (("gains.json", "dual", "both actuators"), ("gains_speed_only.json", "speed_only", "speed alone")):
         gains = read_parameters(tmp_path / "out" / file, lambda _: CONTROLLER)
         assert gains.values["speed_only"] == float(name == "speed_only")
         assert gains.source["parameters"] == {"file": "plant.json", "identity": KNOWN.identity}
