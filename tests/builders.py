@@ -10,7 +10,7 @@ from fmpy.fmi2 import FMU2Slave, fmi2CallbackAllocateMemoryTYPE, fmi2CallbackFre
 from fmpy.fmi2 import fmi2CallbackLoggerTYPE as Logger
 
 from tests.studies.cases import WHOLE
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, CompilerMissing
 from vpp_fmu.export import native_fmu
 from vpp_fmu.fmu import Fmu, FmuInstance
 from vpp_fmu.invariants import random_steps, reference, slopes
@@ -18,8 +18,17 @@ from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
 from vpp_fmu.kernel.types import Effect, Model, Parameter
 from vpp_fmu.native import Simulator
+from vpp_fmu.native.compiler import compiler
 
 __all__ = ["random_steps", "reference", "slopes"]
+
+NO_COMPILER = ""
+try:
+    compiler()
+except CompilerMissing as missing:
+    NO_COMPILER = f"native FMUs: {missing}"
+"""Why this machine compiles nothing; empty if it does."""
+needs_compiler = pytest.mark.skipif(bool(NO_COMPILER), reason=NO_COMPILER or "there is a compiler")
 
 OPTIONAL = tuple(e for e in LIBRARY if e.off is not None)
 ALL_ON = plant(e.name for e in OPTIONAL)

@@ -5,13 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from builders import Slave
+from builders import Slave, needs_compiler
 
 import fmu_src
 from vpp_fmu.app.cli import main
-from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.fmu import Fmu
-from vpp_fmu.native.compiler import compiler
 
 EXAMPLE = (Path(fmu_src.__file__).parent / "two_masses.py").read_text()
 
@@ -162,11 +160,11 @@ def test_a_broken_model_is_refused_by_its_declaration_and_nothing_is_written(fol
     assert not (folder / "out").exists()
 
 
-@pytest.mark.parametrize(("flavour", "file"), [("python", "Cooling.fmu"), ("native", "Cooling.native.fmu")])
+@pytest.mark.parametrize(
+    ("flavour", "file"), [("python", "Cooling.fmu"), pytest.param("native", "Cooling.native.fmu", marks=needs_compiler)]
+)
 def test_the_readmes_example_runs(folder, flavour, file):
     """The code block of the README is a whole module."""
-    if flavour == "native" and not has_compiler():
-        pytest.skip("no C compiler")
     page = (Path(fmu_src.__file__).parent / "README.md").read_text()
     text = page.split("```python\n# cooling.py\n")[1].split("```")[0]
     (folder / "cooling.py").write_text(text)
@@ -174,10 +172,3 @@ def test_the_readmes_example_runs(folder, flavour, file):
     slave = Slave(Fmu(folder / "out" / file))
     shown = [slave.step({"ambient": 20.0}, 1.0, "temperature")[0] for _ in range(50)]
     np.testing.assert_allclose(shown, 20.0 + 60.0 * np.exp(-np.arange(1.0, 51.0) / 30.0), rtol=1e-12)
-
-
-def has_compiler():
-    try:
-        return bool(compiler())
-    except CompilerMissing:
-        return False

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from builders import FAST_PITCH
+from builders import FAST_PITCH, shorten_tuning
 
 from identification.fit.problem import Prior
 from identification.thrust_steps import step_profile
@@ -39,7 +39,9 @@ def a_task(profile=None, **more):
 
 @pytest.fixture(scope="module")
 def nominal():
-    return tune(a_task(), STARTS)
+    with pytest.MonkeyPatch.context() as patch:
+        shorten_tuning(patch.setattr)
+        return tune(a_task(), STARTS)
 
 
 @pytest.mark.parametrize("gains", [DUAL, SPEED_ONLY], ids=["dual", "speed only"])
