@@ -1,7 +1,9 @@
 """Commands, references and FMU handles that several test files share."""
 
 import atexit
+import json
 from collections.abc import Mapping
+from pathlib import Path
 
 import fmpy
 import numpy as np
@@ -43,6 +45,12 @@ def refusal(call, *arguments) -> str:
     message = str(refused.value)
     assert "\n" not in message
     return message
+
+
+def declared(path: Path, **entries) -> Path:
+    """A rig.json with these entries."""
+    path.write_text(json.dumps({"format": "vpp-rig/1", **entries}))
+    return path
 
 
 def named(effect: Effect, values: Mapping[str, float]) -> dict[str, float]:

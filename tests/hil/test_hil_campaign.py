@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builders import declared
 from rigs import LIMITS
 
 from hil.campaign import PARTS, CampaignSize, measure, plan_for, recorded, same_commands, seconds, steep, step_responses
@@ -146,11 +147,6 @@ def whole(small_plan, short_waits, tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
     assert main([*MEASURED, "-o", str(folder)]) == 0
     return folder
-
-
-def declared(path, **entries):
-    path.write_text(json.dumps({"format": "vpp-rig/1", **entries}))
-    return path
 
 
 NARROW = {"speed": {"min": 2513.37, "max": 4000.0}, "pitch": {"min": 4.0, "max": 4.0}, "slew": {"speed": 3000.0}}

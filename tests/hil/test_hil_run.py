@@ -35,10 +35,6 @@ def done(tmp_path_factory):
     return run_on_rig(setup(), KernelController(), step_profile(), tmp_path_factory.mktemp("run"))
 
 
-def on_the_model(**profile):
-    return run_loop(LimitedPlant(KernelPlant(), LIMITS), KernelController(), step_profile(**profile), idle(PAPERS))
-
-
 def test_the_papers_controller_settles_the_papers_step_on_the_rig(done):
     up, down = judged_steps(done.record, {})
     assert (up.before, up.after) == (1.5, 12.0)
@@ -67,10 +63,6 @@ def test_nothing_is_lost_from_the_log(done):
     np.testing.assert_allclose(np.diff(done.log.time), 0.004, atol=1e-9)
     assert not done.log["missed"].any()
     assert tuple(done.log.columns) == ("time", *(c.name for c in COLUMNS if c.name not in ("time", "state")), "state")
-
-
-def columns_of(path):
-    return np.genfromtxt(path, delimiter=",", names=True)
 
 
 def test_a_run_that_a_fault_ends_keeps_what_was_measured(tmp_path):
@@ -143,7 +135,9 @@ def test_the_command_writes_run_facts_and_report(tmp_path, profile, printed, fmu
 def test_the_plant_fmu_takes_the_rigs_place_by_one_option(tmp_path, profile, fmu_files):
     out = tmp_path / "out"
     assert main(["hil", "run", "--rig", "fmu", str(fmu_files["plain"]), "--profile", str(profile), "-o", str(out)]) == 0
-    np.testing.assert_array_equal(columns_of(out / "run.csv")["thrust"], on_the_model(hold=1.0)["thrust"])
+    on_the_model = run_loop(LimitedPlant(KernelPlant(), LIMITS), KernelController(), step_profile(hold=1.0), idle(PAPERS))
+    columns = np.genfromtxt(out / "run.csv", delimiter=",", names=True)
+    np.testing.assert_array_equal(columns["thrust"], on_the_model["thrust"])
     assert json.loads((out / "hil.json").read_text())["rig"] == "fmu"
 
 
