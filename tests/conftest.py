@@ -32,7 +32,7 @@ SHARED = (
 """Files of one group: they share a long run and native FMUs."""
 
 LONGEST_FIRST = (
-    *("real time", "long run", "test_diagnose", "test_answers", "test_readme", "test_paper", "test_api", "test_blind_study"),
+    *("real time", "long run", "test_diagnose", "test_answers", "test_readme", "test_api", "test_blind_study"),
     *("test_day", "test_own_rig", "test_check", "test_learned", "test_rounding", "test_hil_campaign"),
     "test_learned_terms",
 )

@@ -93,7 +93,7 @@ def campaign(tmp_path_factory):
     """A campaign of a rig whose servo takes power, and the same without any power."""
     folder = tmp_path_factory.mktemp("rig")
     rig, rng = clear(11, "servo_load rate"), np.random.default_rng(5)
-    rig.drawn.update(columns="power")
+    rig.drawn.update(columns="power", seconds=60.0)
     for name in ("with", "without"):
         there = OutputFolder(folder / name)
         write_static(there, rig.points if name == "with" else replace(rig.points, further={}))

@@ -318,22 +318,6 @@ class TestSimulated:
         stamps = [read_answer(frame).stamp for _, frame in said[1:]]
         assert stamps == pytest.approx([(t - zero) * HZ / CYCLES for t in passes], abs=3)
 
-    def test_damaged_requests_get_no_answer_and_cost_no_other_one(self, simulator, firmware):
-        chance, events, good = random.Random(4), [], []
-        for k in range(200):
-            data = bytearray(encoded(Frame(ASK_ANSWER, k)))
-            if chance.random() < 0.5:
-                data[chance.randrange(6)] ^= 1 << chance.randrange(8)
-            else:
-                good.append(k)
-            events.append((0.003 + 0.004 * k, bytes(data)))
-            events.append((0.0045 + 0.004 * k, chance.randbytes(3)))
-        said, dropped = simulated(simulator, firmware, [*events, (0.9, bytes(12))], 1.0)
-        answered = [frame.sequence for _, frame in said[1:]]
-        assert dropped == 0
-        assert set(good) - set(answered) == set()
-        assert len(answered) == len(good)
-
     def test_the_relays_pin_follows_the_word_and_opens_100_ms_after_the_last_request(self, simulator, firmware):
         arm = encoded(Frame(ARM, 0, WORD))
         requests = asked([0.02 + 0.004 * k for k in range(50)])

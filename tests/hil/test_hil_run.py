@@ -65,21 +65,6 @@ def test_nothing_is_lost_from_the_log(done):
     assert tuple(done.log.columns) == ("time", *(c.name for c in COLUMNS if c.name not in ("time", "state")), "state")
 
 
-def test_a_run_that_a_fault_ends_keeps_what_was_measured(tmp_path):
-    class Broken(KernelController):
-        def step(self, thrust_set, thrust):
-            self.steps = getattr(self, "steps", 0) + 1
-            return (np.nan, 0.0) if self.steps == 700 else super().step(thrust_set, thrust)
-
-    found = run_on_rig(setup(), Broken(), step_profile(), tmp_path)
-    assert "not a number" in found.ended
-    assert len(found.record) == 699
-    assert found.log["state"][-1] in ("ramp down", "fault")
-    assert found.log["throttle"][-1] < 0.01
-    facts = found.session.summary()
-    assert [t["state"] for t in facts["transitions"]][-2:] == ["ramp down", "fault"]
-
-
 def twinned(emulated, steady, folder, on_alarm=None):
     """A run of 4.5 s beside the paper's model, whose band has the `steady` error [N]."""
     twin = Twin(twin_of(ParameterSet(plant()), Band(0.12, 0.047, 0.13, steady)), on_alarm=on_alarm)
