@@ -1,8 +1,9 @@
 """Commands, references and FMU handles that several test files share."""
 
 import atexit
+import json
 from collections.abc import Mapping
-from functools import cache
+from pathlib import Path
 
 import fmpy
 import numpy as np
@@ -11,7 +12,7 @@ from fmpy.fmi2 import FMU2Slave, fmi2CallbackAllocateMemoryTYPE, fmi2CallbackFre
 from fmpy.fmi2 import fmi2CallbackLoggerTYPE as Logger
 
 from tests.studies.cases import WHOLE
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, CompilerMissing
 from vpp_fmu.export import native_fmu
 from vpp_fmu.fmu import Fmu, FmuInstance
 from vpp_fmu.invariants import random_steps, reference, slopes
@@ -19,8 +20,17 @@ from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
 from vpp_fmu.kernel.types import Effect, Model, Parameter
 from vpp_fmu.native import Simulator
+from vpp_fmu.native.compiler import compiler
 
 __all__ = ["random_steps", "reference", "slopes"]
+
+NO_COMPILER = ""
+try:
+    compiler()
+except CompilerMissing as missing:
+    NO_COMPILER = f"native FMUs: {missing}"
+"""Why this machine compiles nothing; empty if it does."""
+needs_compiler = pytest.mark.skipif(bool(NO_COMPILER), reason=NO_COMPILER or "there is a compiler")
 
 OPTIONAL = tuple(e for e in LIBRARY if e.off is not None)
 ALL_ON = plant(e.name for e in OPTIONAL)
@@ -37,6 +47,12 @@ def refusal(call, *arguments) -> str:
     return message
 
 
+def declared(path: Path, **entries) -> Path:
+    """A rig.json with these entries."""
+    path.write_text(json.dumps({"format": "vpp-rig/1", **entries}))
+    return path
+
+
 def named(effect: Effect, values: Mapping[str, float]) -> dict[str, float]:
     """An effect's values under their full names."""
     return {effect.full(name): value for name, value in values.items()}
@@ -46,14 +62,9 @@ PROBES = {name: value for e in OPTIONAL for name, value in named(e, e.probe).ite
 MODELS = {"plain": (BASE, {}), "all_on": (ALL_ON, PROBES), "controller": (CONTROLLER, {})}
 
 
-@cache
-def _native(name: str, version: str) -> bytes:
-    return native_fmu(*MODELS[name], version=version)
-
-
 def native(name: str, version: str = "2.0") -> bytes:
-    """The native FMU of one of MODELS, compiled once in a process; with every effect that takes seconds."""
-    return _native(name, version)
+    """The native FMU of one of MODELS."""
+    return native_fmu(*MODELS[name], version=version)
 
 
 _simulators: dict[tuple, Simulator] = {}

@@ -1,5 +1,6 @@
 """FMUs and long runs that are made once in a session; which tests share a worker; which parameters are sampled."""
 
+import functools
 import os
 import random
 import signal
@@ -18,7 +19,7 @@ from tests.stalls import Stalls
 from tests.studies.cases import draw
 from tests.studies.rig import save
 from vpp_fmu.app.cli import main
-from vpp_fmu.export import python_fmu
+from vpp_fmu.export import native_flavour, python_fmu
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.kernel.types import Model
@@ -31,14 +32,14 @@ SHARED = (
 """Files of one group: they share a long run and native FMUs."""
 
 LONGEST_FIRST = (
-    *("real time", "long run", "test_diagnose", "test_answers", "test_readme", "test_paper", "test_api", "test_blind_study"),
+    *("real time", "long run", "test_diagnose", "test_answers", "test_readme", "test_api", "test_blind_study"),
     *("test_day", "test_own_rig", "test_check", "test_learned", "test_rounding", "test_hil_campaign"),
     "test_learned_terms",
 )
 """Groups that take longest. They start first, so that none of them is still running when all others are done."""
 
 IN_VIRTUAL_TIME = (
-    *("test_day", "test_hil_campaign", "test_physics", "test_physics_fmu", "test_physics_hidden", "test_physics_speed"),
+    *("test_day", "test_hil_campaign", "test_physics", "test_physics_hidden", "test_physics_speed"),
     *("test_plausibility", "test_polarity"),
 )
 """Files of the rig whose clock is simulated."""
@@ -115,6 +116,14 @@ def pytest_collection_modifyitems(items):
         groups.setdefault(group, []).append(item)
     order = [*(group for group in LONGEST_FIRST if group in groups), *groups]
     items[:] = [item for group in dict.fromkeys(order) for item in groups[group]]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled_once():
+    """Compile a native FMU's source for this machine once in a session: the same text gives the same library."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(native_flavour, "binaries", functools.cache(native_flavour.binaries))
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -201,6 +210,7 @@ def no_compiler(monkeypatch):
     monkeypatch.setattr(compiler.shutil, "which", lambda name: None)
     monkeypatch.setattr(Model, "memo", property(lambda model: {}))  # models compiled before must not be used
     monkeypatch.setattr(simulator, "_runner", simulator._runner.__wrapped__)
+    monkeypatch.setattr(native_flavour, "binaries", native_flavour.binaries.__wrapped__)
     for cached in caches:
         cached.cache_clear()
     yield

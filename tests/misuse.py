@@ -158,6 +158,9 @@ KEEP, BACK, FAIL = Host.keep, Host.back, lambda h: not h.step(777.0)
 INIT = (SETUP, ENTER)
 RUN = (SETUP, ENTER, LEAVE)
 ENDED = (*RUN, TERMINATE)
+STATE, C20 = _set("Real", ("state.omega_inner", 1.0)), _set(c20=0.3)
+FLIP = _changed(lambda b: b[:60] + bytes([b[60] ^ 1]) + b[61:])
+LATE = "found a value after initialisation, expected it before: it is"
 READ, WRITE, TOO_FAST = _get("Real", "thrust"), _set(omega_ref=1000.0), _set(omega_ref=1e300)
 NOT = "found a call"
 
@@ -189,20 +192,10 @@ CASES = (
     # what is set
     Case("NaN as an input", RUN, _set(omega_ref=NAN), "omega_ref: found nan"),
     Case("set an output", INIT, _set(thrust=1.0), "VppPlant: thrust: found a value, expected none: it is computed"),
-    Case(
-        "set a state while running",
-        RUN,
-        _set("Real", ("state.omega_inner", 1.0)),
-        "state.omega_inner: found a value after initialisation, expected it before: it is computed",
-    ),
-    Case("set a state before", (), _set("Real", ("state.omega_inner", 1.0))),
-    Case(
-        "set a fixed parameter while running",
-        RUN,
-        _set(c20=0.3),
-        "c20: found a value after initialisation, expected it before: it is fixed",
-    ),
-    Case("set a parameter before", (), _set(c20=0.3)),
+    Case("set a state while running", RUN, STATE, f"state.omega_inner: {LATE} computed"),
+    Case("set a state before", (), STATE),
+    Case("set a fixed parameter while running", RUN, C20, f"c20: {LATE} fixed"),
+    Case("set a parameter before", (), C20),
     Case("tune a gain while running", RUN, _set(kp_omega=2.0), fmu="controller"),
     Case("tune a gain out of range", RUN, _set(kp_omega=-1.0), "expected 0.0 to 10000.0", "controller"),
     Case("switch while running", RUN, _set("Boolean", speed_only=1), fmu="controller"),
@@ -239,12 +232,7 @@ CASES = (
     # states
     Case("a saved state goes back in time", (*RUN, KEEP, STEP, BACK), STEP),
     Case("a state through bytes", (*RUN, KEEP), Host.through_bytes),
-    Case(
-        "a flipped bit in a state",
-        (*RUN, KEEP),
-        _changed(lambda b: b[:60] + bytes([b[60] ^ 1]) + b[61:]),
-        "bytes that hold none",
-    ),
+    Case("a flipped bit in a state", (*RUN, KEEP), FLIP, "bytes that hold none"),
     Case("half a state", (*RUN, KEEP), _changed(lambda b: b[: len(b) // 2]), "expected a serialised state"),
     # logging
     Case("one category", RUN, lambda h: h.log(0, "logStatusError")),

@@ -154,11 +154,6 @@ def test_it_samples_at_its_own_period_whatever_the_communication_step(millisecon
         np.testing.assert_array_equal(shown[split - 1 :: split], expected[: len(shown[split - 1 :: split])])
 
 
-def test_c_is_python_to_the_bit():
-    inputs, steps = errors(3001), np.random.default_rng(2).choice([0.004, 0.0013, 0.011], 3000)
-    np.testing.assert_array_equal(simulator(CONTROLLER).simulate(DUAL, inputs, steps)[1:], commands(DUAL, inputs, steps))
-
-
 PAIRS = {f"pair_omega_{k}": 2000.0 + 450.0 * k for k in range(9)} | {f"pair_beta_{k}": 9.0 - k for k in range(9)}
 TABLE = {**PAIRS, "pairs_thrust_min": 1.0, "pairs_thrust_max": 9.0, "k_mid": 0.7, "mode": 2.0}
 """Knots every newton: (2000 + 450 k) rpm, (9 - k) deg at 1 + k N."""

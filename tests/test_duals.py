@@ -1,5 +1,7 @@
 """Dual numbers against the tangents of the tracer: each operation, and a plant with effects."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from builders import PROBES, random_steps
@@ -51,14 +53,20 @@ def test_structural_zeros_are_not_computed():
     assert Duals(NUMBERS, 2).exp(y).tangents == (None, None)
 
 
-@pytest.mark.parametrize("formula", FORMULAS)
-def test_every_operation_has_the_tracers_tangents(formula):
-    """At each row from rest: a dual state would need its tangents carried."""
-    duals, u = Duals(NUMBERS, 2), INPUT["u"]
-    rows = Simulator(toy(lambda ops, a, b, u, y: FORMULAS[formula](ops, a, b, u, 0.3)), ("a", "b"))
-    shown, tangents = rows.sensitivities(VALUES, INPUT, STEPS)
+def test_every_operation_has_the_tracers_tangents():
+    """Each operation is an output of one model, from rest in each row: a dual state would need its tangents carried."""
+    duals, base = Duals(NUMBERS, 2), toy(None)
+
+    def every(ops, s, x, p, dt):
+        return {name: formula(ops, p.a, p.b, s.u, 0.3) for name, formula in FORMULAS.items()}, {}
+
+    outputs = tuple(replace(base.outputs[0], name=name) for name in FORMULAS)
+    model = replace(base, outputs=outputs, effects=(replace(base.effects[0], step=every, states=()),))
+    shown, tangents = Simulator(model, ("a", "b")).sensitivities(VALUES, INPUT, STEPS)
     a, b = duals.seeded(VALUES["a"], 0), duals.seeded(VALUES["b"], 1)
-    for k, value in enumerate(u[:-1]):
-        found = duals.constant(FORMULAS[formula](duals, a, b, duals.constant(float(value)), duals.constant(0.3)))
-        assert found.value == shown[k + 1, 0]
-        assert [d or 0.0 for d in found.tangents] == pytest.approx(tangents[k + 1, 0].tolist(), rel=1e-9, abs=1e-12)
+    for j, (name, formula) in enumerate(FORMULAS.items()):
+        for k, value in enumerate(INPUT["u"][:-1]):
+            found = duals.constant(formula(duals, a, b, duals.constant(float(value)), duals.constant(0.3)))
+            assert found.value == shown[k + 1, j], name
+            wanted = tangents[k + 1, j].tolist()
+            assert [d or 0.0 for d in found.tangents] == pytest.approx(wanted, rel=1e-9, abs=1e-12), name

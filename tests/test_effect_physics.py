@@ -96,10 +96,7 @@ LAWS = {
     "pitch_stop_restart": ({"stop": 0.3, "restart": 1.2}, lambda tau: hysteresis(0.3, 1.2, tau)),
     "pitch_rate_limit": ({"rate": 12.0}, lambda tau: lambda e, x: np.clip(e / tau, -12.0, 12.0)),
     "speed_asymmetry": ({"asymmetry": -0.5}, lambda tau: lambda e, x: e / tau * np.exp(0.5 if e > 0 else -0.5)),
-    "speed_dependent_lag": (
-        {"sensitivity": 2e-4},
-        lambda tau: lambda e, x: e / tau * max(1.0 + 2e-4 * (x - 4000.0), 0.2),
-    ),
+    "speed_dependent_lag": ({"sensitivity": 2e-4}, lambda tau: lambda e, x: e / tau * max(1.0 + 2e-4 * (x - 4000.0), 0.2)),
 }
 
 

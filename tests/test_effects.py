@@ -15,10 +15,8 @@ from vpp_fmu.invariants import INVARIANTS, Trial
 from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.kernel.types import Effect, Parameter, Signal, State
-from vpp_fmu.units import base_unit
 
 STEP = 0.004
-each_effect = pytest.mark.parametrize("effect", OPTIONAL, ids=lambda e: e.name)
 FORMS = [
     pytest.param(
         replace(e, probe={**e.probe, **dict(zip(names, values, strict=True))}), id="-".join([e.name, *map(str, values)])
@@ -48,12 +46,6 @@ def test_from_a_settled_start_nothing_moves(effect):
         inputs = {name: np.full(6, value) for name, value in still.items()}
         shown = simulator(model).simulate(values, inputs, np.array([1e-6, 0.001, STEP, 0.05, 2.0]))
         np.testing.assert_allclose(shown, np.tile(shown[0], (6, 1)), rtol=1e-13, atol=1e-12)
-
-
-@each_effect
-def test_every_unit_is_one_that_an_fmu_can_declare(effect):
-    for quantity in (*effect.parameters, *effect.states, *effect.inputs):
-        assert base_unit(quantity.unit) is not None
 
 
 @pytest.mark.parametrize("effect", [e for e in OPTIONAL if e.contains], ids=lambda e: e.name)

@@ -5,18 +5,16 @@ import importlib
 import re
 import sys
 from dataclasses import replace
-from functools import cache
 
 import fmpy
 import numpy as np
 import pytest
-from builders import Slave, refusal
+from builders import NO_COMPILER, Slave, needs_compiler, refusal
 from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
 from scipy.linalg import expm
 from six_models import CASES, FOLDER
 
 import vpp_fmu as vpp
-from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.export import native_fmu, python_fmu
 from vpp_fmu.export.checks import check_model
 from vpp_fmu.export.description import Experiment
@@ -24,20 +22,9 @@ from vpp_fmu.export.trial import try_fmu
 from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.kernel.simulation import Simulation
-from vpp_fmu.native.compiler import compiler
-from vpp_fmu.tracer import c_source, trace
+from vpp_fmu.tracer import c_source, emit, trace
 
-try:
-    compiler()
-    MAKERS = (python_fmu, native_fmu)
-except CompilerMissing:
-    MAKERS = (python_fmu,)
-
-
-@cache
-def built(make, name) -> bytes:
-    """The FMU of a case, made once."""
-    return make(CASES[name].model())
+MAKERS = (python_fmu,) if NO_COMPILER else (python_fmu, native_fmu)
 
 
 def run(case, step, stop=3.0):
@@ -66,7 +53,7 @@ def test_the_flavours_are_the_functions_to_the_bit(name, tmp_path):
     model, slaves = case.model(), []
     for make in MAKERS:
         path = tmp_path / f"{make.__name__}.fmu"
-        path.write_bytes(built(make, name))
+        path.write_bytes(make(case.model()))
         slaves.append(Slave(Fmu(path), initialised=False).initialise(**case.inputs(0.0)))
     kernel, names = Simulation(model), [y.name for y in model.outputs]
     start = list(kernel.start(case.inputs(0.0)).values())
@@ -184,7 +171,7 @@ def test_vectors_enumerations_and_strings_in_fmi_2(make, tmp_path):
     assert slave.messages[-1].endswith("mode: found item 4.0, expected 1 to 3")
 
 
-@pytest.mark.skipif(len(MAKERS) < 2, reason="no compiler")
+@needs_compiler
 def test_vectors_enumerations_and_strings_in_fmi_3(tmp_path):
     model, path = modes(), tmp_path / "Modes.fmu"
     path.write_bytes(native_fmu(model, version="3.0"))
@@ -309,17 +296,18 @@ def test_a_fault_of_a_model_is_one_line(what):
     assert words in refusal(check_model, "here", model)
 
 
-@pytest.mark.skipif(len(MAKERS) < 2, reason="no compiler")
+@needs_compiler
 def test_a_model_without_seconds_is_fmi_3(tmp_path):
     model = gain_model()
     check_model("gain", model)  # the unused start of y need not lie in its range
     try_fmu("gain", model, {}, Experiment(), native_fmu(model, version="3.0"), "3.0")
 
 
-@pytest.mark.skipif(len(MAKERS) < 2, reason="no compiler")
-def test_a_long_function_is_cut_into_parts_with_the_same_bits():
+@needs_compiler
+def test_a_long_function_is_cut_into_parts_with_the_same_bits(monkeypatch):
     """With choices whose conditions and values stand in other parts than their users."""
-    n = 250
+    monkeypatch.setattr(emit, "LONG", 500)  # 3000 statements compile for ten seconds
+    n = 60
 
     def step(ops, s, x, p, dt):
         mean = sum(x.T) / n
@@ -336,16 +324,16 @@ def test_a_long_function_is_cut_into_parts_with_the_same_bits():
         "Long", "long", (vpp.Signal("u", "V", "u", nominal=9.0),), (vpp.Signal("T", "V", "T", size=n),), (effect,)
     )
     text = c_source(trace(model))
-    assert "step_100(" in text
+    assert "step_500(" in text
     try_fmu("long", model, {}, Experiment(), native_fmu(model, version="3.0"), "3.0")  # FMI 2 has the same body
 
 
-@pytest.mark.skipif(len(MAKERS) < 2, reason="no compiler")
+@needs_compiler
 @pytest.mark.parametrize("name", ["ODE", "PI", "table"])
 def test_derivatives_in_inputs_over_a_step_are_central_differences(name, tmp_path):
     case = CASES[name]
     model, path = case.model(), tmp_path / "model.fmu"
-    path.write_bytes(built(native_fmu, name))
+    path.write_bytes(native_fmu(model))
     slave = Slave(Fmu(path), initialised=False)
     names, r = [y.name for y in model.outputs], slave.references
     known = [r[u.name] for u in model.inputs]

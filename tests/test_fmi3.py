@@ -10,21 +10,15 @@ import builders
 import fmpy
 import numpy as np
 import pytest
-from builders import native, random_steps
+from builders import native, needs_compiler, random_steps
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 
 from fmu_src.two_masses import MODEL
 from vpp_fmu.app.cli import main
-from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.export import native_fmu
-from vpp_fmu.native import compiler
 
-try:
-    compiler.compiler()
-except CompilerMissing as missing:
-    pytest.skip(f"native FMUs: {missing}", allow_module_level=True)
-
+pytestmark = needs_compiler
 MODELS = {name: builders.MODELS[name] for name in ("plain", "controller")} | {"two masses": (MODEL, {})}
 each_model = pytest.mark.parametrize("name", MODELS)
 HIGH = {"thrust_set": 12.0, "thrust": 10.0, "force": 30.0, "brake": 1.0}
@@ -92,10 +86,7 @@ def slave(paths):
     path = str(paths["controller", "3.0"])
     description, folder = fmpy.read_model_description(path), fmpy.extract(path)
     instance = FMU3Slave(
-        guid=description.guid,
-        unzipDirectory=folder,
-        modelIdentifier=description.coSimulation.modelIdentifier,
-        instanceName="a",
+        guid=description.guid, unzipDirectory=folder, modelIdentifier=description.coSimulation.modelIdentifier, instanceName="a"
     )
     said = []
     instance.instantiate(

@@ -1,7 +1,5 @@
 """Gymnasium environments: vector equals single to the bit, parameters are drawn from the posterior."""
 
-from importlib.util import find_spec
-
 import gymnasium
 import numpy as np
 import pytest
@@ -41,13 +39,6 @@ def model_with_delay():
 @pytest.mark.parametrize("options", [{}, {"action": "rate", "history": 3, "observe": ("thrust_set", "thrust", "integral")}])
 def test_gymnasium_accepts_it(options):
     check_env(gymnasium.make("VppThrust-v0", seconds=0.2, **options).unwrapped)
-
-
-@pytest.mark.skipif(find_spec("stable_baselines3") is None, reason="stable-baselines3 is not installed")
-def test_stable_baselines_accepts_it():
-    from stable_baselines3.common.env_checker import check_env as check
-
-    check(VppThrustEnv(seconds=0.2))
 
 
 @pytest.mark.filterwarnings("ignore:no C compiler:RuntimeWarning")

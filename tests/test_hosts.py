@@ -3,23 +3,21 @@
 import sys
 
 import pytest
-from builders import MODELS, native
+from builders import MODELS, native, needs_compiler
 
 from tests.interop import hosts
 from vpp_fmu.app.cli import main
-from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.export import python_fmu
 from vpp_fmu.fmu import Fmu
+
+pytestmark = needs_compiler
 
 
 @pytest.fixture(scope="module")
 def host(tmp_path_factory):
     if sys.platform != "linux":
         pytest.skip("the host is Linux's")
-    try:
-        return hosts.built(tmp_path_factory.mktemp("host"))
-    except CompilerMissing as missing:
-        pytest.skip(f"no host: {missing}")
+    return hosts.built(tmp_path_factory.mktemp("host"))
 
 
 @pytest.mark.parametrize("name", ["plain", "controller"])
@@ -46,9 +44,6 @@ def test_the_readmes_three_lines_bring_python_into_a_host_in_c(host, name, tmp_p
 
 @pytest.mark.parametrize(("flavour", "points"), [("python", True), ("native", False), ("both", False)])
 def test_the_export_points_hosts_without_python_to_the_native_flavour(flavour, points, tmp_path, capsys):
-    try:
-        assert main(["export", "--flavour", flavour, "-o", str(tmp_path)]) == 0
-    except CompilerMissing as missing:
-        pytest.skip(f"native FMUs: {missing}")
+    assert main(["export", "--flavour", flavour, "-o", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert ("--flavour native" in said) == points

@@ -27,19 +27,8 @@ def learned(tmp_path_factory):
     ParameterSet(plant()).replaced({n: FINE_TUNED[n] for n in std}, std).save(folder)
     (folder / "gains").mkdir()
     gains = ParameterSet(CONTROLLER).replaced({"t_filter": 0.02}).save(folder / "gains") / "parameters.json"
-    command = [
-        "learn",
-        str(folder),
-        "--gains",
-        str(gains),
-        "--generations",
-        "40",
-        "--plants",
-        "8",
-        "-o",
-        str(folder / "policy"),
-    ]
-    assert main(command) == 0
+    words = ["learn", str(folder), "--gains", str(gains), "--generations", "40", "--plants", "8", "-o", str(folder / "policy")]
+    assert main(words) == 0
     return folder / "policy"
 
 

@@ -2,20 +2,16 @@
 
 import misuse
 import pytest
-from builders import MODELS, native
+from builders import MODELS, native, needs_compiler
 
-from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.export import python_fmu
-from vpp_fmu.native.compiler import compiler
+
+pytestmark = needs_compiler
 
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
     """Outcomes of all cases by flavour."""
-    try:
-        compiler()
-    except CompilerMissing as missing:
-        pytest.skip(f"native FMUs: {missing}")
     folder, outcomes = tmp_path_factory.mktemp("misuse"), {}
     for flavour, make in (("native", native), ("python", lambda name: python_fmu(*MODELS[name]))):
         paths = {name: folder / f"{name}.{flavour}.fmu" for name in MODELS}

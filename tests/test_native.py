@@ -35,7 +35,7 @@ def test_compiled_steps_are_the_functions_to_the_bit(long_run):
 @pytest.mark.parametrize("model", MODELS)
 def test_uneven_steps_are_the_functions_to_the_bit(model, request, recwarn):
     model, values = MODELS[model]
-    inputs, steps = random_steps(401, 30, model=model), UNEVEN[:400]
+    inputs, steps = random_steps(201, 30, model=model), UNEVEN[:200]
     exact = reference(model, values, inputs, steps)
     np.testing.assert_array_equal(Simulator(model).simulate(values, inputs, steps), exact)
     request.getfixturevalue("no_compiler")

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from builders import ALL_ON, MODELS, PROBES, Slave, native, random_steps, simulator
+from builders import ALL_ON, MODELS, PROBES, Slave, native, needs_compiler, random_steps, simulator
 from fuzz import fuzz, fuzzer
 from misuse import Host
 
-from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.fmu import Fmu, FmuInstance
 
+pytestmark = needs_compiler
 OUTPUTS = ["thrust", "omega", "beta"]
 
 
@@ -20,10 +20,7 @@ def fmus(tmp_path_factory):
     """Native FMUs by name, unpacked."""
     folder, unpacked = tmp_path_factory.mktemp("native"), {}
     for name in MODELS:
-        try:
-            (folder / f"{name}.fmu").write_bytes(native(name))
-        except CompilerMissing as missing:
-            pytest.skip(f"native FMUs: {missing}")
+        (folder / f"{name}.fmu").write_bytes(native(name))
         unpacked[name] = Fmu(folder / f"{name}.fmu")
     yield unpacked
     for fmu in unpacked.values():

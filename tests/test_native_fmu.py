@@ -18,25 +18,20 @@ import arm
 import fmpy
 import numpy as np
 import pytest
-from builders import ALL_ON, MODELS, PROBES, native, random_steps, reference, stepped
+from builders import ALL_ON, MODELS, PROBES, native, needs_compiler, random_steps, reference, stepped
 from fmpy.build import build_platform_binary
 from fmpy.model_description import read_build_description
 from test_fmu import in_a_new_process
 
 from fmu_src.two_masses import MODEL as TWO_MASSES
-from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.export import native_fmu, python_fmu, toolchain
 from vpp_fmu.export.c_text import c_text
 from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE
-from vpp_fmu.native import compiler
+from vpp_fmu.native.compiler import compiler
 
-try:
-    CC = compiler.compiler()
-except CompilerMissing as missing:
-    pytest.skip(f"native FMUs: {missing}", allow_module_level=True)
-
+pytestmark = needs_compiler
 zig = pytest.mark.skipif(not find_spec("ziglang"), reason="ziglang is not installed (the extra 'cross')")
 each_fmu = pytest.mark.parametrize("name", MODELS)
 
@@ -92,7 +87,7 @@ def test_its_build_description_is_valid(name, version):
 def test_its_source_allows_no_fused_multiply_add(tmp_path):
     """Whatever the compiler's options: the build description names none."""
     (tmp_path / "plant.c").write_text(c_text(BASE, BASE.values(), "{}"))
-    command = [CC, "-std=gnu99", "-O3", "-w", "-mfma", "-S", "-o", "plant.s", "plant.c"]
+    command = [compiler(), "-std=gnu99", "-O3", "-w", "-mfma", "-S", "-o", "plant.s", "plant.c"]
     subprocess.run(command, cwd=tmp_path, check=True)
     assert not re.search(r"\tvfn?m(add|sub)", (tmp_path / "plant.s").read_text())
 
@@ -101,7 +96,7 @@ def test_its_source_allows_no_fused_multiply_add(tmp_path):
 def test_its_source_draws_no_warning(version, tmp_path):
     for model, values in (*MODELS.values(), (TWO_MASSES, {})):
         (tmp_path / "model.c").write_text(c_text(model, values | model.values(values), "{}", version))
-        strict = [CC, "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only", "model.c"]
+        strict = [compiler(), "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only", "model.c"]
         for more in ([], ["-DFMI2_FUNCTION_PREFIX=Vpp_"]) if model is BASE else ([],):
             subprocess.run([*strict, *more], cwd=tmp_path, check=True)
 

@@ -55,9 +55,15 @@ def distance_of(count):
 
 CASES = {
     "tanh": law(),
-    "relu, history, rates": law(history=2, activation="relu", action="rate", parameters={"omega_rate": 9e3, "beta_rate": 40.0}),
+    "relu, history, rates, speed observed": law(
+        (4,),
+        ("thrust_set", "thrust", "omega"),
+        history=2,
+        activation="relu",
+        action="rate",
+        parameters={"omega_rate": 9e3, "beta_rate": 40.0},
+    ),
     "linear, squashed, distance": law((), squash=True, **distance_of(5), parameters={"fallback_hold": 0.01}),
-    "speed observed": law((4,), ("thrust_set", "thrust", "omega")),
 }
 
 
@@ -245,7 +251,7 @@ def test_the_command_exports_it_and_the_loop_runs(tmp_path, capsys):
         assert main(["cosim", *fmus, "--profile", str(tmp_path / "step.csv"), "-o", str(tmp_path / f"loop{suffix}")]) == 0
         runs.append((tmp_path / f"loop{suffix}" / "run.csv").read_text())
     assert runs[0] == runs[1]
-    CASES["speed observed"].save(tmp_path)
+    CASES["relu, history, rates, speed observed"].save(tmp_path)
     assert main(["export", "--policy", str(tmp_path), "-o", str(out)]) == 0
     capsys.readouterr()
     fmus = [str(out / "VppPlant.fmu"), str(out / "VppPolicy.fmu")]

@@ -25,22 +25,6 @@ def told(verb, number):
     return f"{verb}: stopped by {number.name}; files that were not complete are not kept"
 
 
-@has_proc
-def test_a_search_and_its_workers_end_and_write_nothing(tmp_path):
-    words = [*VPP, "tune", "--robust", "mean", "--draws", "10000", "--workers", "2", "-o", str(tmp_path / "out")]
-    ended = signalled(words, signal.SIGTERM, at_work)
-    assert (ended.code, ended.left) == (143, ())
-    assert told("vpp tune", signal.SIGTERM) in ended.error.splitlines()  # Python 3.10 counts semaphores behind it
-    assert "Traceback" not in ended.error
-    assert not (tmp_path / "out").exists()
-
-
-def at_work(process):
-    """Whether both workers have finished their imports."""
-    workers = [pid for pid in group(process.pid) if pid != process.pid]
-    return sum(cpu_seconds(pid) > 1.0 for pid in workers) == 2
-
-
 SPREAD = """
 import sys, time
 from identification.workers import spread
@@ -52,8 +36,7 @@ sys.exit(cli.main(["identify"]))
 
 @has_proc
 @pytest.mark.parametrize(
-    ("number", "to_all"),
-    [(signal.SIGINT, True), (signal.SIGTERM, False), (signal.SIGHUP, True), (signal.SIGKILL, False)],
+    ("number", "to_all"), [(signal.SIGINT, True), (signal.SIGTERM, False), (signal.SIGHUP, True), (signal.SIGKILL, False)]
 )
 def test_workers_end_with_the_process_that_started_them(number, to_all):
     ended = signalled([sys.executable, "-c", SPREAD], number, lambda process: len(group(process.pid)) == 4, to_all)

@@ -47,14 +47,11 @@ def simulate(here, *more):
     return ["simulate", here + b"/record.csv", "--parameters", here + b"/p.json", "-o", here + b"/out", *more]
 
 
-@pytest.mark.parametrize(
-    ("environment", "redirected"),
-    [(C_LOCALE, ""), (ASCII, ">&-"), (C_LOCALE, "<&- >&- 2>&-")],
-)
+@pytest.mark.parametrize(("environment", "redirected"), [(C_LOCALE, ""), (ASCII, "<&- >&- 2>&-")])
 def test_streams_that_are_closed_or_not_utf_8_are_no_errors(environment, redirected, here):
     code, out, said = run(simulate(here), redirected, **environment)
     assert (code, said) == (0, b"")
-    assert (b"written to" in out) == (">&-" not in redirected.replace("2>&-", ""))
+    assert (b"written to" in out) == (not redirected)
     assert os.path.getsize(here + b"/out/prediction.csv") > 0
     code, _, said = run(["simulate", here + b"/none.csv", "--parameters", here + b"/p.json"], redirected, **environment)
     assert code == 2

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from builders import FAST_PITCH
+from builders import FAST_PITCH, shorten_tuning
 
 from identification.fit.problem import Prior
 from identification.thrust_steps import step_profile
@@ -39,7 +39,9 @@ def a_task(profile=None, **more):
 
 @pytest.fixture(scope="module")
 def nominal():
-    return tune(a_task(), STARTS)
+    with pytest.MonkeyPatch.context() as patch:
+        shorten_tuning(patch.setattr)
+        return tune(a_task(), STARTS)
 
 
 @pytest.mark.parametrize("gains", [DUAL, SPEED_ONLY], ids=["dual", "speed only"])
@@ -107,7 +109,7 @@ def test_tuned_gains_cost_less_than_the_published_ones_and_keep_the_limits(nomin
     assert tuned.fmu_difference == 0.0
 
 
-def test_the_gains_do_not_depend_on_the_number_of_workers():
+def test_the_gains_do_not_depend_on_the_number_of_workers(short_search):
     objective = a_task(SHORT).objective(SPEED_ONLY)
     starts = {"speed_only": [(objective.gains, ("all",)), (0.5 * objective.gains, ("all",))]}
     alone, together = (rounds({"speed_only": objective}, starts, workers=n)["speed_only"][1] for n in (1, 2))
@@ -181,10 +183,7 @@ def test_the_command_writes_gains_that_export_takes(tmp_path, capsys, short_sear
     assert content["objective"]["assumed"] == {"tau_beta_1": 0.15}
     assert content["objective"]["effects"] == list(EFFECTS)
     assert content["objective"]["measurement"]["noise"] == 0.1
-    for file, name, label in (
-        ("gains.json", "dual", "both actuators"),
-        ("gains_speed_only.json", "speed_only", "speed alone"),
-    ):
+    for file, name, label in (("gains.json", "dual", "both actuators"), ("gains_speed_only.json", "speed_only", "speed alone")):
         gains = read_parameters(tmp_path / "out" / file, lambda _: CONTROLLER)
         assert gains.values["speed_only"] == float(name == "speed_only")
         assert gains.source["parameters"] == {"file": "plant.json", "identity": KNOWN.identity}

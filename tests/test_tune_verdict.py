@@ -96,9 +96,8 @@ def test_gains_that_cost_less_and_settle_later_are_not_chosen(example, monkeypat
     assert "not settled worse" in page
 
 
-def test_the_search_keeps_the_settling_times_of_the_first_gains(example, monkeypatch):
+def test_the_search_keeps_the_settling_times_of_the_first_gains(example, short_search):
     """On the same plant the real search finds gains that settle no later, and they are chosen."""
-    monkeypatch.setattr("identification.tune.tune.SHAKES", (0, 0))
     task, settings = example
     found = tune(task, {"dual": settings}).tuned["dual"]
     verdict = found.verdicts["tuned"]

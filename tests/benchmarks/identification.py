@@ -1,4 +1,4 @@
-"""python -m tests.benchmarks.identification [--full]: `refine` compared with other methods for the same fit.
+"""python -m tests.benchmarks.identification: `refine` compared with other methods for the same fit.
 
 All fit one synthetic record (60 s at 250 Hz, thrust with 0.3 N of white noise) from one start, the paper's averaged constants
 and static map; thrust alone, no prior. One exact model computes cost and errors of every method. The others are set up as an
@@ -8,15 +8,11 @@ Machines differ and are noisy, so compare ratios of medians; ours runs before an
 use one thread: the matrices are small, and on a shared machine threads wait for each other.
 """
 
-import argparse
 import contextlib
 import io
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from unittest import mock
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -36,13 +32,13 @@ from tests.benchmarks.rivals import (
 )
 from tests.studies.synthetic import TRUTH, commands, covariance, measured
 from vpp_fmu.kernel.plant import AVERAGED, BASE
-from vpp_fmu.native import Simulator, compiler
+from vpp_fmu.native import Simulator
 from vpp_fmu.native.simulator import _runner
 from vpp_fmu.record import Record
 
 PAPER_ITERATIONS = 350
 TIMED_ITERATIONS = 20
-"""Iterations of the paper's descent without --full; its time is then scaled to PAPER_ITERATIONS."""
+"""Iterations of the paper's descent that run; its time is scaled to PAPER_ITERATIONS."""
 
 
 @dataclass(frozen=True)
@@ -118,18 +114,6 @@ def ours(record: Record) -> Fit:
     return fit
 
 
-def compiling() -> float:
-    """Seconds of the C compiler, which runs once per model; later runs load the library from the cache."""
-    seconds = []
-    with tempfile.TemporaryDirectory() as folder, mock.patch.object(compiler, "cache_folder", return_value=Path(folder)):
-        for _ in range(2):
-            _runner.cache_clear()
-            began = time.perf_counter()
-            Simulator(BASE, BASE_PARAMETERS)
-            seconds.append(time.perf_counter() - began)
-    return seconds[0] - seconds[1]
-
-
 def trf(record: Record, start: np.ndarray) -> Fit:
     """scipy's trust-region reflective solver on the same residual and sensitivities."""
     values = BASE.values(dict(zip(BASE_PARAMETERS, start, strict=True)))
@@ -144,14 +128,14 @@ def trf(record: Record, start: np.ndarray) -> Fit:
     return fit
 
 
-def methods(yardstick: Yardstick, full: bool) -> dict[str, list[Method]]:
+def methods(yardstick: Yardstick) -> dict[str, list[Method]]:
     """All methods, grouped by their set-up; ours first."""
     scales, record, start = BASE.values(), yardstick.record, yardstick.start
     u = np.column_stack(
         [record["omega_ref"] / scales["omega_scale"], (record["beta_ref"] + scales["beta_offset"]) / scales["beta_scale"]]
     )
     y = record["thrust"] / scales["thrust_scale"]
-    count = PAPER_ITERATIONS if full else TIMED_ITERATIONS
+    count = TIMED_ITERATIONS
     descent = f"the paper's descent, {count} iterations"
     return {
         "": [Method("this project's refine", lambda: ours(record), 20)],
@@ -183,11 +167,11 @@ def show(found: Timed, first: Timed, yardstick: Yardstick) -> None:
 
 
 @threadpool_limits.wrap(limits=1)
-def main(full: bool) -> None:
+def main() -> None:
     """Run and print all."""
     yardstick = Yardstick()
-    print(f"{len(yardstick.record)} rows; our model's C is compiled once, ever: {compiling():.2f} s, not counted below")
-    groups, missing = methods(yardstick, full), []
+    print(f"{len(yardstick.record)} rows")
+    groups, missing = methods(yardstick), []
     (method,) = groups.pop("")
     first, others = Timed(method), {}
     first.run(yardstick.start)
@@ -210,16 +194,13 @@ def main(full: bool) -> None:
         for one in own:
             show(one, first, yardstick)
     print("\n".join(missing))
-    if not full:
-        print(
-            f"The paper's descent ran {TIMED_ITERATIONS} iterations: its time is scaled to {PAPER_ITERATIONS}; its cost and"
-            " errors are those after them. --full runs all."
-        )
+    print(
+        f"The paper's descent ran {TIMED_ITERATIONS} iterations: its time is scaled to {PAPER_ITERATIONS}; its cost and"
+        " errors are those after them."
+    )
     print("off: the farthest parameter, in standard deviations of the Cramer-Rao bound.")
     print("ratio: of median times of fits, without what is built and compiled before, but jax-sysid compiles in its fit.")
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.identification", description=__doc__)
-    parser.add_argument("--full", action="store_true", help="run all 350 iterations of the paper's descent (minutes)")
-    main(parser.parse_args().full)
+    main()

@@ -3,15 +3,7 @@ import random
 
 import pytest
 
-from hil.devices.frames import (
-    ANSWER,
-    ASK_ANSWER,
-    FROM_BOARD,
-    Answer,
-    Frame,
-    FrameReader,
-    encoded,
-)
+from hil.devices.frames import ANSWER, ASK_ANSWER, FROM_BOARD, Answer, Frame, FrameReader, encoded
 
 ANSWERED = Frame(ANSWER, 0x7E, Answer(123456, 0x7E7E0001, 2500, 7, 2, 0).packed())
 """A frame with sync bytes at the worst places: in the sequence number and in the payload."""

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builders import declared
 from rigs import LIMITS
 
 from hil.campaign import PARTS, CampaignSize, measure, plan_for, recorded, same_commands, seconds, steep, step_responses
@@ -148,34 +149,10 @@ def whole(small_plan, short_waits, tmp_path_factory):
     return folder
 
 
-def test_the_command_writes_a_campaign_that_reads_back(tmp_path, capsys):
-    out = tmp_path / "campaign"
-    parts = [part for part in PARTS if part != "steps"]
-    assert main(["hil", "campaign", "--virtual", *SMALL, "--parts", *parts, "-o", str(out)]) == 0
-    found = read_campaign(out)
-    assert found.missing == ("steps.csv",)
-    assert len(found.static.thrust) == 4
-    assert same_commands(found.open_loop, found.repeat)
-    assert not np.array_equal(found.open_loop["thrust"], found.repeat["thrust"])  # the same commands, other noise
-    noise = (found.open_loop["thrust"] - found.repeat["thrust"]).std() / np.sqrt(2.0)
-    assert noise == pytest.approx(np.hypot(0.12, 0.047), rel=0.15)
-    facts = json.loads((out / "hil.json").read_text())
-    assert list(facts["parts"]) == parts
-    for part in facts["parts"].values():
-        assert part["log"]["rows"] == part["log"]["ticks"]
-        assert part["log"]["lost"] == 0
-    assert capsys.readouterr().err == ""  # quiet in a pipe
-
-
-def declared(path, **entries):
-    path.write_text(json.dumps({"format": "vpp-rig/1", **entries}))
-    return path
-
-
 NARROW = {"speed": {"min": 2513.37, "max": 4000.0}, "pitch": {"min": 4.0, "max": 4.0}, "slew": {"speed": 3000.0}}
 
 
-def test_a_campaign_stays_within_what_the_rig_json_declares_and_says_so(tmp_path, printed):
+def test_a_campaign_is_complete_and_stays_within_what_the_rig_json_declares(tmp_path, printed):
     file, out = declared(tmp_path / "rig.json", **NARROW), tmp_path / "campaign"
     short = ["--points", "3", "--samples", "10", "--settle", "0.2", "--validation-seconds", "5"]
     said = printed("hil", "campaign", "--virtual", "--rig", file, *short, "-o", out)
@@ -190,7 +167,13 @@ def test_a_campaign_stays_within_what_the_rig_json_declares_and_says_so(tmp_path
         assert np.abs(np.diff(record["omega_ref"])).max() <= 3000.0 * PERIOD * (1.0 + 1e-9)
     assert max(np.ptp(r["omega_ref"]) for r in found.steps) == 4000.0 - 2513.4
     assert found.rig.origin["speed"] == "rig.json"  # rig.json is now beside the records
-    assert json.loads((out / "hil.json").read_text())["parts"]["steps"]["allowed"]["speed"]["max"] == 4000.0
+    assert same_commands(found.open_loop, found.repeat)
+    noise = (found.open_loop["thrust"] - found.repeat["thrust"]).std() / np.sqrt(2.0)  # the same commands, other noise
+    assert noise == pytest.approx(np.hypot(0.12, 0.047), rel=0.15)
+    parts = json.loads((out / "hil.json").read_text())["parts"]
+    assert tuple(parts) == PARTS
+    assert parts["steps"]["allowed"]["speed"]["max"] == 4000.0
+    assert all(part["log"]["rows"] == part["log"]["ticks"] and part["log"]["lost"] == 0 for part in parts.values())
 
 
 def test_commands_beyond_the_limits_are_not_begun(tmp_path, refused):
@@ -224,7 +207,7 @@ def test_a_part_whose_log_lost_rows_is_not_complete(tmp_path, refused, monkeypat
     assert [path.name for path in tmp_path.glob("validation*")] == ["validation.partial.csv"]
 
 
-def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_not(whole, tmp_path, refused, monkeypatch):
+def test_a_campaign_that_is_ended_twice_and_resumed_equals_one_that_was_not(whole, tmp_path, refused, monkeypatch):
     out, left, step = tmp_path / "out", [0], RigPlant.step
 
     def cut(self, *commands):
@@ -235,7 +218,7 @@ def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_no
 
     monkeypatch.setattr(RigPlant, "step", cut)
     resume = []
-    for ticks, kept in ((700, "static.partial.csv"), (4000, "steps.partial.csv"), (3000, "steps.partial.csv")):
+    for ticks, kept in ((700, "static.partial.csv"), (4000, "steps.partial.csv")):
         left[0] = ticks
         assert "operator: interrupted" in refused(*MEASURED, *resume, "-o", out)
         assert json.loads((out / "hil.json").read_text())["status"] == "ended early"

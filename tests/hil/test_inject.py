@@ -55,19 +55,14 @@ def test_in_virtual_time_it_ends_as_the_table_says_at_the_time_that_was_asked_fo
         (["serial: silence", "4"], "found 4, expected one number from 0 to 3 s"),
         (["serial: silence", "soon"], "found soon, expected one number"),
         (["serial: silence", "1", "2"], "found 1 2, expected one number"),
+        (["SIGKILL", "--rig", "fmu", "x.fmu"], "--inject: found --rig fmu, expected an emulated rig"),
     ],
 )
 def test_another_one_is_refused_in_one_line(words, says, tmp_path, refused):
     (tmp_path / "p.csv").write_text("time,thrust_set\n0,4\n3,4\n")
-    run = ["hil", "run", "--virtual", "--profile", tmp_path / "p.csv", "-o", tmp_path / "out"]
+    run = ["hil", "run", *["--virtual"] * ("--rig" not in words), "--profile", tmp_path / "p.csv", "-o", tmp_path / "out"]
     assert says in refused(*run, "--inject", *words)
     assert not list(tmp_path.rglob("hil.json"))
-
-
-def test_a_rig_that_is_not_emulated_has_none(tmp_path, refused):
-    (tmp_path / "p.csv").write_text("time,thrust_set\n0,4\n3,4\n")
-    run = ["hil", "run", "--rig", "fmu", "x.fmu", "--profile", tmp_path / "p.csv", "-o", tmp_path / "out"]
-    assert "--inject: found --rig fmu, expected an emulated rig" in refused(*run, "--inject", "SIGKILL")
 
 
 def test_the_report_and_hil_json_tell_of_it(tmp_path):

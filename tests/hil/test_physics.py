@@ -5,7 +5,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from builders import reference, simulator
-from physics_numbers import paper_thrust, static_map
 from rig_commands import commands
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
@@ -41,8 +40,11 @@ def held(throttle, beta, seconds, dt=0.001, volts=24.0, **parameters):
 
 
 def test_the_static_map_is_the_papers_within_a_quarter_of_a_newton():
-    w, b, thrust = static_map()
-    error = thrust - paper_thrust(w, b)
+    """Section 4.1: settled thrust on the paper's 10 x 10 grid, pitch from -5 deg as its fit."""
+    w, b = (x.ravel() for x in np.meshgrid(np.linspace(2000.0, 6000.0, 10), np.linspace(-5.0, 10.0, 10)))
+    points = [{"omega_ref": np.full(2, x), "beta_ref": np.full(2, y)} for x, y in zip(w, b, strict=True)]
+    thrust = np.array([simulator(FULL_RIG).simulate({}, point, [0.004])[0, 0] for point in points])
+    error = thrust - (0.21 * w**2 - 5.7 * w * b + 0.023 * w**2 * b - 1.25 * w * b**2 - 2.15e-6 * w**3) * 1e-6
     assert np.abs(error).max() < 0.26
     assert np.sqrt(np.mean(error**2)) < 0.085
     assert 14.0 < thrust[-1] < 15.0

@@ -5,18 +5,18 @@ from hil.loop import realtime
 from hil.loop.realtime import real_time
 
 
-def test_the_garbage_collector_is_off_within_and_on_afterwards():
-    assert gc.isenabled()
+def locked():
+    with open("/proc/self/status") as status:
+        return next(int(line.split()[1]) for line in status if line.startswith("VmLck"))
+
+
+def test_collector_memory_and_scheduler_are_what_was_granted_and_are_restored():
+    before = os.sched_getscheduler(0), gc.isenabled(), locked()
+    assert before[1:] == (True, 0)
     with real_time() as granted:
         assert not gc.isenabled()
         assert granted.frozen > 1000  # an interpreter with a test runner holds many more
-    assert gc.isenabled()
-    assert gc.get_freeze_count() == 0
-
-
-def test_the_scheduler_is_what_was_granted_and_is_restored():
-    before = os.sched_getscheduler(0)
-    with real_time() as granted:
+        assert (locked() > 0) == granted.locked
         assert (os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO) == granted.fifo
         if granted.fifo:
             assert os.sched_getparam(0).sched_priority == realtime.PRIORITY
@@ -24,18 +24,8 @@ def test_the_scheduler_is_what_was_granted_and_is_restored():
             if child == 0:
                 os._exit(os.sched_getscheduler(0))  # what it starts must not compete with the loop
             assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == os.SCHED_OTHER
-    assert os.sched_getscheduler(0) == before
-
-
-def test_locked_memory_shows_in_the_process_status():
-    def locked():
-        with open("/proc/self/status") as status:
-            return next(int(line.split()[1]) for line in status if line.startswith("VmLck"))
-
-    assert locked() == 0
-    with real_time() as granted:
-        assert (locked() > 0) == granted.locked
-    assert locked() == 0
+    assert (os.sched_getscheduler(0), gc.isenabled(), locked()) == before
+    assert gc.get_freeze_count() == 0
 
 
 def test_the_kernels_workers_of_serial_bytes_are_hurried_and_restored():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from rigs import CALIBRATION, IDLE, LIMITS, Rows, asked, duties, serial_faults, steps, transitions
 
+from hil.emulator.faults import OUTSIDE, Target
 from hil.emulator.process import real_time_bench
 from hil.emulator.rig import ZERO_SHIFT
 from hil.emulator.rig import EmulatedRig as Emulated
@@ -94,7 +95,18 @@ def test_the_operator_ends_a_run_in_order(new_rig):
     assert duties(rig) == IDLE
 
 
+def test_a_log_that_cannot_be_written_ends_the_run_by_a_ramp(new_rig):
+    rig, log = new_rig()
+    rig.start(4000.0, 2.0)
+    log.broken = "no space left on device"
+    with pytest.raises(RunEnded, match="log: log lost: no space left on device"):
+        steps(rig, 3)
+    assert "ramp down" in [state for _, state, _ in transitions(rig)]
+    assert duties(rig) == IDLE
+
+
 def test_in_real_time_the_same_rig_runs_in_a_separate_process():
+    """Faults that are set in this process act in the other."""
     bench = real_time_bench(Emulated(seed=1), CALIBRATION)
     log, folder = Rows(COLUMNS), bench.esc.duty_file.parents[3]
     rig = RigPlant(bench, Limits(late=0.1, missed_share=0.5), log)  # tolerates a busy machine
@@ -103,9 +115,13 @@ def test_in_real_time_the_same_rig_runs_in_a_separate_process():
         rig.idle(250)
     assert 0.99 <= time.monotonic() - began < 10.0
     assert duties(rig) == IDLE
-    rig.close()
-    assert len(log.rows) == 250
     assert np.ptp(log["counts"]) > 0
+    for fault in ("ADC: frozen", "serial: unplugged"):
+        OUTSIDE[fault](Target(os.getpid(), folder, bench.esc.duty_file))
+        rig.idle(25)
+    assert {FaultKind.FROZEN, FaultKind.UNPLUGGED} <= {fault.kind for fault in rig.states.faults}
+    rig.close()
+    assert len(log.rows) == 300
     assert not folder.exists()
     with pytest.raises(ChildProcessError):
         os.waitpid(-1, os.WNOHANG)

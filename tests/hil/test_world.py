@@ -1,14 +1,10 @@
 import pytest
 
 from hil.emulator.world import STEP, LoadCell, World
-from hil.physics.rig_model import POWERTRAIN, powertrain
+from hil.physics.rig_model import POWERTRAIN
 from vpp_fmu.kernel.simulation import Simulation
 
 QUIET = LoadCell(0.5, 0.1, white=0.0, slow=0.0)
-
-
-def world(throttle=0.35, beta=4.0, cell=QUIET, **more):
-    return World(POWERTRAIN, {}, lambda: (throttle, beta), cell, **more)
 
 
 def settled(**more):
@@ -30,14 +26,6 @@ def test_it_steps_the_physics_and_nothing_else():
         for _ in range(4):
             expected = reference.advance({"throttle": driven[0], "beta_ref": driven[1]}, STEP)
         assert (one.thrust, one.omega, one.beta) == (expected["thrust"], expected["omega"], expected["beta"])
-
-
-def test_hidden_effects_change_it():
-    hidden = World(powertrain(["load_cell_gain"]), {"load_cell_gain.gain": 1.1}, lambda: (0.35, 4.0), QUIET)
-    plain = world()
-    hidden.advance(1.0)
-    plain.advance(1.0)
-    assert hidden.thrust == pytest.approx(1.1 * plain.thrust)
 
 
 def test_a_conversion_that_ended_in_the_past_shows_the_past():
