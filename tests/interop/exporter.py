@@ -1,6 +1,6 @@
 """python -m tests.interop exporter: the models of the tutorial as FMUs, in every host, beside pythonfmu.
 
-Prints tables: hosts, checkers and bits; lines and speed beside the pythonfmu twin. A host that is not
+Prints tables: hosts and checkers; errors and bits; lines and speed beside the pythonfmu twin. A host that is not
 installed is listed as such (`make interop` installs them).
 """
 
@@ -154,6 +154,23 @@ def checked_and_hosted(folder: Path, host: Path | None, fmus: Mapping[tuple[str,
         print(f"| {name} | {flavour}, FMI {version} | {' | '.join(cells)} |", flush=True)
 
 
+def errors() -> None:
+    print("\n| model | error at steps of 1 ms | 10 ms | 1 s | against |\n|---|---|---|---|---|")
+    for name, case in CASES.items():
+        cells, model = [], case.model()
+        for step in SPEEDS:
+            simulation, n = Simulation(model), round(4.0 / step)
+            simulation.start(case.inputs(0.0))
+            rows = [simulation.advance(case.inputs(k * step), step) for k in range(n)]
+            every = max(1, n // 40)
+            times = (1.0 + np.arange(n)[every - 1 :: every]) * step
+            right = case.solution(times)
+            shown = {output: np.array([row[output] for row in rows[every - 1 :: every]]) for output in right}
+            cells.append(f"{max(np.abs(shown[y] - right[y]).max() / np.abs(right[y]).max() for y in right):.0e}")
+        how = case.solution.__doc__.splitlines()[0]
+        print(f"| {name} | {' | '.join(cells)} | {how} |", flush=True)
+
+
 def microseconds(host: Path, path: Path, step: float, steps: int, python: bool) -> float:
     """The least time of a step in the C host, of some repeats."""
     with contextlib.closing(Fmu(path)) as fmu:
@@ -202,6 +219,7 @@ def main() -> None:
         except CompilerMissing:
             host = None
         checked_and_hosted(folder, host, fmus)
+        errors()
         beside_pythonfmu(folder, host, fmus)
     print(f"\nfmpy {fmpy.__version__}; the Python flavour has no FMI 3.0: pythonfmu's binary has none")
 
