@@ -15,7 +15,7 @@ from vpp_fmu.app.api import diagnose as command
 from vpp_fmu.app.cli import main
 from vpp_fmu.app.report.pages.fleet import Entry, FleetResult, ThrustMap, compared
 
-FEW = ["--effects", "pitch_command_deadband"]
+FEW = ["--effects", "pitch_command_deadband", "--budget", "0"]
 
 
 @pytest.fixture(scope="module")
