@@ -15,17 +15,18 @@ from vpp_fmu.app.api import diagnose as command
 from vpp_fmu.app.cli import main
 from vpp_fmu.app.report.pages.fleet import Entry, FleetResult, ThrustMap, compared
 
-FEW = ["--effects", "pitch_command_deadband"]
+FEW = ["--effects", "pitch_command_deadband", "--budget", "0"]
 
 
 @pytest.fixture(scope="module")
-def campaigns(short_campaign, tmp_path_factory):
+def campaigns(tmp_path_factory):
     """Folders of campaigns: one with a dead band, one without a hidden effect, one empty."""
-    folder = tmp_path_factory.mktemp("fleet")
-    case = draw(11, "none", **SHORT_CAMPAIGN)
-    save(case.measured(), case.rig.size, folder / "2026-03-08")
+    folder, like = tmp_path_factory.mktemp("fleet"), SHORT_CAMPAIGN | {"steps": False, "static": False}
+    for name, *case in (("2026-03-01", "single", (), FEW[1:2]), ("2026-03-08", "none")):
+        made = draw(11, *case, **like)
+        save(made.measured(), made.rig.size, folder / name)
     (folder / "empty").mkdir()
-    return [str(short_campaign), str(folder / "2026-03-08"), str(folder / "empty")]
+    return [str(folder / name) for name in ("2026-03-01", "2026-03-08", "empty")]
 
 
 @pytest.fixture(scope="module")

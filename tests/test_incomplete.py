@@ -296,7 +296,7 @@ def test_a_campaign_without_information_is_refused_in_one_line(name, tmp_path, r
 
 @pytest.mark.parametrize("name", ["one move", "no move", "record of 2 s"])
 def test_a_diagnosis_has_its_verdict(name, tmp_path):
-    words = folder_of(*CASES[name], tmp_path / "campaign"), "--effects", "pitch_delay,sensor_drift"
+    words = folder_of(*CASES[name], tmp_path / "campaign"), "--effects", "pitch_delay,sensor_drift", "--budget", "0"
     assert done(tmp_path / "out", "diagnose", *words)["diagnosis.json"]["verdict"] in (
         "none",
         "unexplained",
