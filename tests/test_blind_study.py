@@ -14,14 +14,14 @@ SOME = tuple(e for e in LIBRARY if e.off is None or e.name in SHORT)
 LIKE = {"noise": "white", "level": 1.0, "strength": 1.0, "locked": True} | WHOLE
 
 
-def studied(kind, *hidden, size="paper", rate=100, seconds=40.0, **like):
+def studied(kind, *hidden, size="paper", rate=100, seconds=20.0, **like):
     """The outcome of a case of full size, with all files except those in `like`."""
     case = draw(0, kind, SHORT, hidden, size=size, rate=rate, seconds=seconds, **(LIKE | like))
     return outcome(case, library=SOME)
 
 
 def test_nothing_is_named_where_nothing_is_hidden():
-    found = studied("none", seconds=20.0)
+    found = studied("none")
     assert found["verdict"] == "none"
     assert not scores.found(found)
 

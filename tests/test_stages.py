@@ -156,7 +156,7 @@ def test_with_another_logger_a_search_is_needed_only_if_it_may_find_a_simpler_se
 
 
 def test_with_another_logger_the_effects_are_fitted_to_its_records_without_a_search(monkeypatch):
-    """The second logger, beside the effect found, has commands half a row later. A fault of the thrust leaves the speed alone."""
+    """The second logger, beside the effect, has commands half a row later. A fault of the thrust leaves the speed alone."""
     searches, second, stage, as_logged = [], [], stages._stage, diagnosing.as_logged
 
     def counted(*arguments):
