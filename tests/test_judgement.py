@@ -526,7 +526,7 @@ def test_names_that_stand_in_for_something_else_are_dropped(monkeypatch, beaten,
         return SimpleNamespace(stages=stages, less=less, at=SimpleNamespace(rig=SimpleNamespace(scales=None)))
 
     term = SimpleNamespace(fit=None, lead=SimpleNamespace(port="thrust"))
-    monkeypatch.setattr(diagnose, "without", lambda searcher, base, fit, name: name)
+    monkeypatch.setattr(diagnose, "without", lambda searcher, base, fit, name: fit.effects[fit.effects.index(name)])
     monkeypatch.setattr(diagnose, "better_than", lambda judge, name, *_: term if name in beaten else None)
     monkeypatch.setattr(diagnose, "remains_beside", lambda term, searcher, name, fit: name in needed)
     monkeypatch.setattr(diagnose, "evidence_over", lambda term, other: by)
