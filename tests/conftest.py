@@ -39,7 +39,7 @@ LONGEST_FIRST = (
 """Groups that take longest. They start first, so that none of them is still running when all others are done."""
 
 IN_VIRTUAL_TIME = (
-    *("test_day", "test_hil_campaign", "test_physics", "test_physics_hidden", "test_physics_speed"),
+    *("test_day", "test_hil_campaign", "test_physics", "test_physics_fmu", "test_physics_hidden", "test_physics_speed"),
     *("test_plausibility", "test_polarity"),
 )
 """Files of the rig whose clock is simulated."""

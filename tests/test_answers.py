@@ -264,7 +264,7 @@ def test_each_verb_ends_with_a_next_command_that_reads_its_files(said, name, mon
     assert all(Path(word).exists() for word in read)
 
 
-FOLLOWED = ("simulate", "tune", "demo", "plan", "allocate", "import-csv", "hil-calibrate")
+FOLLOWED = ("check, template", "simulate", "tune", "demo", "plan", "allocate", "import-csv", "hil-calibrate")
 
 
 @pytest.mark.parametrize("name", FOLLOWED)

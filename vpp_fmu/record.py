@@ -36,8 +36,9 @@ MOST_POINTS = 2_000_000
 """Communication points of a closed loop, 8000 s in steps of 4 ms: a run then takes about 1 GB of memory."""
 
 
-class Held(dict):
-    """Columns by name, each (n,), and the `steps` of their rows; nobody changes them. `memo`: their arrays for each model."""
+class FixedInputs(dict):
+    """Inputs of a simulation by name, (n,) each, and the `steps` of their rows, which nobody changes. `memo`: what models take
+    of them, as one array each."""
 
     def __init__(self, columns: Mapping[str, np.ndarray], steps: np.ndarray):
         super().__init__(columns)
@@ -93,10 +94,10 @@ class Record:
     @cached_property
     def run(self) -> tuple[Mapping[str, np.ndarray], np.ndarray, float]:
         """(columns, steps, late): the inputs of a simulation of these rows. Empty cells of the voltage are interpolated."""
-        volts, held = self.columns.get(VOLTAGE.name), Held(self.columns, self.steps)
+        volts, inputs = self.columns.get(VOLTAGE.name), FixedInputs(self.columns, self.steps)
         if volts is not None and not (seen := np.isfinite(volts)).all() and seen.any():
-            held[VOLTAGE.name] = np.interp(self.time, self.time[seen], volts[seen])
-        return held, self.steps, self.late
+            inputs[VOLTAGE.name] = np.interp(self.time, self.time[seen], volts[seen])
+        return inputs, self.steps, self.late
 
     def commands_later(self, rows: float) -> "Record":
         """The record with commands that act `rows` rows later (negative: earlier), beside the same readings.

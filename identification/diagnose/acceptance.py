@@ -56,7 +56,7 @@ class Judge:
         """Judge one effect of a set."""
         gains, by_forms = self.likelihood_gain(with_it, without)
         likelihood_gain, more = sum(gains.values()), max(1, len(with_it.free) - len(without.free))
-        evidence = self.evidence(with_it, without, likelihood_gain)
+        evidence = counting(likelihood_gain, with_it, without)
         needed = chance_threshold(more, self.searcher.points) + by_forms
         gain = self.held_out(with_it).gain(self.held_out(without))
         declared = next(e for e in with_it.problem.model.effects if e.name == effect)
@@ -67,11 +67,9 @@ class Judge:
         found = Judgement(effect, float(likelihood_gain), needed, float(evidence), gain, size, least, material)
         return replace(found, refused=tuple(refused), small=small, speed=speed)
 
-    def evidence(self, with_it: Fit, without: Fit, likelihood_gain: float | None = None) -> float:
-        """Penalised log-likelihood ratio of two fits, of which only the `likelihood_gain` counts; None: it is computed."""
-        if likelihood_gain is None:
-            likelihood_gain = sum(self.likelihood_gain(with_it, without)[0].values())
-        return evidence_over(with_it, without) - (0.5 * (without.deviance - with_it.deviance) - likelihood_gain)
+    def evidence(self, with_it: Fit, without: Fit) -> float:
+        """Penalised log-likelihood ratio of two fits, of which only the `likelihood_gain` counts."""
+        return counting(sum(self.likelihood_gain(with_it, without)[0].values()), with_it, without)
 
     def likelihood_gain(self, with_it: Fit, without: Fit) -> tuple[dict[str, float], float]:
         """(log-likelihood gain of an effect by channel; the part of it that errors in the forms of the others may cause). The
@@ -152,6 +150,11 @@ class Judge:
             floor = max(e.noise.floor for e in self.searcher.experiments)
             return rms(rows), float(np.sqrt(common)) * floor, turned, rms(rows) ** 2 >= common * floor**2
         return size, least, turned, size >= least or turned >= self.least_speed()
+
+
+def counting(likelihood_gain: float, with_it: Fit, without: Fit) -> float:
+    """Penalised log-likelihood ratio of two fits, with this gain in the place of their own."""
+    return evidence_over(with_it, without) - 0.5 * (without.deviance - with_it.deviance) + likelihood_gain
 
 
 def gain_beside_flicker(without: Fit, with_it: Fit) -> float:

@@ -145,9 +145,8 @@ def worse_than_noise(unseen: Unseen, known: Fit, noise: Noise, final: Fit, least
     What the standard errors of its parameters allow is no error of the model: it is compared at their most likely shift. The
     level and the trend of an error are not compared: the zero of a cell differs from record to record, and drifts."""
     record, step = unseen.record, max(noise.block, unseen.record.period)
-    rows = _error_and_shifts(final, record)
-    means = blocks(record, noise.block)
-    white = np.array([noise.colour.whiten(means.mean(each)) for each in rows])
+    thrusts, block = _error_and_shifts(final, record), blocks(record, noise.block)
+    white = np.array([noise.colour.whiten(block.mean(each)) for each in thrusts])
     white = detrend(white[:, np.isfinite(white[0])])
     spectra, frequency = np.fft.rfft(white) / np.sqrt(white.shape[1]), np.fft.rfftfreq(white.shape[1], step)
     usual, noises = _noise_of(known, step), []
@@ -165,7 +164,7 @@ def worse_than_noise(unseen: Unseen, known: Fit, noise: Noise, final: Fit, least
         own, count = float(np.mean(power[inside])), int(inside.sum())
         tests.append(float(f_distribution.sf(own / level, 2 * count, degrees)))
         excess += count * max(own - level, 0.0) if tests[-1] < ALPHA_BASE else 0.0
-    slow = blocks(record, 0.5 / SLOW).mean(shift @ rows)
+    slow = blocks(record, 0.5 / SLOW).mean(shift @ thrusts)
     size = float(np.sqrt(np.var(detrend(slow[np.isfinite(slow)])) * excess / whole)) if whole else 0.0
     if size <= least or -np.expm1(len(tests) * np.log1p(-min(tests, default=1.0))) >= ALPHA_BASE:
         return ""

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from hil.emulator.faults import OUTSIDE, WITHIN, sends
+from tests.hil.disk import full
 from tests.hil.injection import (
     STUCK_AFTER,
     Injected,
@@ -76,6 +77,8 @@ class Row:
     load: bool = False
     relay: bool = False
     """Watch the relay in the ESC's supply, because no process is left to write a pulse."""
+    alone: Callable[[], "Outcome"] | None = None
+    """Runs the row in place of the closed loop."""
 
     def __post_init__(self):
         if self.name in WITHIN:
@@ -94,6 +97,17 @@ class Outcome:
     wrong: str
 
 
+def disk_full(phase: str, name: str, must: str) -> Row:
+    """A row for a command on a disk that is full from a phase on."""
+
+    def alone() -> Outcome:
+        became = full(phase)
+        idle = "nothing opened" if became.pulse is None else f"pulse {int(became.pulse) / 1000:g} us at the end"
+        return Outcome(f"{became.said}; {became.kept}; {idle}", f"exit {became.code}", None, became.wrong)
+
+    return Row(name, must, nothing, within=None, alone=alone)
+
+
 def goes_on(name: str, must: str, inject=None, **more) -> Row:
     return Row(name, must, inject, "safe", "", None, **more)
 
@@ -103,7 +117,11 @@ def wrong_sign(of: str, device: str) -> Row:
     return Row(f"wrong sign of the {of}", "ends at low speed", nothing, "fault", cause, 0.0, {"wrong": of})
 
 
-STUCK = {"seconds": 30, "swing": True, "physics": {"hidden": ["rod_stuck"], "parameters": {"rod_stuck.after": STUCK_AFTER}}}
+STUCK = {
+    "seconds": 30,
+    "swing": True,
+    "physics": {"hidden": ["rod_stuck"], "parameters": {"rod_stuck.after": STUCK_AFTER}},
+}
 FAST = {"limits": {"omega_max": 5500.0, "omega_trip": 5501.0}, "sabotage": "flat out"}
 """The trip speed is one rpm above the limit, closer than the speed loop can hold it."""
 
@@ -151,6 +169,11 @@ ROWS = (
     goes_on("supervisor: SIGINT", "nothing"),
     goes_on("supervisor: SIGTERM", "nothing"),
     Row("disk full: filled by others", "waits 1 s, ramps down", fills, cause="log: log lost", within=WAITS + RAMP, task=SMALL),
+    disk_full("small", "disk full: too small for the run", "nothing turns, one line"),
+    disk_full("start", "disk full: before the start", "nothing turns, one line"),
+    disk_full("run", "disk full: in a run", "ramps down, says why everywhere"),
+    disk_full("end", "disk full: at the end", "idle, all files"),
+    disk_full("campaign", "disk full: in a campaign", "idle, one line, goes on by --resume"),
     goes_on("clock set back by 1 h", "nothing"),
     Row("killed together", "the board opens the relay", state="gone", **RELAY),
     Row("killed together, under load", "the board opens the relay", OUTSIDE["killed together"], "gone", load=True, **RELAY),
@@ -176,6 +199,8 @@ ROWS = (
 
 def tried(row: Row) -> Outcome:
     """Inject a row's fault and judge the outcome."""
+    if row.alone:
+        return row.alone()
     for _ in range(TRIES):
         outcome = once(row)
         if isinstance(outcome, Outcome):

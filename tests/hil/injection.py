@@ -35,7 +35,11 @@ class Injected(Target):
 
 def fills(rig: Injected) -> None:
     """Another program fills the disk of the log."""
-    folder = Path(f"/proc/{rig.pid}/root{rig.folder}")
+    fill(Path(f"/proc/{rig.pid}/root{rig.folder}"))
+
+
+def fill(folder: Path) -> None:
+    """Write to a file `filler` until the disk is full."""
     with contextlib.suppress(OSError), open(folder / "filler", "ab", buffering=0) as file:
         while True:
             file.write(bytes(4096))
@@ -149,15 +153,6 @@ def until_open(rig: Injected, inject: Callable[[Injected], None]) -> Watched | N
     took, still = time.monotonic() - began, shown["relay"]
     shown.close()
     return None if still else Watched(1e3 * took, 0.0)
-
-
-def esc_of(pid: int) -> int | None:
-    """The file of the ESC's pulse that a process has open, opened for reading."""
-    with contextlib.suppress(OSError):
-        for link in Path(f"/proc/{pid}/fd").iterdir():
-            if os.readlink(link).endswith("pwm0/duty_cycle"):
-                return os.open(link, os.O_RDONLY)
-    return None
 
 
 def left_behind(folder: Path) -> str:

@@ -43,7 +43,11 @@ def ended(out):
 
 @pytest.mark.parametrize(
     ("how", "code", "cause", "words"),
-    [("hangs", -signal.SIGKILL, "is killed", ()), ("errs", 2, "controller: failed", ("--virtual",))],
+    [
+        ("hangs", -signal.SIGKILL, "is killed", ()),
+        ("crashes", -signal.SIGSEGV, "the loop is ", ()),
+        ("errs", 2, "controller: failed", ("--virtual",)),
+    ],
 )
 def test_an_fmu_that_fails_during_a_run_leaves_a_rig_at_idle_and_all_files(tmp_path, how, code, cause, words):
     process = begun(tmp_path, 4.0, "--controller", str(stubborn(tmp_path, how, 200)), *words)

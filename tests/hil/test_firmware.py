@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from hil.devices.clock import MonotonicClock
 from hil.devices.frames import (
     ANSWER,
     ARM,
@@ -29,6 +30,7 @@ from hil.devices.frames import (
     read_answer,
     read_hello,
 )
+from hil.devices.tachometer import Tachometer
 from hil.emulator.uno import REJECT, SILENCE, STALL, Relay, Rotor
 from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.native.compiler import compiled
@@ -221,7 +223,7 @@ def simulator(tmp_path_factory):
     """simavr with the board's pins."""
     compiler = shutil.which("cc") or pytest.skip("no C compiler for simavr's host")
     binary = tmp_path_factory.mktemp("simavr") / "simavr_host"
-    command = [compiler, "-O2", str(HERE / "simavr_host.c"), "-o", str(binary), "-lsimavr", "-lelf"]
+    command = [compiler, "-O2", str(HERE / "simavr_host.c"), "-o", str(binary), "-lsimavr", "-lelf", "-lutil"]
     if subprocess.run(command, capture_output=True, check=False).returncode:
         pytest.skip("no simavr to build with (packages libsimavr-dev, libelf-dev)")
     return binary
@@ -257,7 +259,7 @@ def run_script(simulator, firmware, events, end):
             lines += [(at, f"byte {at} {byte}") for at, byte in spaced]
     lines.sort()
     script = "\n".join([*(line for _, line in lines), f"end {round(end * HZ)}\n"])
-    return subprocess.run([simulator, firmware], input=script, capture_output=True, text=True, check=True).stdout
+    return subprocess.run([simulator, firmware, "script"], input=script, capture_output=True, text=True, check=True).stdout
 
 
 def asked(times):
@@ -318,6 +320,22 @@ class TestSimulated:
         stamps = [read_answer(frame).stamp for _, frame in said[1:]]
         assert stamps == pytest.approx([(t - zero) * HZ / CYCLES for t in passes], abs=3)
 
+    def test_damaged_requests_get_no_answer_and_cost_no_other_one(self, simulator, firmware):
+        chance, events, good = random.Random(4), [], []
+        for k in range(200):
+            data = bytearray(encoded(Frame(ASK_ANSWER, k)))
+            if chance.random() < 0.5:
+                data[chance.randrange(6)] ^= 1 << chance.randrange(8)
+            else:
+                good.append(k)
+            events.append((0.003 + 0.004 * k, bytes(data)))
+            events.append((0.0045 + 0.004 * k, chance.randbytes(3)))
+        said, dropped = simulated(simulator, firmware, [*events, (0.9, bytes(12))], 1.0)
+        answered = [frame.sequence for _, frame in said[1:]]
+        assert dropped == 0
+        assert set(good) - set(answered) == set()
+        assert len(answered) == len(good)
+
     def test_the_relays_pin_follows_the_word_and_opens_100_ms_after_the_last_request(self, simulator, firmware):
         arm = encoded(Frame(ARM, 0, WORD))
         requests = asked([0.02 + 0.004 * k for k in range(50)])
@@ -339,6 +357,24 @@ class TestSimulated:
             events.append((0.003 + 0.004 * k, bytes(data)))
         events.append((0.9, encoded(Frame(ARM, 1, b"SPIM"))))
         assert all(level == 0 for _, level in switched(simulator, firmware, events, 1.0))
+
+    def test_the_real_driver_over_a_pty(self, simulator, firmware):
+        """pyserial, the frames and the firmware in real time; the mark passes every 15 ms."""
+        command = [simulator, firmware, "pty", "15000"]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            clock, answers = MonotonicClock(), []
+            tachometer = Tachometer(process.stdout.readline().strip(), clock, timeout=5.0)
+            assert tachometer.hello() == (2, 4, REJECT, STALL)
+            for _ in range(150):
+                tachometer.request()
+                clock.wait_until(clock.now() + 0.004)
+                answers.append(tachometer.poll())
+            tachometer.close()
+            assert process.wait(20) == 0
+        good = [a for a in answers if a is not None]
+        assert len(good) > 15  # nearly all, unless the machine is busy
+        assert good[-1].omega == pytest.approx(4000.0, rel=2e-3)
+        assert tachometer.counters["damaged"] == 0
 
 
 def test_the_arduino_core_builds_it_too(avr, tmp_path):

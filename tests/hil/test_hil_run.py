@@ -35,6 +35,10 @@ def done(tmp_path_factory):
     return run_on_rig(setup(), KernelController(), step_profile(), tmp_path_factory.mktemp("run"))
 
 
+def on_the_model(**profile):
+    return run_loop(LimitedPlant(KernelPlant(), LIMITS), KernelController(), step_profile(**profile), idle(PAPERS))
+
+
 def test_the_papers_controller_settles_the_papers_step_on_the_rig(done):
     up, down = judged_steps(done.record, {})
     assert (up.before, up.after) == (1.5, 12.0)
@@ -65,17 +69,36 @@ def test_nothing_is_lost_from_the_log(done):
     assert tuple(done.log.columns) == ("time", *(c.name for c in COLUMNS if c.name not in ("time", "state")), "state")
 
 
+def columns_of(path):
+    return np.genfromtxt(path, delimiter=",", names=True)
+
+
+def test_a_run_that_a_fault_ends_keeps_what_was_measured(tmp_path):
+    class Broken(KernelController):
+        def step(self, thrust_set, thrust):
+            self.steps = getattr(self, "steps", 0) + 1
+            return (np.nan, 0.0) if self.steps == 700 else super().step(thrust_set, thrust)
+
+    found = run_on_rig(setup(), Broken(), step_profile(), tmp_path)
+    assert "not a number" in found.ended
+    assert len(found.record) == 699
+    assert found.log["state"][-1] in ("ramp down", "fault")
+    assert found.log["throttle"][-1] < 0.01
+    facts = found.session.summary()
+    assert [t["state"] for t in facts["transitions"]][-2:] == ["ramp down", "fault"]
+
+
 def twinned(emulated, steady, folder, on_alarm=None):
-    """A run of 4.5 s beside the paper's model, whose band has the `steady` error [N]."""
+    """A run of 9 s beside the paper's model, whose band has the `steady` error [N]."""
     twin = Twin(twin_of(ParameterSet(plant()), Band(0.12, 0.047, 0.13, steady)), on_alarm=on_alarm)
-    return run_on_rig(setup(emulated), KernelController(), step_profile(4.0, 8.0, hold=1.5), folder, twin=twin)
+    return run_on_rig(setup(emulated), KernelController(), step_profile(4.0, 8.0, hold=3.0), folder, twin=twin)
 
 
 def test_a_twin_has_no_alarm_on_its_own_rig(tmp_path):
     run = twinned(Emulated(seed=1), 0.12, tmp_path)
     assert not run.log["alarm"].any()
     residual = run.log["residual"][np.isfinite(run.log["residual"])]
-    assert len(residual) == len(run.record) == round(4.5 / 0.004)
+    assert len(residual) == len(run.record) == round(9.0 / 0.004)
 
 
 @pytest.mark.parametrize(("what", "state"), [("note", "safe"), ("ramp", "fault"), ("idle", "fault")])
@@ -120,9 +143,7 @@ def test_the_command_writes_run_facts_and_report(tmp_path, profile, printed, fmu
 def test_the_plant_fmu_takes_the_rigs_place_by_one_option(tmp_path, profile, fmu_files):
     out = tmp_path / "out"
     assert main(["hil", "run", "--rig", "fmu", str(fmu_files["plain"]), "--profile", str(profile), "-o", str(out)]) == 0
-    on_the_model = run_loop(LimitedPlant(KernelPlant(), LIMITS), KernelController(), step_profile(hold=1.0), idle(PAPERS))
-    columns = np.genfromtxt(out / "run.csv", delimiter=",", names=True)
-    np.testing.assert_array_equal(columns["thrust"], on_the_model["thrust"])
+    np.testing.assert_array_equal(columns_of(out / "run.csv")["thrust"], on_the_model(hold=1.0)["thrust"])
     assert json.loads((out / "hil.json").read_text())["rig"] == "fmu"
 
 

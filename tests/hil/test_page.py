@@ -24,8 +24,8 @@ from hil.page.operator_page import OperatorPage
 from hil.safety.faults import FaultKind
 from hil.safety.stop import StopSignals
 from tests.browser import browser
+from tests.hil.disk import esc_of
 from tests.hil.faults import CUT, RAMP
-from tests.hil.injection import esc_of
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.parameters import ParameterSet
 

@@ -1,14 +1,17 @@
 import math
 import os
 import random
+import threading
+import time
 
 import pytest
 import serial
+from rigs import within
 
-from hil.devices.clock import VirtualClock
+from hil.devices.clock import MonotonicClock, VirtualClock
 from hil.devices.frames import ANSWER, HELLO, Answer, Frame, Hello, encoded
 from hil.devices.tachometer import BAUD, Tachometer
-from hil.emulator.serial_line import MemoryLine
+from hil.emulator.serial_line import MemoryLine, PtyLine
 from hil.emulator.uno import Uno
 from hil.safety.faults import DeviceFault, FaultKind
 
@@ -238,6 +241,39 @@ def test_an_adapter_that_drops_out_is_reported(moment):
     with pytest.raises(DeviceFault, match=r"tachometer: not ready: port .*: found ") as failed:
         Tachometer(opened, clock).hello()
     assert failed.value.kind is FaultKind.NOT_READY
+
+
+@pytest.fixture
+def terminal(tmp_path):
+    """A real pty, served in a thread as the emulated rig's process does."""
+    line = PtyLine(Uno(marks(0.015), boot=0.05), tmp_path / "line", tmp_path / "tty")
+    ended = threading.Event()
+
+    def serve():
+        while not ended.is_set():
+            line.serve(time.monotonic())
+            time.sleep(0.0005)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    yield line, str(tmp_path / "tty")
+    ended.set()
+    thread.join()
+    line.close()
+
+
+def test_opening_the_pty_again_resets_the_board(terminal):
+    line, path = terminal
+    for _ in range(2):
+        opened = time.monotonic()
+        tachometer = Tachometer(path, MonotonicClock(), timeout=10.0)
+        tachometer.hello()
+        time.sleep(0.1)
+        tachometer.request()
+        pulses = within(5.0, tachometer.poll).pulses
+        assert 3 < pulses <= (time.monotonic() - opened) / 0.015 + 1  # none from before it was opened
+        tachometer.close()
+        within(5.0, lambda: not line._open)
 
 
 def test_a_line_full_of_garbage_costs_a_tick_no_more_than_512_bytes(loop):

@@ -16,7 +16,7 @@ from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.kernel.schedule import FULL, NUDGE, DelayFull, DelayLine, next_sample, run_held, run_sampled
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native.compiler import compiled, compiled_as
-from vpp_fmu.record import Held
+from vpp_fmu.record import FixedInputs
 from vpp_fmu.tracer import LANES, Program, c_lanes, c_source, python_source, trace
 
 PIECE = 4096
@@ -103,7 +103,7 @@ class Simulator:
     def _prepared(self, parameters, inputs, steps):
         """Parameters, inputs (rows, inputs) and steps, contiguous, in the model's order."""
         values = np.array(list(self.model.values(parameters).values()))
-        known = inputs.memo if isinstance(inputs, Held) and inputs.steps is steps else {}
+        known = inputs.memo if isinstance(inputs, FixedInputs) and inputs.steps is steps else {}
         key = (self._inputs, *self.model.measured_inputs.values())
         if key not in known:
             known[key] = self._stacked(inputs, steps)
