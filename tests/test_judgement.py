@@ -576,6 +576,7 @@ def unseen_beside(monkeypatch, more, zero=0.0, shift=0.0):
         (0.0, 0.0, False),
         (0.04, 0.0, True),
         (0.04, 0.5, False),  # two standard errors of a parameter
+        (0.04, 0.1, True),  # ten
         (0.04, 0.01, True),  # a hundred
     ],
 )

@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 from scipy.signal import detrend
+from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
 from identification.assessment.prediction import predict
@@ -182,12 +183,14 @@ def _error_and_shifts(fit: Fit, record: Record) -> np.ndarray:
 
 
 def _most_likely_shift(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """(1 + n,) the most likely shares of an error, 1, and of n shifts, each from a normal distribution. `parts`: ordinates
-    (1 + n, k) of their spectra, over the root of the noise power."""
+    """(1 + n,) the share of an error, 1, and the most likely numbers of standard errors of n shifts, which have standard normal
+    distributions; 0 if they are too large for that (chi^2 test, ALPHA_BASE). `parts`: ordinates (1 + n, k) of their spectra,
+    over the root of the noise power."""
     ordinates = np.sqrt(2.0) * np.hstack(parts)
     error, *shifts = np.hstack([ordinates.real, ordinates.imag])
     moved = np.array(shifts).reshape(-1, len(error))
-    return np.append(1.0, -np.linalg.solve(np.eye(len(moved)) + moved @ moved.T, moved @ error))
+    shift = -np.linalg.solve(np.eye(len(moved)) + moved @ moved.T, moved @ error)
+    return np.append(1.0, shift * (chi2.sf(shift @ shift, len(shift)) > ALPHA_BASE))
 
 
 def _noise_of(fit: Fit, step: float) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
