@@ -11,8 +11,8 @@ from scipy.stats import chi2, kstest
 from studies.synthetic import TRUTH, commands
 
 from identification.demo import example_folder
+from identification.diagnose import diagnose as diagnosis
 from identification.diagnose.crossval import contiguous_folds
-from identification.diagnose.diagnose import diagnose
 from identification.diagnose.judgement import ALPHA
 from identification.diagnose.learned.columns import Course, hats, holds, lagged, plays, relay
 from identification.diagnose.learned.description import FILE, sentence, source
@@ -20,6 +20,7 @@ from identification.diagnose.learned.learn import by_chance
 from identification.diagnose.learned.refit import Term, effect_of
 from identification.diagnose.learned.score import Scores
 from identification.diagnose.learned.screening import screened
+from identification.logger import Logger
 from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult
 from vpp_fmu.app.report.summary import summary, write_diagnosis
 from vpp_fmu.campaign import Campaign
@@ -48,7 +49,7 @@ def with_term(gain):
 def campaign(gain, seed=0) -> Campaign:
     """Records of the paper's model with that term, a repeat and a validation record; no steps, no static map."""
     rng, (model, term) = np.random.default_rng(seed), with_term(gain)
-    first, other = commands(rng, 16.0), commands(rng, 8.0)
+    first, other = commands(rng, 12.0, 0.01), commands(rng, 8.0, 0.01)
     simulator, found = Simulator(model), []
     for record, name in ((first, "open_loop"), (first, "repeat"), (other, "validation")):
         thrust = simulator.simulate({**model.values(TRUTH), **term}, *record.run)[:, 0]
@@ -60,14 +61,23 @@ def campaign(gain, seed=0) -> Campaign:
 
 @pytest.fixture(scope="module")
 def found():
-    """The diagnosis of a rig with a term that its library does not have."""
-    return diagnose(campaign(GAIN), FEW)
+    """The diagnosis of a rig with a term that its library does not have. It hastens the thrust: beside the base model alone,
+    the logger is taken to be a row early."""
+    early, real, calls = Logger(rows=-1.0, std=0.1, period=0.01), diagnosis.as_logged, []
+
+    def as_logged(gate, *rest, **more):
+        calls.append(rest)
+        return replace(gate.changed(early.applied), logger=early) if len(calls) == 1 else real(gate, *rest, **more)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(diagnosis, "as_logged", as_logged)
+        return diagnosis.diagnose(campaign(GAIN), FEW)
 
 
 @pytest.fixture(scope="module")
 def nothing():
     """The diagnosis of a rig that equals the model."""
-    return diagnose(campaign(0.0), FEW)
+    return diagnosis.diagnose(campaign(0.0), FEW)
 
 
 def test_hats_add_up_to_one_and_make_the_curve():
@@ -149,6 +159,7 @@ def test_a_missing_term_is_learned_and_added_to_the_model(found):
     assert found.verdict == "learned"
     term = found.learned.term
     assert (term.lead.port, term.lead.driver) == ("thrust", "pitch_rate")
+    assert found.logger.rows == 0.0
     (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
     assert (before**2 - after**2) / (before**2 - NOISE**2) > 0.9
     assert not found.after.significant
@@ -237,7 +248,7 @@ EFFECT = learned("camber", PORT, "pitch_rate", "line", {"gain": 0.05}, (-60.0, 6
 
 def test_a_file_adds_its_effect_to_the_candidates(tmp_path):
     (tmp_path / "camber.py").write_text(OWN)
-    found = diagnose(campaign(GAIN), library_with([tmp_path / "camber.py"], FEW), thorough=False)
+    found = diagnosis.diagnose(campaign(GAIN), library_with([tmp_path / "camber.py"], FEW), thorough=False)
     assert (found.verdict, found.final.effects) == ("attributed", ("camber",))
     assert found.final.values["camber.gain"] == pytest.approx(GAIN, rel=0.1)
 

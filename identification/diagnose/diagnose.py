@@ -235,6 +235,8 @@ def diagnose(
         found = _searched(task, as_logged(gate, *present, each=pool.map))
         found = _with_logger_beside(task, gate, present[0] if present else (), found)
         done = _concluded(task, found)
+        if done.learned and found.logger.rows:
+            done = _with_logger_beside_term(task, gate, present[0] if present else (), done)
         return replace(done, not_tried=tuple(effort.not_tried), power=_power(done))
 
 
@@ -253,6 +255,21 @@ def _with_logger_beside(task: "_Task", gate: Passed, kept: Iterable[str], found:
         if not again.logger.agrees_with(found.logger, errors):
             return _simpler(found, _searched(task, again, found.stages))
     return found
+
+
+def _with_logger_beside_term(task: "_Task", gate: Passed, kept: Iterable[str], done: Diagnosis) -> Diagnosis:
+    """The diagnosis, or the one with the logger that is estimated beside its learned term, if that predicts held-out data
+    better. Beside the base model, an offset of the logger may stand in for the term: one that follows the rate of the pitch
+    hastens the thrust, as an offset does."""
+    fit, effort = done.final, task.effort
+    beside = [n for n in fit.effects if n not in DELAYS]
+    if not effort.allows(f"another logger beside {' + '.join(beside)}"):
+        return done
+    effort.stage("logger")
+    again = as_logged(gate, [*kept, *beside], done.learned.term.library, fit.values, task.pool.map)
+    if again.logger.agrees_with(done.logger):
+        return done
+    return min(done, _concluded(task, _searched(task, again)), key=lambda d: d.held_out_after.rmse_thrust)
 
 
 def _power(found: Diagnosis) -> "PowerDiagnosis | None":

@@ -1,7 +1,8 @@
 """Replace a learned curve by a simple law: a line, a square, a hinge, a step, a limit or a sign.
 
 Each law is fitted to the curve by weighted least squares; the best few are refitted to the records. A law replaces the curve
-if its BIC is not larger.
+if its BIC is not larger. Of laws that the records do not distinguish, the one with the fewest parameters is taken: a limit that
+few moments reach extrapolates badly.
 """
 
 from collections.abc import Iterator
@@ -9,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from identification.diagnose.judgement import MIN_EVIDENCE
 from identification.diagnose.learned.refit import Term, refitted
 from identification.diagnose.learned.screening import Lead
 from identification.diagnose.search.fits import Fit, Searcher
@@ -55,8 +57,9 @@ def laws_of(searcher: Searcher, beside: Fit, curve: Term, scales: Scales, pool) 
     found = pool.map(lambda lead: refitted(searcher, beside, lead, curve.effect.name, scales, curve.fit), leads)
     terms = [t for t in found if t is not None]
     laws = tuple((t.lead.shape, evidence_over(t.fit, curve.fit)) for t in terms)
-    best = min(terms, key=lambda t: t.fit.bic(), default=curve)
-    return (best if evidence_over(best.fit, curve.fit) >= 0.0 else curve), laws
+    least = max(0.0, max((evidence for _, evidence in laws), default=0.0) - MIN_EVIDENCE)
+    near = [t for t, (_, evidence) in zip(terms, laws, strict=True) if evidence >= least]
+    return min(near, key=lambda t: (len(t.values), t.fit.bic()), default=curve), laws
 
 
 def nearest(curve: Term) -> list[Lead]:
