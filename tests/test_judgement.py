@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import chi2
 
 from identification.diagnose import acceptance, crossval, diagnose, selection, validation
-from identification.diagnose.crossval import HeldOut, cross_validated, error_increases, folds, p_no_decrease
+from identification.diagnose.crossval import HeldOut, by_thirds, cross_validated, error_increases, folds, p_no_decrease
 from identification.diagnose.effort import Effort
 from identification.diagnose.judgement import (
     ALPHA,
@@ -150,7 +150,7 @@ def test_held_out_data_refute_a_set_that_predicts_worse(monkeypatch, rms, more, 
         judge_of(dict(zip(names, rms, strict=True)), runs),
         judge_of({"present": rms[0], "final": more.get("third", rms[3])}),
     )
-    monkeypatch.setattr(validation, "cross_validated", lambda one, split: thirds.held_out(one))
+    monkeypatch.setattr(validation, "by_thirds", thirds.held_out)
     given = validation.Replacement(judge, *map(estimate, names), None, more.get("partly", False))
     assert validation.reason_against(given) == told
 
@@ -167,6 +167,24 @@ def test_cross_validation_is_that_of_refits_without_the_fold(monkeypatch):
         c, *_ = np.linalg.lstsq(jacobian[fold != k], measured[fold != k], rcond=None)
         expected += np.sum((measured[fold == k] - jacobian[fold == k] @ c) ** 2)
     assert held.squares["thrust"] == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_third_that_alone_tells_a_parameter_tests_the_model_with_its_value(monkeypatch):
+    """Two orthogonal parameters; almost only the last third tells the second, which keeps its value there."""
+    monkeypatch.setattr(crossval, "_errors", lambda fit, moves, split: ((), ()))
+    time = np.arange(0.0, 60.0, 0.1)
+    last = time >= 40.0
+    sizes = np.column_stack([np.ones(len(time)), 0.1 + 0.9 * last])
+    columns, noise = sizes * RNG.standard_normal(sizes.shape), RNG.standard_normal(len(time))
+    for part in (last, ~last):
+        one, other = columns[part].T
+        columns[part, 1] = other - one * (one @ other) / (one @ one)
+    residual = noise - columns @ np.linalg.lstsq(columns, noise, rcond=None)[0]
+    expected = 0.0
+    for out, known in ((time < 20.0, [0, 1]), ((time >= 20.0) & ~last, [0, 1]), (last, [0])):
+        c = np.linalg.lstsq(columns[~out][:, known], residual[~out], rcond=None)[0]
+        expected += np.sum((residual[out] - columns[out][:, known] @ c) ** 2)
+    assert by_thirds(fit_of(residual, columns, time)).squares["thrust"] == pytest.approx(expected, rel=1e-9)
 
 
 def test_every_row_is_in_one_fold_and_short_records_have_all_folds():

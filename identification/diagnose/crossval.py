@@ -24,6 +24,9 @@ FEWEST_BLOCKS = 2
 THRESHOLDS = 25
 """Number of values of a threshold in the average."""
 
+ESTIMABLE = 0.1
+"""Share of the information of all data about a direction that the other folds must have to refit it."""
+
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
@@ -63,8 +66,7 @@ def _block(time: np.ndarray, seconds: float) -> np.ndarray:
 
 
 def contiguous_folds(time: np.ndarray, seconds: float) -> np.ndarray:
-    """Fold (n,) of each time [s] if whole thirds of a record are left out: tests whether a model carries over to other
-    commands."""
+    """Fold (n,) of each time [s] if whole thirds of a record are left out."""
     return np.minimum((3.0 * time / seconds).astype(int), 2)
 
 
@@ -95,6 +97,12 @@ def cross_validated(
         moves = steps @ problem.coordinates.jacobian(fit.solution.value).T
     score = problem.score_of(held)
     return HeldOut(score.squares, score.counts, *_errors(fit, moves, split))
+
+
+def by_thirds(fit: Fit, moving: Callable[[str], bool] | None = None) -> HeldOut:
+    """Cross-validation with whole thirds of each record left out: whether a model carries over to other commands. A third that
+    alone tells a parameter (the only one in which the pitch moves) tests the model with its value."""
+    return cross_validated(fit, contiguous_folds, moving, ESTIMABLE)
 
 
 def _fold_of(fit: Fit, split: Callable[[np.ndarray, float], np.ndarray]) -> np.ndarray:

@@ -14,8 +14,7 @@ from identification.assessment.prediction import predict
 from identification.diagnose.acceptance import Judge
 from identification.diagnose.crossval import (
     HeldOut,
-    contiguous_folds,
-    cross_validated,
+    by_thirds,
     error_decreases,
     error_increases,
     held_out_gain,
@@ -260,7 +259,7 @@ class Replacement:
     @cached_property
     def thirds(self) -> tuple[HeldOut, HeldOut]:
         """The same with whole thirds of each record left out."""
-        return cross_validated(self.shipped, contiguous_folds), cross_validated(self.final, contiguous_folds)
+        return by_thirds(self.shipped), by_thirds(self.final)
 
     def pairs(self, was: HeldOut, now: HeldOut) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """(time [s], error before, error after) [N] of the thrust, by experiment."""

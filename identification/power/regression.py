@@ -13,9 +13,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from identification.diagnose.command_shapes import regress_out
-from identification.diagnose.crossval import folds, predicted, rms
+from identification.diagnose.crossval import ESTIMABLE, folds, predicted, rms
 from identification.diagnose.judgement import ACCURACY
-from identification.diagnose.learned.score import ESTIMABLE
 from identification.diagnose.score_test import ScoreTest, tested
 from identification.fit.noise import Blocks, Colour, colour_of
 from identification.fit.uncertainty import NORMAL_95

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.diagnose.acceptance import Judge
-from identification.diagnose.crossval import HeldOut, contiguous_folds, cross_validated, p_no_decrease
+from identification.diagnose.crossval import HeldOut, by_thirds, p_no_decrease
 from identification.diagnose.effort import Effort
 from identification.diagnose.judgement import (
     ALPHA,
@@ -25,7 +25,6 @@ from identification.diagnose.judgement import (
 )
 from identification.diagnose.learned.laws import laws_of
 from identification.diagnose.learned.refit import Term, refitted
-from identification.diagnose.learned.score import ESTIMABLE
 from identification.diagnose.learned.screening import Lead, forms_of, screened
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import evidence_over
@@ -191,7 +190,7 @@ class Carried(Judge):
         which may not identify the base: this favours the fit without a term.
         """
         if id(fit) not in self._by_thirds:
-            self._by_thirds[id(fit)] = fit, cross_validated(fit, contiguous_folds, _own, ESTIMABLE)
+            self._by_thirds[id(fit)] = fit, by_thirds(fit, _own)
         return self._by_thirds[id(fit)][1]
 
     def gain(self, fit: Fit, beside: Fit) -> float:

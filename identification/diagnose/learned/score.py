@@ -12,15 +12,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from identification.diagnose.crossval import contiguous_folds, informed_inverse
+from identification.diagnose.crossval import ESTIMABLE, contiguous_folds, informed_inverse
 from identification.diagnose.learned.columns import Course
 from identification.fit.linearised import Linearised
 
 DEPENDENT = 1e-3
 """Eigenvalue relative to the largest below which columns count as linearly dependent."""
-
-ESTIMABLE = 0.1
-"""Share of the information of all data about a direction that two thirds must have to estimate it."""
 
 
 @dataclass(frozen=True, eq=False)
