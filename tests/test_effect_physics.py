@@ -284,6 +284,17 @@ def test_voltage_scales_the_speed(share, voltage):
     assert omega == pytest.approx(4000.0 * (1.0 + share * (voltage / 24.0 - 1.0)), rel=1e-12)
 
 
+def test_no_motor_gains_more_speed_than_voltage():
+    """A motor whose torque balance is voltage = k speed + r speed^2 gains its largest share without load, r = 0: 1."""
+    declared = next(p for p in plant(["supply_voltage"]).parameters if p.name == "supply_voltage.share")
+    assert declared.maximum == 1.0
+    k, volts, step = 0.005, 24.0, 1e-6
+    for r in (0.0, 1e-7, 1e-6):
+        speeds = [np.roots([r, k, -v]).max() if r else v / k for v in (volts, volts * (1.0 + step))]
+        share = np.log(speeds[1] / speeds[0]) / np.log1p(step)
+        assert 0.0 < share < declared.maximum + 1e-6
+
+
 # --- Map and air -----------------------------------------------------------------------------------------------------------
 
 
