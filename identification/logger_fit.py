@@ -96,11 +96,12 @@ def as_logged(
     library: Iterable[Effect] = LIBRARY,
     values=None,
     each: Callable = map,
+    pinned: Iterable[str] = (),
 ) -> Passed:
     """The records that passed the gate, corrected for their logger and without run-ins.
 
-    The logger is estimated from the fitted records, beside `effects` of a `library` at `values`. Without records it has no
-    offset, and run-ins are not searched. `each`: as `map`, for fits that may run in parallel."""
+    The logger is estimated from the fitted records, beside `effects` of a `library` from `values`; `pinned` ones stay.
+    Without records it has no offset, and run-ins are not searched. `each`: as `map`, for fits that may run in parallel."""
     campaign, declared = gate.campaign, gate.campaign.rig.sensor
     if not any((campaign.open_loop, campaign.repeat, campaign.validation, *gate.further.values())):
         found = Logger(sensor=SpeedSensor(**declared) if "kind" in declared else SpeedSensor())
@@ -110,7 +111,7 @@ def as_logged(
     settled = gate.without_run_ins(lambda record: min(longest, QUARTER * float(record.time[-1])))
     for _ in range(ROUNDS):  # wrong lags may explain a run-in: the first fit excludes the start of each record
         groups, _ = roles(settled.campaign, settled.further)
-        of = _Estimate(groups, campaign.rig.scales, declared, effects, library, values)
+        of = _Estimate(groups, campaign.rig.scales, declared, effects, library, values, pinned)
         values = of.values
         before, settled = settled, gate.without_run_ins(of.run_in)
         if {(f.code, f.where) for f in settled.findings} == {(f.code, f.where) for f in before.findings}:
@@ -133,7 +134,7 @@ def mended(record: Record) -> tuple[Record, list[str]]:
 
 
 class _Estimate:
-    def __init__(self, groups: Sequence[Sequence[Fitted]], scales, declared, effects, library, values):
+    def __init__(self, groups: Sequence[Sequence[Fitted]], scales, declared, effects, library, values, pinned=()):
         effects = [e for e in effects if e not in DELAYS.values()]
         library = tuple(library)
         delays = (e for e in LIBRARY if e.name in DELAYS.values() and e.name not in {known.name for known in library})
@@ -144,6 +145,7 @@ class _Estimate:
         self._groups = [[Fitted(group[0].name, _split(_as_modelled(group[0].record)))] for group in groups]
         moves = {u: any(np.ptp(g[0].record[f"{u}_ref"]) > 0.0 for g in groups) for u in DELAYS}
         own = [e.full(p.name) for e in self._model.effects if e.name in effects for p in e.parameters if not p.choices]
+        own = [name for name in own if name not in pinned]
         self._delays = delays = [f"{name}.delay" for u, name in DELAYS.items() if moves[u]]
         lags = [f"tau_{u}_{k}" for u in DELAYS if moves[u] for k in (1, 2)]
         self._names = [n for n in FINE_TUNED if not n.startswith("tau_") or n in lags] + own + delays

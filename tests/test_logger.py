@@ -362,7 +362,12 @@ def test_the_logger_is_estimated_again_beside_the_effects_found(monkeypatch, off
 
     def searched(task, gate, known=()):
         final = SimpleNamespace(effects=("inflow_lag", "sensor_lag", "pitch_delay"), values={})
-        parts = {"final": final, "word": "attributed", "held_out_after": SimpleNamespace(rmse_thrust=2.0 + gate.logger.rows)}
+        parts = {
+            "final": final,
+            "learned": None,
+            "word": "attributed",
+            "held_out_after": SimpleNamespace(rmse_thrust=2.0 + gate.logger.rows),
+        }
         parts["stages"] = ()
         return SimpleNamespace(logger=gate.logger, selection=lambda: SimpleNamespace(final=final), **parts)
 

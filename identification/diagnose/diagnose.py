@@ -261,12 +261,12 @@ def _with_logger_beside_term(task: "_Task", gate: Passed, kept: Iterable[str], d
     """The diagnosis, or the one with the logger that is estimated beside its learned term, if that predicts held-out data
     better. Beside the base model, an offset of the logger may stand in for the term: one that follows the rate of the pitch
     hastens the thrust, as an offset does."""
-    fit, effort = done.final, task.effort
-    beside = [n for n in fit.effects if n not in DELAYS]
+    fit, term, effort = done.final, done.learned.term, task.effort
+    beside, pinned = [n for n in fit.effects if n not in DELAYS], {term.effect.full(n) for n in term.lead.pinned}
     if not effort.allows(f"another logger beside {' + '.join(beside)}"):
         return done
     effort.stage("logger")
-    again = as_logged(gate, [*kept, *beside], done.learned.term.library, fit.values, task.pool.map)
+    again = as_logged(gate, [*kept, *beside], term.library, fit.values, task.pool.map, pinned)
     if again.logger.agrees_with(done.logger):
         return done
     return min(done, _concluded(task, _searched(task, again)), key=lambda d: d.held_out_after.rmse_thrust)
