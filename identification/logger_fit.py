@@ -100,8 +100,9 @@ def as_logged(
 ) -> Passed:
     """The records that passed the gate, corrected for their logger and without run-ins.
 
-    The logger is estimated from the fitted records, beside `effects` of a `library` from `values`; `pinned` ones stay.
-    Without records it has no offset, and run-ins are not searched. `each`: as `map`, for fits that may run in parallel."""
+    The logger is estimated from the fitted records, beside `effects` of a `library`. They are fitted from `values`, but for
+    parameters that are `pinned` there. Without records it has no offset, and run-ins are not searched. `each`: as `map`, for
+    fits that may run in parallel."""
     campaign, declared = gate.campaign, gate.campaign.rig.sensor
     if not any((campaign.open_loop, campaign.repeat, campaign.validation, *gate.further.values())):
         found = Logger(sensor=SpeedSensor(**declared) if "kind" in declared else SpeedSensor())
