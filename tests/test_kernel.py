@@ -1,18 +1,22 @@
 """Lags, map, plant and schedule against closed forms, high precision and scipy."""
 
+import ctypes
 import math
 from decimal import Decimal, localcontext
 from fractions import Fraction
+from importlib.resources import files
 
 import numpy as np
 import pytest
 from builders import TWO_DELAYS, paper_map, random_steps, reference, simulator, steps_through, two_lags
 from scipy.signal import lsim
 
+from vpp_fmu.kernel.exponential import exp, expm1
 from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.kernel.plant import AVERAGED, BASE, FINE_TUNED
 from vpp_fmu.kernel.schedule import run_sampled
 from vpp_fmu.kernel.simulation import Simulation
+from vpp_fmu.native.compiler import compiled
 
 APART = [1e-3, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12]
 TAUS = [(0.172, 0.053), (0.053, 0.172), (0.207, 0.374), (0.1, 0.1), (3.0, 0.001), (0.001, 3.0), (3.0, 3.0), (0.001, 0.001)]
@@ -41,9 +45,39 @@ def decimal_lag_ramp(x, before, after, tau, dt):
 @pytest.mark.parametrize("dt", DTS)
 @pytest.mark.parametrize(("tau_1", "tau_2"), TAUS)
 def test_two_lag_step_is_the_closed_form(tau_1, tau_2, dt):
-    rounding = 4e-16 * min(1.0, dt / max(tau_1, tau_2))
+    x = dt / max(tau_1, tau_2)
+    rounding = 4e-16 * min(1.0, x) + 1.2e-16 * min(40.0, x)  # x times the rounding of 1 - gain, which is 0 beyond
     exact = precise(decimal_two_lag_step, tau_1, tau_2, dt)
     assert NUMBERS.two_lag_step(tau_1, tau_2, dt) == pytest.approx(exact, rel=0.0, abs=rounding)
+
+
+_dice = np.random.default_rng(7)
+EXPONENTS = [0.0, 1e-300, -5e-324, 700.0, -700.0, 0.5 * math.log(2.0), -0.5 * math.log(2.0)]
+EXPONENTS += [*_dice.uniform(-1.0, 1.0, 1000), *_dice.uniform(-700.0, 700.0, 500), *-(10.0 ** _dice.uniform(-20.0, 2.0, 500))]
+
+
+def test_exponentials_are_right_to_the_last_digits():
+    for x in EXPONENTS:
+        exact, less_1 = precise(lambda x: x.exp(), x), precise(lambda x: x.exp() - 1, x) if abs(x) > 1e-30 else x
+        assert abs(exp(x) - exact) <= math.ulp(exact)
+        assert abs(expm1(x) - less_1) <= 2.0 * math.ulp(less_1)
+    assert (exp(-700.1), expm1(-700.1), exp(-math.inf), exp(math.inf)) == (0.0, -1.0, 0.0, math.inf)
+    assert math.isnan(exp(math.nan))
+    assert math.isnan(expm1(math.nan))
+
+
+def test_exponentials_in_c_are_those_in_python():
+    text = (files("vpp_fmu.kernel") / "exponential.c").read_text()
+    calls = "double e(double x) { return EXP(x); }\ndouble less_1(double x) { return EXPM1(x); }\n"
+    library = compiled(f"#include <math.h>\n#define APART\n{text}\n{calls}")
+    for in_c, function in ((library.e, exp), (library.less_1, expm1)):
+        in_c.argtypes, in_c.restype = [ctypes.c_double], ctypes.c_double
+        assert [in_c(x) for x in EXPONENTS] == [function(x) for x in EXPONENTS]
+        assert [in_c(x) for x in (-701.0, -math.inf, math.inf)] == [function(x) for x in (-701.0, -math.inf, math.inf)]
+        assert in_c(701.0) == math.inf
+        assert math.isnan(in_c(math.nan))
+        with pytest.raises(OverflowError):
+            function(701.0)
 
 
 @pytest.mark.parametrize("x", [0.0, 5e-324, 1e-300, 1e-8, 0.1, math.nextafter(0.3, 0.0), 0.3, 0.31, 1.0, 10.0, 700.0, 1e5])

@@ -62,10 +62,6 @@ def python_fmu(
     )
 
 
-TABLES = "from vpp_fmu.kernel.tables import look_up, look_up_2\n"
-"""The import of generated code that has tables: in an FMU their functions are in the same file."""
-
-
 def _pythonfmu(name: str) -> dict[str, bytes]:
     """pythonfmu's binaries and modules, by their place in an FMU.
 
@@ -101,6 +97,7 @@ def module_source(model: Model, values: Mapping[str, float]) -> str:
     generated = _black_box(model) if model.black_box else python_source(trace(model))
     generated += f"\n\ndef total(v):\n    return {' + '.join(f'v[{i}]' for i in layout.moving)}\n"
     declared["TAG"] = sha256(repr((declared, generated)).encode()).hexdigest()[:16]
+    generated, called = _alone(generated)
     functions = (
         ("start", "black_box", "total") if model.black_box else ("start", "prepare", "step", "largest_step", "show", "total")
     )
@@ -112,8 +109,8 @@ def module_source(model: Model, values: Mapping[str, float]) -> str:
             _text("vpp_fmu.kernel", "schedule.py"),
             _text("vpp_fmu.kernel", "calls.py"),
             _text("fmu_src", "slave.py"),
-            *[_text("vpp_fmu.kernel", "tables.py")] * (TABLES in generated),
-            generated.replace(TABLES, ""),
+            *(_text("vpp_fmu.kernel", f"{module.rpartition('.')[2]}.py") for module in called),
+            generated,
             "\n".join(lines) + "\n",
         )
     )
@@ -134,10 +131,15 @@ def _black_box(model: Model) -> str:
 
 def _text(package: str, name: str) -> str:
     """A source file without its imports of this project, whose code is in the same file."""
-    text = (files(package) / name).read_text(encoding="utf-8")
-    lines = text.splitlines(keepends=True)
+    return _alone((files(package) / name).read_text(encoding="utf-8"))[0]
+
+
+def _alone(text: str) -> tuple[str, list[str]]:
+    """Python text without its imports of this project, and the modules that it imported."""
+    lines, modules = text.splitlines(keepends=True), []
     for statement in ast.parse(text).body:
         if isinstance(statement, ast.ImportFrom) and statement.module.startswith("vpp_fmu"):
+            modules.append(statement.module)
             for i in range(statement.lineno - 1, statement.end_lineno):
                 lines[i] = ""
-    return "".join(lines)
+    return "".join(lines), modules

@@ -1,19 +1,20 @@
 """The primitives of the physics, and functions built on them.
 
 An effect computes only through `+ - * / **`, the comparisons, `&` and `|` of conditions, and the methods below. On floats they
-are the maths library's (`Numbers`); on traced values they record the operations (`vpp_fmu.tracer`). Both inherit the functions
+are `Numbers`; on traced values they record the operations (`vpp_fmu.tracer`). Both inherit the functions
 built on the primitives, so a limit or a lag has one formula.
 """
 
 import math
 from functools import reduce
 
+from vpp_fmu.kernel.exponential import exp, expm1
 from vpp_fmu.kernel.tables import Curve, Surface, curve, look_up, look_up_2, surface
 
 SERIES_BELOW = 0.3
 """Below this |x|, `relaxation` uses its series: the direct form loses digits, its derivative more."""
 
-SERIES_TERMS = 13
+SERIES = tuple((-1.0) ** n / math.factorial(n + 1) for n in range(13))
 """0.3**13 / 14! < 1e-17: the series is exact to rounding where it is used."""
 
 LN_10 = math.log(10.0)
@@ -120,7 +121,7 @@ class Ops:
 
     def gain(self, tau, dt):
         """Share of a distance that a first-order lag covers in dt: 1 - exp(-dt / tau). Exact for a held input."""
-        return -self.expm1(-dt / tau)
+        return -self.expm1(-(dt / tau))
 
     def lag(self, x, u, tau, dt):
         """First-order lag from x towards u, held over dt. Exact; at x == u it stays to the bit."""
@@ -133,31 +134,38 @@ class Ops:
 
     def relaxation(self, x):
         """(1 - exp(-x)) / x for x >= 0, with its limit 1 at x = 0 and a derivative that is right there too."""
-        small = x < SERIES_BELOW
-        terms = 1.0
-        for n in range(SERIES_TERMS, 1, -1):
-            terms = 1.0 - x / float(n) * terms
-        away = self.where(small, SERIES_BELOW, x)
-        return self.where(small, terms, -self.expm1(-away) / away)
+        away = self.maximum(x, SERIES_BELOW)
+        return self.where(x < SERIES_BELOW, self._relaxation_near_0(x), -self.expm1(-away) / away)
+
+    def _relaxation_near_0(self, x):
+        terms, power = SERIES, x
+        while len(terms) > 1:  # in pairs (Estrin's scheme), which a processor does at once
+            pairs = [low + power * high for low, high in zip(terms[::2], terms[1::2], strict=False)]
+            terms, power = [*pairs, *terms[2 * len(pairs) :]], power * power
+        return terms[0]
 
     def two_lag_step(self, tau_1, tau_2, dt):
         """Unit step response at dt of two lags in a row: 1 - (tau_1 e_1 - tau_2 e_2) / (tau_1 - tau_2).
 
-        This form needs no special case for equal time constants: with the slower and the faster constant,
-        e_fast = e_slow exp(-d), d = dt (slow - fast) / (slow fast) >= 0, and the quotient becomes `relaxation(d)`.
+        This form needs no special case for equal time constants. With x = dt / tau and the gain g = 1 - exp(-x) of the slower
+        and of the faster lag, it is g_slow - x_slow (g_fast - g_slow) / d, d = x_fast - x_slow >= 0. Near d = 0 the quotient is
+        (1 - g_slow) (1 - exp(-d)) / d.
         """
         # For equal constants the two functions pick different arguments, so that each gets half of the slope.
-        slow, fast = self.maximum(tau_1, tau_2), self.minimum(tau_2, tau_1)
-        apart = dt * (slow - fast) / (slow * fast)
-        left = self.exp(-dt / slow)
-        return self.gain(slow, dt) - left * (dt / slow) * self.relaxation(apart)
+        x_1, x_2, g_1, g_2 = dt / tau_1, dt / tau_2, self.gain(tau_1, dt), self.gain(tau_2, dt)
+        swapped = x_2 < x_1  # tau_2 is the slower
+        slow, fast = self.where(swapped, x_2, x_1), self.where(swapped, x_1, x_2)
+        g_slow, g_fast = self.where(swapped, g_2, g_1), self.where(swapped, g_1, g_2)
+        d = fast - slow
+        near, away = (1.0 - g_slow) * self._relaxation_near_0(d), (g_fast - g_slow) / self.maximum(d, SERIES_BELOW)
+        return g_slow - slow * self.where(d < SERIES_BELOW, near, away)
 
 
 class Numbers(Ops):
     """The primitives on plain floats; overflow, division by zero and negative roots raise as Python's do."""
 
-    exp = staticmethod(math.exp)
-    expm1 = staticmethod(math.expm1)
+    exp = staticmethod(exp)
+    expm1 = staticmethod(expm1)
     log = staticmethod(math.log)
     log10 = staticmethod(math.log10)
     pow = staticmethod(math.pow)

@@ -8,8 +8,8 @@
 
 /* Constants by step length. Rows of a log differ in length, and the digits of its clock leave some hundred lengths. An entry begins
  * with its length. If there are more than MOST, the rest share the last entry. */
-#define MOST 1024
-#define PLACES 4096 /* of the index, a power of two: few lengths share their first place */
+#define MOST 256
+#define PLACES 1024 /* of the index, a power of two: few lengths share their first place */
 
 typedef struct {
   char *entries;
@@ -50,13 +50,64 @@ static double *entry_of(Table *t, double dt) {
   return t->last;
 }
 
+#ifdef LANES
+/* The widest vectors of the processor, from compiler.py: no fused operations, and so the same bits on each. */
+#ifdef VECTORS
+#define WIDEST __attribute__((target(VECTORS)))
+/* Scalar code, as of exp(), takes four times as long while the upper halves of vector registers are in use. */
+#define LEAVE_VECTORS __builtin_ia32_vzeroupper()
+#else
+#define WIDEST
+#define LEAVE_VECTORS
+#endif
+
+WIDEST APART static void lanes_prepare(double (*v)[LANES], const double *dt, double (*c)[LANES]) { prepare_lanes(v, dt, c); }
+#endif
+
 typedef struct {
   Instance instance;
   Table constants;
+  const double *steps; /* of the record; the present row of `rows` */
+  long row, rows;
+#ifdef LANES
+  double v[N_VALUES][LANES], lengths[LANES], ahead[N_CONSTANTS][LANES]; /* constants of the next rows */
+#endif
   double rings[2 * SLOTS * N_DELAYED_OR_1]; /* never touched, so not in memory, if nothing is delayed */
 } Run;
 
-static Constants *constants_for(void *m, double dt) { return (Constants *)entry_of(&((Run *)m)->constants, dt); }
+/* The length of the model's own steps in `span` seconds. */
+static double piece_of(double span, double largest, double *count) {
+  *count = largest < INFINITY ? ceil(span / largest - NOW) : 1.0;
+  if (*count < 1.0) *count = 1.0;
+  return span / *count;
+}
+
+#ifdef LANES
+/* The constants for `dt` and for the steps of the next rows. */
+WIDEST static void look_ahead(Run *run, double dt) {
+  const double largest = largest_step(run->instance.v);
+  double count;
+  for (int k = 0; k < LANES; k++)
+    run->lengths[k] = k && run->row + k < run->rows - 1 ? piece_of(run->steps[run->row + k], largest, &count) : dt;
+  lanes_prepare(run->v, run->lengths, run->ahead);
+  LEAVE_VECTORS;
+}
+#endif
+
+static Constants *constants_for(void *m, double dt) {
+  Run *run = m;
+  Constants *own = (Constants *)entry_of(&run->constants, dt);
+#ifdef LANES
+  if (!(own->dt == dt)) {
+    int k = 0;
+    while (k < LANES && !(run->lengths[k] == dt)) k++;
+    if (k == LANES) look_ahead(run, dt), k = 0;
+    for (int i = 0; i < N_CONSTANTS; i++) own->c[i] = run->ahead[i][k];
+    own->dt = dt;
+  }
+#endif
+  return own;
+}
 
 /* A run settled on the first row of inputs, without tangents where it is `plain`; NULL: no memory. */
 void *begin(const double *parameters, const double *first, int plain) {
@@ -77,6 +128,12 @@ void *begin(const double *parameters, const double *first, int plain) {
   }
   start(m->v, m->d);
   m->plain = plain;
+#ifdef LANES
+  for (int k = 0; k < LANES; k++) {
+    for (int i = 0; i < N_VALUES; i++) run->v[i][k] = m->v[i];
+    run->lengths[k] = NAN;
+  }
+#endif
   return run;
 }
 
@@ -85,8 +142,12 @@ void *begin(const double *parameters, const double *first, int plain) {
  * its inputs act; tangents: of each output rows of N_WRT, or NULL. */
 int proceed(void *of, const double *inputs, const double *steps, double late, long first, long end, long count, double *outputs,
             double *const *tangents) {
-  Instance *m = &((Run *)of)->instance;
+  Run *run = of;
+  Instance *m = &run->instance;
+  run->steps = steps;
+  run->rows = count;
   for (long row = first; row < end; row++) {
+    run->row = row;
     memcpy(outputs + (row - first) * N_OUTPUTS, m->v + N_INPUTS, N_OUTPUTS * sizeof *outputs);
     for (int i = 0; i < N_OUTPUTS; i++)
       if (tangents[i]) memcpy(tangents[i] + (row - first) * N_WRT, m->d + i * N_WRT, N_WRT * sizeof *m->d);
@@ -110,19 +171,8 @@ typedef struct {
 /* LANES runs side by side, which take the same steps. */
 typedef struct {
   double v[N_VALUES][LANES], largest;
-  double own[LANES][N_VALUES]; /* each run's values at the start, with its parameters for prepare() */
   Table constants;
 } Lanes;
-
-/* The widest vectors of the processor, from compiler.py: no fused operations, and so the same bits on each. */
-#ifdef VECTORS
-#define WIDEST __attribute__((target(VECTORS)))
-/* Scalar code, as of exp(), takes four times as long while the upper halves of vector registers are in use. */
-#define LEAVE_VECTORS __builtin_ia32_vzeroupper()
-#else
-#define WIDEST
-#define LEAVE_VECTORS
-#endif
 
 /* Rows that all runs do before the next rows: their outputs, a strip of each row's, fit into a core's cache. */
 #define STRETCH 32
@@ -130,9 +180,8 @@ typedef struct {
 /* Start from parameters (LANES x N_PARAMETERS). 0: the largest steps differ, so the runs would take different steps; or there is no
  * memory. */
 static int lanes_begin(Lanes *m, const double *parameters, const double *first) {
-  double tangents[N_TANGENTS];
+  double own[N_VALUES] = {0}, tangents[N_TANGENTS];
   for (int k = 0; k < LANES; k++) {
-    double *own = m->own[k];
     memcpy(own, first, N_INPUTS * sizeof *first);
     memcpy(own + N_INPUTS + N_OUTPUTS, parameters + k * N_PARAMETERS, N_PARAMETERS * sizeof *parameters);
     start(own, tangents);
@@ -145,22 +194,14 @@ static int lanes_begin(Lanes *m, const double *parameters, const double *first) 
 
 /* Advance by `span` seconds. */
 WIDEST static void lanes_advance(Lanes *m, double (*v)[LANES], double span) {
-  double count = 1.0;
-  if (m->largest < INFINITY) {
-    count = ceil(span / m->largest - NOW);
-    if (count < 1.0) count = 1.0;
-  }
-  const double piece = span / count;
+  double count;
+  const double piece = piece_of(span, m->largest, &count);
   LaneConstants *at = (LaneConstants *)entry_of(&m->constants, piece);
   if (!(at->dt == piece)) {
-    static const double no_tangent[N_DELAYED_OR_1] = {0};
-    double constants[N_CONSTANTS];
+    double lengths[LANES];
+    for (int k = 0; k < LANES; k++) lengths[k] = piece;
+    lanes_prepare(v, lengths, at->c);
     at->dt = piece;
-    LEAVE_VECTORS;
-    for (int k = 0; k < LANES; k++) {
-      prepare(m->own[k], piece, no_tangent, constants);
-      for (int i = 0; i < N_CONSTANTS; i++) at->c[i][k] = constants[i];
-    }
   }
   for (double i = 0.0; i < count; i += 1.0) step_lanes(v, at->c);
 }

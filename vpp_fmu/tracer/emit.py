@@ -9,7 +9,7 @@ from math import isinf
 from types import MappingProxyType
 
 from vpp_fmu.kernel.ops import WHOLE
-from vpp_fmu.tracer.graph import CALLS, COMPARE, TABLES, Node, needed
+from vpp_fmu.tracer.graph import CALLS, COMPARE, EXPONENTIALS, TABLES, Node, needed
 from vpp_fmu.tracer.program import Program, Write
 
 ONCE = """#if defined(__clang__)
@@ -61,10 +61,8 @@ def python_source(program: Program) -> str:
         ("show(v)", body(program.show)),
     )
     defined = [f"def {head}:\n" + "\n".join("    " + line for line in lines) + "\n" for head, lines in functions]
-    imports = [
-        f"from math import {', '.join(CALLS)}\n",
-        *["from vpp_fmu.kernel.tables import look_up, look_up_2\n"] * bool(tables),
-    ]
+    of_math = [name for name in CALLS if name not in EXPONENTIALS]
+    imports = [f"from math import {', '.join(of_math)}\n", *_modules(blocks).values()]
     return "\n\n".join(["".join([*imports, *tables]), *defined])
 
 
@@ -126,18 +124,29 @@ LANES = 8
 
 
 def c_lanes(program: Program) -> str:
-    """`step` without tangents as static C on LANES sets of values at once, with the same arithmetic. "" if runs may take
-    different steps: for a model that is sampled, has sampled effects, or delays its inputs.
-
-    Compilers vectorise only loops that call no function, so HEAVY operations are in loops of their own."""
+    """`prepare`, and `step` without tangents, as static C on LANES sets of values at once, with the same arithmetic. "" if runs
+    may take different steps: for a model that is sampled, has sampled effects, or delays its inputs."""
     if program.model.sample_time or program.model.delays or program.model.sampled:
         return ""
-    writes = tuple((target, value) for target, value in program.step if target[0] != "d")
+    step = tuple((target, value) for target, value in program.step if target[0] != "d")
+    heads = (
+        ("prepare_lanes(double (*restrict v)[LANES], const double *restrict dt, double (*restrict c)[LANES])", program.prepare),
+        ("step_lanes(double (*restrict v)[LANES], const double (*restrict c)[LANES])", step),
+    )
+    within = "#undef EXP\n#undef EXPM1\n#define EXP exp_within\n#define EXPM1 expm1_within\n"
+    return f"\n#define LANES {LANES}\n{within}" + "".join(_c_lanes(head, writes) for head, writes in heads)
+
+
+def _c_lanes(head: str, writes: tuple[Write, ...]) -> str:
+    """Compilers vectorise only loops that call no function, so CALLING operations are in loops of their own."""
     loops, arrays, last = _loops(writes)
     places = {n: f"t{n.number}[k]" for n in arrays}
-    statements, stores = _c_statements(writes, lambda target: f"{target[0]}[{target[1]}][k]", places)
-    head = "static inline void step_lanes(double (*restrict v)[LANES], const double (*restrict c)[LANES])"
-    code = [f"\n#define LANES {LANES}\n__attribute__((always_inline)) {head} {{\n"]
+
+    def name(target: tuple) -> str:
+        return f"{target[0]}[{target[1]}][k]" if target[1:] else f"{target[0]}[k]"
+
+    statements, stores = _c_statements(writes, name, places, CALLING)
+    code = [f"__attribute__((always_inline)) static inline void {head} {{\n"]
     code += [f"  double t{number}[LANES];\n" for number in sorted(n.number for n in arrays)]
     for loop in range(last + 1):
         body = [line for n, own in statements if loops[n] == loop for line in own] + stores * (loop == last)
@@ -170,13 +179,23 @@ def _table_name(n: Node) -> str:
     return f"TABLE_{sha256(repr(n.table[0]).encode()).hexdigest()[:12]}"
 
 
+MODULES = {"exponential": EXPONENTIALS, "tables": TABLES}
+"""Modules of the kernel whose functions generated code calls; each has the same in C beside it."""
+
+
+def _modules(blocks: Iterable[tuple[Write, ...]]) -> dict[str, str]:
+    """The modules that these blocks call, with the statements that import them."""
+    used = _library(blocks)
+    statements = {name: f"from vpp_fmu.kernel.{name} import {', '.join(functions)}\n" for name, functions in MODULES.items()}
+    return {name: statement for name, statement in statements.items() if used & set(MODULES[name])}
+
+
 def _c_library(blocks: Sequence[tuple[Write, ...]]) -> str:
-    """What these blocks call beside C's library: tables with their functions, and a power that no compiler replaces."""
-    parts, used = [], _library(blocks)
-    if "pow" in used:  # compilers replace pow(x, 2.0) by x * x, which Python does not
+    """What these blocks call beside C's library: modules, tables, and a power that no compiler replaces."""
+    parts = []
+    if "pow" in _library(blocks):  # compilers replace pow(x, 2.0) by x * x, which Python does not
         parts.append("static double (*const volatile power)(double, double) = pow;\n")
-    if used & set(TABLES):
-        parts.append((files("vpp_fmu.kernel") / "tables.c").read_text(encoding="utf-8"))
+    parts += [(files("vpp_fmu.kernel") / f"{name}.c").read_text(encoding="utf-8") for name in _modules(blocks)]
     for name, arrays in _tables(blocks).items():
         for k, numbers in enumerate(arrays):
             if numbers:
@@ -192,7 +211,7 @@ grows faster than its length."""
 def _c_parts(head: str, writes: tuple[Write, ...], name: Callable) -> str:
     """The same in functions of PART statements, which leave in an array `m` what later ones need."""
     order = needed(value for _, value in writes)
-    homes, outer = _homes(order, writes), {}
+    homes, outer = _homes(order, writes, HEAVY), {}
     for n in order:
         outer[n] = _outermost(n, homes[n])
     alone = [n for n in order if not homes[n].depth]
@@ -230,6 +249,9 @@ def _outermost(n: Node, place: "Place") -> int:
 HEAVY = frozenset((*CALLS, *TABLES)) - {"sqrt"}
 """Operations that cost as much as some twenty others: if only one side of a choice needs them, they are computed there."""
 
+CALLING = HEAVY - {*EXPONENTIALS}
+"""Those of them that call a function: exponentials are arithmetic."""
+
 DEEPEST = 32
 """Most choices within each other: compilers and Python's parser limit the depth of brackets."""
 
@@ -254,13 +276,13 @@ class Place:
 def _loops(writes: tuple[Write, ...]) -> tuple[dict[Node, int], set[Node], int]:
     """(number of the loop of each statement at the outermost place, statements whose values later loops use, the last loop).
 
-    Even loops have no HEAVY operations; an odd one has those that need only the loops before it. The last is even, and stores.
+    Even loops have no CALLING operations; an odd one has those that need only the loops before it. The last is even; it stores.
     """
     order = needed(value for _, value in writes)
-    homes, outer = _homes(order, writes), {}
+    homes, outer = _homes(order, writes, CALLING), {}
     for n in order:
         outer[n] = _outermost(n, homes[n])
-    heavy = {outer[n] for n in order if n.op in HEAVY}
+    heavy = {outer[n] for n in order if n.op in CALLING}
     ready: dict[Node, int] = {}  # the even loop from which a value can be used
     loops: dict[Node, int] = {}
     for n in order:
@@ -280,13 +302,13 @@ def _loops(writes: tuple[Write, ...]) -> tuple[dict[Node, int], set[Node], int]:
 
 
 def _c_statements(
-    writes: tuple[Write, ...], name: Callable, places: Mapping[Node, str] = MappingProxyType({})
+    writes: tuple[Write, ...], name: Callable, places: Mapping[Node, str] = MappingProxyType({}), heavy: Container[str] = HEAVY
 ) -> tuple[list[tuple[Node, list[str]]], list[str]]:
     """(for each node at the outermost place the lines that compute it, lines that store or return the values). `places`:
     elements of arrays that hold the values of nodes."""
     order, form = needed(value for _, value in writes), "const double {0} = {1};"
     outermost = Place()
-    homes, text = _homes(order, writes, outermost), {}
+    homes, text = _homes(order, writes, heavy, outermost), {}
     inside: dict[Place, list[Node]] = {}
     for n in order:
         inside.setdefault(homes[n], []).append(n)
@@ -315,8 +337,10 @@ def _c_statements(
     return statements, [f"{name(t)} = {said(v)};" if t != ("result",) else f"return {said(v)};" for t, v in writes]
 
 
-def _homes(order: Sequence[Node], writes: tuple[Write, ...], outermost: Place | None = None) -> dict[Node, Place]:
-    """For each node the innermost place that is visible to all its users; choices without HEAVY operations have no place."""
+def _homes(
+    order: Sequence[Node], writes: tuple[Write, ...], heavy: Container[str], outermost: Place | None = None
+) -> dict[Node, Place]:
+    """For each node the innermost place that is visible to all its users; choices without `heavy` operations have no place."""
     outermost = outermost or Place()
     homes: dict[Node, Place] = {value: outermost for _, value in writes if isinstance(value, Node)}
     for n in reversed(order):  # all users of a node come later
@@ -327,7 +351,7 @@ def _homes(order: Sequence[Node], writes: tuple[Write, ...], outermost: Place | 
     opened = {outermost}
     for n in order:
         place = homes[n]
-        while n.op in HEAVY and place not in opened:
+        while n.op in heavy and place not in opened:
             opened.add(place)
             place = place.outer
     return {n: _innermost(place, opened) for n, place in homes.items()}
@@ -393,6 +417,8 @@ def _operation(n: Node, x: list[str], in_c: bool) -> str:
             return f"{x[0]} {'and' if n.op == '&' else 'or'} {x[1]}"
         case "pow" if in_c:
             return f"power({x[0]}, {x[1]})"
+        case "exp" | "expm1" if in_c:
+            return f"{n.op.upper()}({x[0]})"
         case "look_up" | "look_up_2":
             return f"{n.op}({', '.join([*x, *_table_arguments(n, in_c), *map(str, n.table[1:])])})"
     return f"{n.op}({', '.join(x)})"

@@ -9,8 +9,9 @@ from vpp_fmu.kernel.ops import NUMBERS, Ops, Symbolic
 from vpp_fmu.kernel.tables import Curve, Surface
 
 CALLS = ("exp", "expm1", "log", "log10", "pow", "sqrt", "sin", "cos", "tanh", "atan2")
-"""Functions of C's and Python's maths libraries, under the same names."""
+"""Functions of one or two numbers; all but EXPONENTIALS are those of C's and Python's maths libraries."""
 
+EXPONENTIALS = ("exp", "expm1")
 TABLES = ("look_up", "look_up_2")
 COMPARE = ("<", ">", "<=", ">=", "==", "!=", "&", "|")
 """Operations whose result is a condition, which has no derivative."""
@@ -57,7 +58,7 @@ class Graph(Ops):
     def __init__(self):
         self._known: dict[tuple, Node] = {}
         self.library: set[str] = set()
-        """Recorded operations that the languages do not have as Python has them: powers and tables."""
+        """Recorded operations that the languages do not have, or not the same: powers, exponentials and tables."""
 
     def node(self, op: str, *args, table: tuple = ()) -> Node:
         """The node for `op` on `args`: a new one, or the existing one."""
@@ -66,7 +67,7 @@ class Graph(Ops):
             key += (id(table[0]), *table[1:])  # a node keeps its table, so no other has this id
         if key not in self._known:
             self._known[key] = Node(self, op, args, len(self._known), table)
-            if table or op == "pow":
+            if table or op == "pow" or op in EXPONENTIALS:
                 self.library.add(op)
         return self._known[key]
 
