@@ -61,6 +61,20 @@ def test_the_search_for_a_resonance_spans_the_frequencies_of_the_record():
     assert np.all(found[1:] / found[:-1] < 10.0 ** (1.0 / 11.0))
 
 
+def test_effects_of_a_pitch_that_never_moves_are_no_candidates():
+    """Each of them leaves the pitch at one value there, which the map takes. Where the pitch moves, all are candidates."""
+    commands = commanded(400) | {"beta_ref": np.full(400, 5.0), "voltage": np.linspace(24.0, 23.0, 400)}
+    still = Record({"time": 0.02 * np.arange(400), **commands}, "fixed pitch")
+    moved = Record({**still.columns, "time": still.time, "beta_ref": commanded(400)["beta_ref"]}, "both")
+    at_rest, all_names = ({c.name for c in candidates(LIBRARY, [r])} for r in (still, moved))
+    assert all_names - at_rest > {"pitch_backlash", "pitch_delay", "pitch_rate_limit", "pitch_overshoot"}
+    for name in all_names - at_rest:
+        model, (effect,) = plant([name]), [e for e in LIBRARY if e.name == name]
+        on = {effect.full(n): value for n, value in effect.probe.items()}
+        pitch = Simulator(model).simulate(model.values(on), *still.run)[:, [y.name for y in model.outputs].index("beta")]
+        assert np.ptp(pitch) < 1e-9
+
+
 def test_a_fit_with_the_same_arguments_is_computed_once():
     """Another start or another order of the lags is another fit."""
     record = Record({"time": 0.02 * np.arange(400), **commanded(400), "thrust": RNG.standard_normal(400)}, "drawn")

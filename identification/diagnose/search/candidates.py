@@ -104,16 +104,20 @@ class Candidate:
 
 
 def candidates(library: Iterable[Effect], records: Iterable[Record]) -> list[Candidate]:
-    """Candidates for records. Effects that need a measured input absent from a record are excluded; so are those that round a
-    constant command.
+    """Candidates for records. Excluded are effects that need a measured input absent from a record, that round a constant
+    command, and those of the pitch where it never moves.
 
     A shape parameter whose default is a limit form, such as a lag of 0 s, is free in one candidate and held there in another.
     """
     records, found = tuple(records), []
+
+    def is_constant(command: str) -> bool:
+        return all(np.ptp(r[command]) == 0.0 for r in records)
+
     for effect in library:
         if effect.off is None or any(u.name not in r for u in effect.inputs if not u.clock for r in records):
             continue
-        if any(all(np.ptp(r[command]) == 0.0 for r in records) for command in effect.rounds):
+        if any(map(is_constant, effect.rounds)) or (effect.channels == ("beta",) and is_constant("beta_ref")):
             continue
         choices = [(effect.full(p.name), p.choices) for p in effect.parameters if p.choices]
         free = tuple(effect.full(p.name) for p in effect.parameters if not p.choices)
