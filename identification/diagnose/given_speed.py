@@ -9,7 +9,8 @@ with those of all narrower ones. It is wide where the remainder is noise, and na
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
+from scipy.signal import fftconvolve
+from scipy.signal.windows import gaussian
 
 from identification.diagnose.initial_model import AlwaysOn
 from identification.diagnose.search.fits import Fit
@@ -80,11 +81,10 @@ def _beyond(record: Record, shown: np.ndarray) -> tuple[np.ndarray, float] | Non
     noise = max(1.0, 1.4826 * float(np.median(np.abs(change))))  # of a reading, in its standard deviations
     low, high = np.full(len(found), -np.inf), np.full(len(found), np.inf)
     best, error, going = found.copy(), noise * sensor.std, np.ones(len(found), bool)
+    sums = np.array([np.bincount(at, v, count) for v in (weights * found, weights)])
     for width in (apart * share for share in WIDTHS):
-        total, whole = (
-            gaussian_filter1d(np.bincount(at, v, count), width, mode="constant", truncate=4.0)[at]
-            for v in (weights * found, weights)
-        )
+        kernel = gaussian(2 * round(4.0 * width) + 1, width)
+        total, whole = fftconvolve(sums, kernel[None] / kernel.sum(), "same", axes=1)[:, at]
         mean = total / whole
         # The mean over a Gaussian kernel has 1 / (2 sqrt(pi) width) of the variance of independent readings.
         std = noise / np.sqrt(whole * max(2.0 * np.sqrt(np.pi) * width, 1.0))
