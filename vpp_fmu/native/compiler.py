@@ -145,9 +145,11 @@ def _run(command: list[str], work: Path) -> None:
 def kept() -> list[tuple[Path, os.stat_result]]:
     """The cached libraries with their file status, the least recently used first."""
     found = []
-    for path in cache_folder().glob("*.so"):
-        with contextlib.suppress(OSError):  # another process has just deleted it
-            found.append((path, path.lstat()))
+    with os.scandir(cache_folder()) as entries:
+        for entry in entries:
+            with contextlib.suppress(OSError):  # another process has just deleted it
+                if entry.name.endswith(".so"):
+                    found.append((Path(entry.path), entry.stat(follow_symlinks=False)))
     return sorted(found, key=lambda each: each[1].st_mtime)
 
 
@@ -159,11 +161,12 @@ def clear() -> None:
 
 
 def _evict(newest: Path) -> None:
-    """Delete the least recently used until the rest is below LARGEST. Loaded libraries stay usable."""
+    """If all exceed LARGEST, delete the least recently used tenth. Loaded libraries stay usable."""
     libraries = kept()
-    excess = sum(status.st_size for _, status in libraries) - LARGEST
+    size = sum(status.st_size for _, status in libraries)
+    excess = size - 0.9 * LARGEST if size > LARGEST else 0.0
     for path, status in libraries:
-        if excess <= 0:
+        if excess <= 0.0:
             return
         if path != newest:
             path.unlink(missing_ok=True)
