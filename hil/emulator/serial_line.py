@@ -15,7 +15,7 @@ import tty
 from pathlib import Path
 
 from hil.devices.clock import Clock
-from hil.emulator.shared import SharedNumbers
+from hil.emulator.shared import SharedNumbers, refusal
 from hil.emulator.uno import Uno
 
 FAULTS = ("silent", "flipped", "garbage", "resets", "unplugged", "marks_lost", "marks_halved", "marks_doubled")
@@ -178,7 +178,7 @@ class MemoryLine(SerialLine):
 
     def _plugged(self) -> None:
         if self.faults["unplugged"]:
-            raise OSError(errno.EIO, os.strerror(errno.EIO))
+            raise refusal(errno.EIO)
 
     def _hear(self, t):
         heard = [entry for entry in self._written if entry[0] <= t]
