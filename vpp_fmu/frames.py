@@ -16,7 +16,6 @@ class Frame(Table):
     """A table that was not read from a file: its messages name cells by row, from 0."""
 
     def wrong(self, name: str, row: int, found: object, allowed: str, hint: str = "") -> BadInput:
-        """The error that names a cell."""
         return BadInput(self.source, f"{name}, row {row}", found, allowed, hint)
 
 

@@ -70,5 +70,4 @@ class Supply:
         self._adc.select(self.inputs[self._order[self._at]].channel)
 
     def close(self) -> None:
-        """Close the bus."""
         self._adc.close()

@@ -105,7 +105,6 @@ def sends(*numbers: int, pause: float = 0.02) -> Inject:
 
 
 def to_supervisor(number: int) -> Inject:
-    """A signal to the supervisor."""
     return lambda rig: os.kill(rig.child("watchdog"), number)
 
 
@@ -262,7 +261,6 @@ class Injector:
             OUTSIDE[self.name](self._target)
 
     def close(self) -> None:
-        """End its process."""
         if self._process:
             self._process.stdin.close()
             self._process.wait()
@@ -270,7 +268,6 @@ class Injector:
 
 
 def main(name: str, pid: str, at: str, esc: str) -> None:
-    """Wait for the byte, then inject."""
     print("ready", flush=True)
     if os.read(0, 1):
         OUTSIDE[name](Target(int(pid), Path(at), Path(esc)))

@@ -113,7 +113,6 @@ def effects_to_hide() -> list[str]:
 
 
 def _hidden(text: str) -> tuple[str, dict[str, float]]:
-    """A hidden effect's name and its parameters."""
     known = {e.name: e for e in library(commanded=False) if e.off is not None}
     left, _, size = text.partition("=")
     name, _, parameter = left.partition(".")
@@ -192,7 +191,6 @@ class Emulation:
         self._hand = SharedNumbers(folder / HAND, PULLED, create=True)
 
     def serve(self, t: float) -> None:
-        """Emulate the rig up to time t [s]."""
         self._powered = self.board.watch(t)
         self.world.pulled = self._hand["force"]
         self.world.advance(t)
@@ -201,7 +199,6 @@ class Emulation:
             far_end.serve(t)
 
     def close(self) -> None:
-        """Close the files."""
         for file in (self.line, self.shown, self._hand, *self._files):
             file.close()
 

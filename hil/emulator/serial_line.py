@@ -80,7 +80,6 @@ class SerialLine:
         raise NotImplementedError
 
     def close(self) -> None:
-        """Close everything."""
         self.faults.close()
 
 
@@ -155,12 +154,10 @@ class MemoryLine(SerialLine):
 
     @property
     def in_waiting(self) -> int:
-        """Bytes to read."""
         self._plugged()
         return len(self._arrived)
 
     def read(self, size: int) -> bytes:
-        """Up to `size` bytes of what has arrived."""
         self._plugged()
         data = bytes(self._arrived[:size])
         del self._arrived[:size]
@@ -173,7 +170,6 @@ class MemoryLine(SerialLine):
         return len(data)
 
     def reset_input_buffer(self) -> None:
-        """Drop what has arrived."""
         self._arrived.clear()
 
     def _plugged(self) -> None:

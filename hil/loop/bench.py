@@ -77,7 +77,6 @@ class Bench:
 
     @property
     def counters(self) -> dict[str, Mapping[str, int]]:
-        """Counters of each device."""
         devices = (self.adc, self.tachometer, self.esc, self.lac, *((self.supply,) if self.supply else ()))
         return {device.name: dict(device.counters) for device in devices}
 

@@ -14,7 +14,6 @@ NAMES = {"dual": "both actuators", "speed_only": "speed alone", "allocated": "bo
 
 
 def labels(found: Tuning, tuned: Tuned) -> dict[str, str]:
-    """Label of each gain set."""
     return {which: found.task.reference if which == "start" else which for which in tuned.gains}
 
 
@@ -197,5 +196,4 @@ def margin_rows(verdict: Verdict) -> list[tuple[str, str]]:
 
 
 def settling(seconds: float | None) -> str:
-    """A settling time as text."""
     return "not settled" if seconds is None else f"{seconds:.3g} s"

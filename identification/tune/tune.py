@@ -83,7 +83,6 @@ class TuningTask:
 
     @property
     def controller(self) -> Model:
-        """The controller for the rig."""
         return CONTROLLER.sized(self.parameters.rig.scales)
 
     def objective(self, settings: Mapping[str, float]) -> Objective:
@@ -138,7 +137,6 @@ class Tuned:
 
     @property
     def final(self) -> np.ndarray:
-        """The chosen gains."""
         return self.gains[self.chosen]
 
     def cost(self, which: str) -> float:

@@ -35,7 +35,6 @@ class Number:
 
     @property
     def allowed(self) -> str:
-        """In words."""
         kind = "a whole number" if self.whole else "a number"
         span = f"above {self.low:g} and up to {self.high:g}" if self.above else f"from {self.low:.12g} to {self.high:.12g}"
         others = "".join(f", or {value:g}" for value in self.also)
@@ -74,12 +73,10 @@ commands_file = InFolder(("plan.csv", "next_experiment.csv", "validation.csv", "
 
 
 def add_gains(parser, text: str) -> None:
-    """The option --gains."""
     parser.add_argument("--gains", type=gains_file, metavar="G", help=f"{text}; G: a file or its folder")
 
 
 def add_knowledge(parser, text: str) -> None:
-    """The option --knowledge."""
     parser.add_argument("--knowledge", type=knowledge_file, metavar="F", help=text)
 
 
@@ -91,7 +88,6 @@ def add_plant(parser, more: str = "", required: bool = False) -> None:
 
 
 def add_output(parser) -> None:
-    """The option -o."""
     parser.add_argument("-o", "--output", default="out", metavar="DIR", help="folder to write to (default: out)")
 
 

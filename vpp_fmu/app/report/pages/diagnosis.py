@@ -336,7 +336,6 @@ def _known(parameter: Mapping, ends: Sequence[float] | None) -> str:
 
 
 def _where(found: Diagnosis) -> str:
-    """Location of the unexplained error."""
     location = found.location
     band, section = (max(location[k], key=location[k].get) for k in ("share_by_band_hz", "mean_square_by_section"))
     strongest, largest = location["strongest_correlate"], location["largest"]

@@ -74,7 +74,6 @@ class Entry:
 
 
 def entry(name: str, found: Diagnosis) -> Entry:
-    """The line of a diagnosis."""
     content, folder = summary(found), found.campaign.folder
     (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
     sizes = {

@@ -209,7 +209,6 @@ def _add_steps(page: Page, found: Identification) -> None:
 
 
 def _add_parameters(page: Page, found: Identification) -> None:
-    """Values of the parameters and their correlation."""
     uncertainty = found.uncertainty
     units = {p.name: p.unit for p in found.parameters.model.parameters}
     page.section("Parameters")

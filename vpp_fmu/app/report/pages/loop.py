@@ -142,7 +142,6 @@ class CompareResult(Result):
     found: Comparison
 
     def __init__(self, found: Comparison, first: str, second: str):
-        """`first`, `second`: their files."""
         super().__init__(found, source=f"{second} beside {first}, at the times of the latter")
         self._names = first, second
 
@@ -217,7 +216,6 @@ def row(step: Step) -> tuple:
 
 
 def sentence(step: Step) -> str:
-    """A step in words."""
     change = f"The step from {number(step.before)} to {number(step.after)} N at {number(step.time, 4)} s"
     if step.stuck:
         return f"{change}: the set-point of {number(step.after)} N is out of reach: {step.reached}"
