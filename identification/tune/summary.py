@@ -75,7 +75,7 @@ def _controller(found: Tuning, tuned: Tuned) -> dict:
 def _gains(tuned: Tuned, which: str) -> dict:
     gains = tuned.gains[which]
     points = [
-        {"thrust": p.thrust, "commands": list(p.commands), "channels": list(p.channels), **m.summary()}
+        {"thrust": p.thrust, "commands": list(p.commands), "channels": list(p.channels), **vars(m)}
         for p, m in zip(tuned.points[which], tuned.margins[which], strict=True)
     ]
     return {

@@ -119,7 +119,7 @@ class Verdict:
             "better": self.better,
             "words": self.words(),
             "steps": [{**asdict(s), "changes": [asdict(c) | {"worse": c.worse} for c in s.changes]} for s in self.steps],
-            "least_margins": [m and m.summary() for m in self.margins],
+            "least_margins": [m and asdict(m) for m in self.margins],
             "cost_with_limits": list(self.penalised),
         }
 

@@ -200,9 +200,6 @@ class FleetResult(Result):
         apart = "; ".join(said for name, own in self._several().items() if (said := _farthest(name, own)))
         return f"{text} {apart or 'No parameter differs between them by more than its uncertainty'}."
 
-    def key_figures(self) -> list[tuple[str, str, str]]:
-        return []
-
     def tiles(self) -> list[tuple[str, str, str]]:
         return [(word, str(count), f"of {len(self.found)} campaigns") for word, count in self._verdicts()]
 

@@ -157,14 +157,8 @@ class CompareResult(Result):
         said = next(iter(self._said().values()), "no shared column")
         return f"Over {self.found.time[-1] - self.found.time[0]:.4g} s that both records have: {said}."
 
-    def key_figures(self) -> list[tuple[str, str, str]]:
-        return []
-
     def lines(self) -> list[str]:
         return list(self._said().values())[1:]
-
-    def to_dict(self) -> dict[str, Any]:
-        return self.found.summary()
 
     def fill(self, page: Page) -> None:
         found, rows = self.found, []
