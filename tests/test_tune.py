@@ -8,9 +8,9 @@ import pytest
 from builders import FAST_PITCH, shorten_tuning
 
 from identification.fit.problem import Prior
-from identification.thrust_steps import step_profile
 from identification.tune.draws import Posterior
 from identification.tune.objective import Point
+from identification.tune.profile import step_profile
 from identification.tune.rounds import rounds
 from identification.tune.search import search
 from identification.tune.summary import summary

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from identification.assessment.quality import rmse
+from identification.assessment.prediction import rmse
 from identification.diagnose.diagnose import UNEXPLAINED, Diagnosis
 from identification.diagnose.guess import Guess
 from identification.diagnose.learned.description import sentence as described
