@@ -11,8 +11,7 @@ from identification.fit.problem import Prior
 from identification.tune.draws import Posterior
 from identification.tune.objective import Point
 from identification.tune.profile import step_profile
-from identification.tune.rounds import rounds
-from identification.tune.search import search
+from identification.tune.search import rounds, search
 from identification.tune.summary import summary
 from identification.tune.tune import TuningTask, tune
 from vpp_fmu.app import cli
