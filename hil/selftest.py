@@ -4,7 +4,7 @@ import multiprocessing
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -43,8 +43,7 @@ class SelfTest:
 
     def summary(self) -> dict:
         """The content of hil.json."""
-        checks = [{"what": c.what, "good": c.good, "found": c.found} for c in self.checks]
-        return self.session.summary() | {"load": self.load, "checks": checks}
+        return self.session.summary() | {"load": self.load, "checks": [asdict(check) for check in self.checks]}
 
     def judge(self) -> None:
         """Raise SelfTestFailed if a check was not passed."""

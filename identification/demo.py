@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from identification.assessment.quality import rmse
+from identification.assessment.prediction import rmse
 from identification.diagnose.diagnose import Diagnosis, diagnose
-from identification.thrust_steps import step_profile
+from identification.tune.profile import step_profile
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.commands import idle
 from vpp_fmu.export.toolchain import host

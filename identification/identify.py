@@ -1,7 +1,7 @@
 """Identify the parameters of a campaign, with their uncertainty."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from math import isclose
 from typing import TYPE_CHECKING
 
@@ -110,7 +110,7 @@ class Identification:
             "residual_tests": self.tests and {"share_of_lags_outside_95_percent_band": self.tests.outside},
             "prediction_band_coverage": self.coverage,
             **(self.noise.summary() if self.noise else {"noise_floor_thrust": None}),
-            "model_error": (found := self.model_error) and found.summary(),
+            "model_error": (found := self.model_error) and asdict(found),
             "fitted": list(self.fitted),
             "unseen": list(self.unseen),
             **summaries(self.predictions),

@@ -102,7 +102,7 @@ def shorten_tuning(change) -> None:
     attribute."""
     change("identification.tune.tune.STARTS", (1.0,))
     change("identification.tune.tune.SHAKES", (0, 0))
-    change("identification.tune.rounds.ROUNDS", 1)
+    change("identification.tune.search.ROUNDS", 1)
 
 
 def two_lags(t, tau_1: float, tau_2: float) -> np.ndarray:

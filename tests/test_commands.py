@@ -17,7 +17,7 @@ from hil.safety.limits import Limiter, limits_of
 from identification.diagnose.experiment import discriminating_experiment
 from identification.plan.excitation import candidate, paper_plan, variant
 from identification.plan.plan import plan
-from identification.thrust_steps import step_profile
+from identification.tune.profile import step_profile
 from vpp_fmu.commands import commanded, idle
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import BASE

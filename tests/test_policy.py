@@ -17,10 +17,9 @@ from vpp_fmu.gym import VppThrustEnv
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.effects.dual_pid import ALLOCATION
 from vpp_fmu.kernel.plant import plant
-from vpp_fmu.kernel.policy import policy_model
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.native.stepper import Stepper
-from vpp_fmu.policy import policy_from_arrays, read_policy
+from vpp_fmu.policy import policy_from_arrays, policy_model, read_policy
 
 OBSERVED = ("thrust_set", "thrust", "integral", "omega_ref", "beta_ref")
 WIDE = {"thrust_set": 1e3, "thrust": 1e3, "integral": 1e3, "omega_ref": 1e5, "beta_ref": 1e3, "omega": 1e5}

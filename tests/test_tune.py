@@ -8,11 +8,10 @@ import pytest
 from builders import FAST_PITCH, shorten_tuning
 
 from identification.fit.problem import Prior
-from identification.thrust_steps import step_profile
 from identification.tune.draws import Posterior
 from identification.tune.objective import Point
-from identification.tune.rounds import rounds
-from identification.tune.search import search
+from identification.tune.profile import step_profile
+from identification.tune.search import rounds, search
 from identification.tune.summary import summary
 from identification.tune.tune import TuningTask, tune
 from vpp_fmu.app import cli

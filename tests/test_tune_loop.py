@@ -5,8 +5,8 @@ import pytest
 from builders import FAST_PITCH, PROBES
 from scipy.signal import lsim
 
-from identification.thrust_steps import step_profile
 from identification.tune.check import Measured
+from identification.tune.profile import step_profile
 from vpp_fmu.commands import idle
 from vpp_fmu.kernel.controller import DUAL, SPEED_ONLY
 from vpp_fmu.kernel.measurement import MEASUREMENT

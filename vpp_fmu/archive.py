@@ -4,7 +4,6 @@ A zip of 3 MB can hold 3 GB. The bounds are far above the size of FMUs and below
 the sizes that the archive declares, so checking those is enough.
 """
 
-import shutil
 import zipfile
 import zlib
 from itertools import takewhile
@@ -58,8 +57,7 @@ def _unpacked(path: Path, archive: zipfile.ZipFile) -> Scratch:
     try:
         scratch = Scratch()
         try:
-            for entry in archive.infolist():
-                _unpack(archive, entry, scratch.path)
+            archive.extractall(scratch.path)
         except BaseException:
             scratch.close()
             raise
@@ -115,13 +113,3 @@ def _check_version(path: Path, archive: zipfile.ZipFile) -> None:
     if "CoSimulation" not in kinds:
         found = "FMI 2.0 for model exchange only" if "ModelExchange" in kinds else "FMI 2.0 without co-simulation"
         raise BadInput(path, "FMU", found, READS)
-
-
-def _unpack(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, folder: Path) -> None:
-    target = folder.joinpath(*PurePosixPath(entry.filename).parts)
-    if entry.is_dir():
-        target.mkdir(parents=True, exist_ok=True)
-        return
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with archive.open(entry) as packed, open(target, "wb") as file:
-        shutil.copyfileobj(packed, file)

@@ -131,7 +131,6 @@ def _measured(path: Path) -> Record:
 
 
 def _listed(folder: Path) -> set[str]:
-    """Names of the files in a folder."""
     allowed = f"a folder with any of {_FILES}"
     try:
         return set(os.listdir(folder))

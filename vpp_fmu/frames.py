@@ -1,4 +1,4 @@
-"""Convert records to frames of other libraries, and back. These libraries are optional: the extra `frames` installs them."""
+"""Frames of other libraries as tables. These libraries are optional: the extra `frames` installs them."""
 
 from collections.abc import Mapping
 from importlib import import_module
@@ -16,7 +16,6 @@ class Frame(Table):
     """A table that was not read from a file: its messages name cells by row, from 0."""
 
     def wrong(self, name: str, row: int, found: object, allowed: str, hint: str = "") -> BadInput:
-        """The error that names a cell."""
         return BadInput(self.source, f"{name}, row {row}", found, allowed, hint)
 
 
@@ -26,27 +25,6 @@ def library(name: str) -> Any:
         return import_module(name)
     except ImportError as error:
         raise ExtraMissing(f"{name}: found no library, expected one. Try: pip install {name}, or 'vpp-fmu[{EXTRA}]'") from error
-
-
-def to_pandas(columns: Mapping[str, np.ndarray]) -> Any:
-    """A pandas.DataFrame."""
-    return library("pandas").DataFrame(dict(columns))
-
-
-def to_polars(columns: Mapping[str, np.ndarray]) -> Any:
-    """A polars.DataFrame."""
-    frame = library("polars").DataFrame
-    return frame({name: column.tolist() if column.dtype == object else column for name, column in columns.items()})
-
-
-def to_xarray(columns: Mapping[str, np.ndarray], units: Mapping[str, str]) -> Any:
-    """An xarray.Dataset over the coordinate `time`; `units` become the attribute of that name."""
-    held = {name: ("time", column, _attributes(units.get(name))) for name, column in columns.items() if name != "time"}
-    return library("xarray").Dataset(held, {"time": ("time", columns["time"], _attributes(units["time"]))})
-
-
-def _attributes(unit: str | None) -> dict[str, str]:
-    return {} if unit is None else {"units": unit}
 
 
 def frame_table(frame: Any, source: str) -> Frame:

@@ -112,7 +112,7 @@ class KernelController:
 
 
 class _FmuRole:
-    """An FMU file with one instance at a time. `start` makes a new one, since FMI 2.0 cannot restart an instance."""
+    """An FMU file with one `instance` at a time. `start` makes a new one, since FMI 2.0 cannot restart an instance."""
 
     word: str
     inputs: tuple[str, ...]
@@ -120,7 +120,8 @@ class _FmuRole:
 
     def __init__(self, path: str | Path, parameters: Mapping[str, float] | None = None, dt: float = 0.004):
         self.dt, self._parameters = dt, dict(parameters or {})
-        self._fmu, self._instance, self._step = Fmu(path), None, None
+        self._fmu, self.instance, self._step = Fmu(path), None, None
+        self.path = self._fmu.path
         self._ready: FmuInstance | None = None
         try:
             self._check_role(path)
@@ -143,11 +144,11 @@ class _FmuRole:
 
     def _restart(self, values):
         ready = self._ready or self._made()
-        if self._instance:
-            self._instance.close()
-        self._instance, self._ready = ready, None
-        shown = self._instance.start(values)
-        self._step = self._instance.stepper(self.dt)
+        if self.instance:
+            self.instance.close()
+        self.instance, self._ready = ready, None
+        shown = self.instance.start(values)
+        self._step = self.instance.stepper(self.dt)
         return shown
 
     def _made(self):
@@ -159,20 +160,16 @@ class _FmuRole:
 
     def starts(self) -> dict[str, float]:
         """Start values of its numeric parameters, by name."""
-        return _starts(self._fmu)
-
-    @property
-    def path(self) -> Path:
-        """The file."""
-        return self._fmu.path
-
-    @property
-    def instance(self) -> FmuInstance | None:
-        """The instance that `start` made."""
-        return self._instance
+        found = {}
+        for variable in self._fmu.variables.values():
+            if variable.causality == "parameter":
+                with contextlib.suppress(TypeError, ValueError):
+                    text = str(variable.start)
+                    found[variable.name] = float(text == "true") if text in ("true", "false") else float(text)
+        return found
 
     def close(self):
-        for instance in (self._instance, self._ready):
+        for instance in (self.instance, self._ready):
             if instance:
                 instance.close()
         self._fmu.close()
@@ -212,17 +209,6 @@ class FmuController(_FmuRole):
 
     def step(self, thrust_set, thrust):
         return self._step((thrust_set, thrust))
-
-
-def _starts(fmu: Fmu) -> dict[str, float]:
-    """Start values of an FMU's numeric parameters, by name."""
-    found = {}
-    for variable in fmu.variables.values():
-        if variable.causality == "parameter":
-            with contextlib.suppress(TypeError, ValueError):
-                text = str(variable.start)
-                found[variable.name] = float(text == "true") if text in ("true", "false") else float(text)
-    return found
 
 
 class FmuTwin:

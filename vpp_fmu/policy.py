@@ -1,4 +1,4 @@
-"""Policy files: a learned law as arrays, its scaling, the box that it was trained in, its limits.
+"""A learned law as a model, and policy files: its arrays, its scaling, the box that it was trained in, its limits.
 
     {"format": "vpp-policy/1", "observe": [names], "history": n, "mean": [...], "scale": [...], "low": [...], "high": [...],
      "weights": [[[...]]], "biases": [[...]], "activation": "tanh" | "relu", "squash": false, "action": "absolute" | "rate",
@@ -20,14 +20,21 @@ import numpy as np
 
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
+from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.effects.dual_pid import ALLOCATED, ALLOCATION, DUAL
-from vpp_fmu.kernel.effects.policy import OBSERVABLE, Law
-from vpp_fmu.kernel.policy import policy_model
+from vpp_fmu.kernel.effects.policy import OBSERVABLE, Law, policy_effect
+from vpp_fmu.kernel.plant import OURS
 from vpp_fmu.kernel.scales import PAPER, Scales
+from vpp_fmu.kernel.signals import OMEGA
+from vpp_fmu.kernel.types import BOOLEAN, Model, Signal
 from vpp_fmu.parameters import POLICY, ParameterSet, policy_file
 from vpp_fmu.structured import as_json, check_kinds, read_object, shown
 
 FORMAT = "vpp-policy/1"
+
+NAME = "VppPolicy"
+
+FALLBACK = Signal("fallback", "1", "the dual PID acts in place of the learned law", 0.0, 1.0, kind=BOOLEAN)
 
 WIDEST, DEEPEST, LONGEST_HISTORY = 64, 4, 32
 """Largest number of units in a layer, of layers, and of earlier readings: the law becomes straight-line code."""
@@ -46,6 +53,20 @@ KINDS = {
     "parameters?": {"*": float},
 }
 """Fields of a policy file; a "?" marks those that may be missing."""
+
+
+def policy_model(law: Law, scales: Scales = PAPER, outputs: int = 3) -> Model:
+    """The law's model for a rig of these scales. `outputs`: 2 omits the flag for the fallback, as a controller has no
+    such output."""
+    return Model(
+        NAME,
+        "Learned law: thrust error to speed and pitch commands, with a dual PID to fall back on",
+        inputs=(*CONTROLLER.inputs, *([OMEGA] if "omega" in law.observe else [])),
+        outputs=(*CONTROLLER.outputs, FALLBACK)[:outputs],
+        effects=(policy_effect(law),),
+        sample_time="sample_time",
+        **OURS,
+    ).sized(scales)
 
 
 @dataclass(frozen=True, eq=False)

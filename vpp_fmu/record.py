@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from vpp_fmu import frames
 from vpp_fmu.errors import BadInput, RecordWarning, near
 from vpp_fmu.files import OutputFolder, as_bytes
+from vpp_fmu.frames import frame_table, library
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.signals import BETA, BETA_REF, OMEGA, OMEGA_REF, POWER, THRUST, TORQUE
 from vpp_fmu.kernel.types import Signal
@@ -139,15 +139,19 @@ class Record:
 
     def to_pandas(self) -> Any:
         """The columns as a pandas.DataFrame, (n,) rows numbered from 0. ExtraMissing where pandas is not installed."""
-        return frames.to_pandas(self.columns)
+        return library("pandas").DataFrame(dict(self.columns))
 
     def to_polars(self) -> Any:
         """The columns as a polars.DataFrame. ExtraMissing where polars is not installed."""
-        return frames.to_polars(self.columns)
+        frame = library("polars").DataFrame
+        return frame({name: column.tolist() if column.dtype == object else column for name, column in self.columns.items()})
 
     def to_xarray(self) -> Any:
         """The columns as an xarray.Dataset over `time`, units in the attribute `units`. ExtraMissing without xarray."""
-        return frames.to_xarray(self.columns, self.units)
+        units = {name: {"units": unit} for name, unit in self.units.items()}
+        arrays = {name: ("time", column, units.get(name, {})) for name, column in self.columns.items()}
+        time = arrays.pop("time")
+        return library("xarray").Dataset(arrays, {"time": time})
 
     @classmethod
     def from_frame(
@@ -164,7 +168,7 @@ class Record:
             ...
         vpp_fmu.errors.BadInput: frame: time, row 1: found 0 after 0 (time stands still), expected a time after ...
         """
-        table = frames.frame_table(frame, source)
+        table = frame_table(frame, source)
         columns = checked_columns(table, need, holes)
         check_time(table, columns["time"])
         return cls(columns, source)

@@ -44,7 +44,6 @@ class _Box:
     outputs: tuple[str, ...]
 
     def at(self, name: str, output: bool) -> tuple[float, float]:
-        """Position of a connector."""
         names = self.outputs if output else self.inputs
         return self.x + WIDTH * output, self.y + HEIGHT * _height(names, name)
 

@@ -38,7 +38,6 @@ class Entries:
         self._content = content
 
     def wrong(self, key: str, found: object, allowed: str) -> BadInput:
-        """The error that names an entry."""
         return BadInput(self._path, self._place(key), found, allowed)
 
     def choice(self, key: str, allowed: Sequence):

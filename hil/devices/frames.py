@@ -53,7 +53,6 @@ class Hello(NamedTuple):
     stall: int
 
     def packed(self) -> bytes:
-        """The payload."""
         return _HELLO.pack(*self)
 
 
@@ -70,17 +69,14 @@ class Answer(NamedTuple):
     rejected: int
 
     def packed(self) -> bytes:
-        """The payload."""
         return _ANSWER.pack(*self)
 
 
 def read_hello(frame: Frame) -> Hello:
-    """The frame's payload as a Hello."""
     return Hello(*_HELLO.unpack(frame.payload))
 
 
 def read_answer(frame: Frame) -> Answer:
-    """The frame's payload as an Answer."""
     return Answer(*_ANSWER.unpack(frame.payload))
 
 
@@ -90,7 +86,6 @@ def crc16(data: bytes) -> int:
 
 
 def encoded(frame: Frame) -> bytes:
-    """The frame as bytes on the line."""
     body = bytes((len(frame.payload), frame.type, frame.sequence)) + frame.payload
     return bytes((SYNC,)) + body + crc16(body).to_bytes(2, "little")
 

@@ -41,15 +41,8 @@ class Supply:
         self.inputs, self._order, self._at, self._ticks = dict(inputs), list(inputs), 0, 0
         first = self.inputs[self._order[0]]
         self._adc = Ads1115(bus, address, first.channel, clock=clock, hold=HOLD, name="supply adc")
+        self.name, self.counters = self._adc.name, self._adc.counters
         self.values, self.new = dict.fromkeys(NAMES, math.nan), ()
-
-    @property
-    def name(self) -> str:
-        return self._adc.name
-
-    @property
-    def counters(self) -> Mapping[str, int]:
-        return self._adc.counters
 
     def start(self) -> None:
         """Open the bus and begin to convert. DeviceFault NOT_READY."""
@@ -70,5 +63,4 @@ class Supply:
         self._adc.select(self.inputs[self._order[self._at]].channel)
 
     def close(self) -> None:
-        """Close the bus."""
         self._adc.close()

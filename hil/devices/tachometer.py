@@ -166,7 +166,6 @@ class Tachometer:
         return answer
 
     def close(self) -> None:
-        """Close the port."""
         if self._port is not None:
             self._port.close()
             self._port = None

@@ -15,6 +15,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from hil.devices.clock import VirtualClock
@@ -59,22 +60,9 @@ def children_of(process: int) -> list[tuple[int, str]]:
     return [(int(pid), Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()) for pid in children]
 
 
-def bus(name: str, value: float = math.inf) -> Inject:
-    """A fault of the ADC's bus."""
-    return _sets(BUS, name, value)
+def sets(file: str, name: str, value: float = math.inf, times: int = 1) -> Inject:
+    """A fault of a bus, or the force [N] of a hand on the stand; set `times` times, 30 ms apart."""
 
-
-def line(name: str, value: float = math.inf, times: int = 1) -> Inject:
-    """A fault of the serial line, set `times` times, 30 ms apart."""
-    return _sets(LINE, name, value, times)
-
-
-def pulls(force: float) -> Inject:
-    """An external force [N] on the stand, beside the thrust."""
-    return _sets(HAND, "force", force)
-
-
-def _sets(file: str, name: str, value: float, times: int = 1) -> Inject:
     def inject(rig: Target) -> None:
         with rig.numbers(file) as numbers:
             for _ in range(times):
@@ -82,6 +70,9 @@ def _sets(file: str, name: str, value: float, times: int = 1) -> Inject:
                 time.sleep(0.03 * (times > 1))
 
     return inject
+
+
+bus, line = partial(sets, BUS), partial(sets, LINE)
 
 
 def brown_out(rig: Target) -> None:
@@ -105,7 +96,6 @@ def sends(*numbers: int, pause: float = 0.02) -> Inject:
 
 
 def to_supervisor(number: int) -> Inject:
-    """A signal to the supervisor."""
     return lambda rig: os.kill(rig.child("watchdog"), number)
 
 
@@ -160,7 +150,7 @@ AT_ONCE: dict[str, Inject] = {
     "speed: 0 with an open throttle": line("marks_lost", 1.0),
     "speed: halved": line("marks_halved", 1.0),
     "speed: doubled": line("marks_doubled", 1.0),
-    "twin: 5 N too many": pulls(5.0),
+    "twin: 5 N too many": sets(HAND, "force", 5.0),
     "PWM: switched off by others": writes("enable", "0\n"),
     "PWM: pulse changed by others": writes("duty_cycle", "1900000\n"),
 }
@@ -262,7 +252,6 @@ class Injector:
             OUTSIDE[self.name](self._target)
 
     def close(self) -> None:
-        """End its process."""
         if self._process:
             self._process.stdin.close()
             self._process.wait()
@@ -270,7 +259,6 @@ class Injector:
 
 
 def main(name: str, pid: str, at: str, esc: str) -> None:
-    """Wait for the byte, then inject."""
     print("ready", flush=True)
     if os.read(0, 1):
         OUTSIDE[name](Target(int(pid), Path(at), Path(esc)))

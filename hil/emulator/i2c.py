@@ -9,11 +9,13 @@ import ctypes
 import errno
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
 
 from hil.devices import ads1115 as driver
 from hil.devices.clock import Clock
-from hil.emulator.shared import SharedNumbers
+from hil.emulator.shared import SharedNumbers, refusal
+from hil.loop.bench import ADDRESS
 
 REGISTERS = ("conversion", "config", "low", "high")
 STATE = ("converting", "since")
@@ -92,15 +94,13 @@ class Ads1115Chip:
 
 @contextlib.contextmanager
 def attached(
-    path: str | os.PathLike, clock: Clock, address: int = 0x48, second: tuple[int, str | os.PathLike] | None = None
+    path: str | os.PathLike, clock: Clock, others: Mapping[int, str | os.PathLike] = MappingProxyType({})
 ) -> Iterator[SharedNumbers]:
-    """Within this context smbus2 accesses the bus `path`, and other buses as before. A timeout waits on `clock`. `second`:
-    address and file of another chip on the same wires."""
+    """Within this context smbus2 accesses the bus `path`, and other buses as before. A timeout waits on `clock`. `others`:
+    files of further chips on the same wires, by address."""
     module = driver.smbus2.smbus2
-    bus, beneath = open_bus(path), module.ioctl
-    chips = {address: bus} | ({second[0]: open_bus(second[1])} if second else {})
-    kernel = _Kernel(chips, clock)
-    here = os.stat(path)
+    chips = {address: open_bus(file) for address, file in {ADDRESS: path, **others}.items()}
+    kernel, beneath, here = _Kernel(chips, clock), module.ioctl, os.stat(path)
 
     def ioctl(file, request, argument):
         there = os.fstat(file)
@@ -110,7 +110,7 @@ def attached(
 
     module.ioctl = ioctl
     try:
-        yield bus
+        yield chips[ADDRESS]
     finally:
         module.ioctl = beneath
         for chip in chips.values():
@@ -148,12 +148,12 @@ class _Kernel:
         elif request == self.SMBUS:
             self._smbus(self._addresses.get(file, -1), _SmbusRequest.from_address(ctypes.addressof(argument)))
         else:
-            raise _refusal(errno.ENOTTY)
+            raise refusal(errno.ENOTTY)
         return 0
 
     def _smbus(self, address: int, request: _SmbusRequest) -> None:
         if request.size != self.BLOCK:
-            raise _refusal(errno.EOPNOTSUPP)
+            raise refusal(errno.EOPNOTSUPP)
         command, data = bytes([request.command]), (ctypes.c_uint8 * 34).from_address(request.data)
         count = data[0]  # the block is behind its length
         if request.read_write == 1:
@@ -165,10 +165,10 @@ class _Kernel:
         """One transfer as on the wires: the bytes written, the first of them the register, then `count` bytes read."""
         bus = self._chips.get(address)
         if bus is None or bus.take("not_acknowledged"):
-            raise _refusal(errno.EREMOTEIO)
+            raise refusal(errno.EREMOTEIO)
         if bus.take("timeout"):
             self._clock.wait_until(self._clock.now() + self._timeout)
-            raise _refusal(errno.ETIMEDOUT)
+            raise refusal(errno.ETIMEDOUT)
         name = REGISTERS[written[0] & 3]
         if len(written) >= 3:
             self._store(bus, name, written[1] << 8 | written[2])
@@ -184,7 +184,3 @@ class _Kernel:
         if name == "config":
             bus["converting"] = float(not word & _SINGLE or word & _READY != 0)
             bus["since"] = self._clock.now()
-
-
-def _refusal(code: int) -> OSError:
-    return OSError(code, os.strerror(code))

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from hil.devices import pwm as driver
+from hil.emulator.shared import refusal
 
 DEVICE = "fe20c000.pwm"
 """The Pi 4's PWM controller."""
@@ -70,7 +71,7 @@ def attached(folder: str | os.PathLike, refuse: Callable[[str], bool] = lambda f
         if root not in path.parents:
             return beneath(file, data, offset)
         if refuse(path.name):
-            raise _refusal(errno.EIO)
+            raise refusal(errno.EIO)
         _check(path, data.decode().strip())
         return beneath(file, data, offset)
 
@@ -87,25 +88,25 @@ def _check(path: Path, text: str) -> None:
     shown = {name: _first(path.parent / name) for name in ("period", "duty_cycle", "enable", "polarity")}
     if path.name == "polarity":
         if text not in ("normal", "inversed"):
-            raise _refusal(errno.EINVAL)
+            raise refusal(errno.EINVAL)
         if shown["enable"] == "1":
-            raise _refusal(errno.EBUSY)
+            raise refusal(errno.EBUSY)
     elif not text.isdecimal() or (path.name == "enable" and text not in ("0", "1")):
-        raise _refusal(errno.EINVAL)
+        raise refusal(errno.EINVAL)
     wanted = {**shown, path.name: text}
     # As pwm_apply_state: whatever is written, there must be a period, and the pulse must fit in it.
     if int(wanted["period"]) == 0 or int(wanted["duty_cycle"]) > int(wanted["period"]):
-        raise _refusal(errno.EINVAL)
+        raise refusal(errno.EINVAL)
 
 
 def _export(chip: Path, text: str) -> None:
     if not text.isdecimal():
-        raise _refusal(errno.EINVAL)
+        raise refusal(errno.EINVAL)
     if int(text) >= int(_first(chip / "npwm")):
-        raise _refusal(errno.ENODEV)
+        raise refusal(errno.ENODEV)
     channel = chip / f"pwm{text}"
     if channel.exists():
-        raise _refusal(errno.EBUSY)
+        raise refusal(errno.EBUSY)
     channel.mkdir()
     for name, value in {"period": "0", "duty_cycle": "0", "enable": "0", "polarity": "normal"}.items():
         (channel / name).write_text(f"{value}\n")
@@ -118,7 +119,3 @@ def _first(path: Path) -> str:
 def _first_line(content: bytes) -> bytes:
     """The first line only: a shorter number written over a longer one leaves the longer one's end after it."""
     return content.split(b"\n", 1)[0].strip()
-
-
-def _refusal(code: int) -> OSError:
-    return OSError(code, os.strerror(code))

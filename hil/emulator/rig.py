@@ -11,9 +11,8 @@ from pathlib import Path
 
 from hil.devices.calibration import Calibration
 from hil.devices.clock import Clock, VirtualClock
-from hil.devices.pwm import PwmChannel
 from hil.devices.supply import Input
-from hil.devices.tachometer import Port, Tachometer
+from hil.devices.tachometer import Port
 from hil.emulator import i2c, pwm_tree
 from hil.emulator.i2c import Ads1115Chip
 from hil.emulator.pwm_tree import PwmTree
@@ -21,7 +20,7 @@ from hil.emulator.serial_line import MemoryLine, SerialLine
 from hil.emulator.shared import SharedNumbers
 from hil.emulator.uno import Uno
 from hil.emulator.world import LoadCell, World
-from hil.loop.bench import ESC, LAC, Bench, adc, supply
+from hil.loop.bench import ESC, LAC, Bench, Wiring, opened
 from hil.physics.pitch_actuator import ACTUATOR
 from hil.physics.rig_model import library, powertrain
 from vpp_fmu.errors import BadInput, near
@@ -114,7 +113,6 @@ def effects_to_hide() -> list[str]:
 
 
 def _hidden(text: str) -> tuple[str, dict[str, float]]:
-    """A hidden effect's name and its parameters."""
     known = {e.name: e for e in library(commanded=False) if e.off is not None}
     left, _, size = text.partition("=")
     name, _, parameter = left.partition(".")
@@ -176,42 +174,33 @@ class Emulation:
         per_count = calibration.full_scale / 0x8000
         zero = per_count * (calibration.zero + ZERO_SHIFT)
         cell = LoadCell(zero, per_count / calibration.newton_per_count)
-        tree, self._calibration, self._powered = PwmTree(folder / PULSES), calibration, False
-        self._esc, self._lac = _Output(tree, ESC), _Output(tree, LAC)
+        tree = self._outputs = PwmTree(folder / PULSES)
+        self._calibration, self._powered = calibration, False
         self.world = World(powertrain(rig.hidden), rig.parameters, self._driven, cell, rig.seed, start)
-        self._bus = i2c.open_bus(folder / BUS, create=True)
-        self._chip = Ads1115Chip(self._bus, self.world.volts, int(calibration.channel[3]))
-        self._second = i2c.open_bus(folder / SECOND, create=True) if calibration.supply else None
-        if self._second:
+        bus = i2c.open_bus(folder / BUS, create=True)
+        self._chips, self._files = [Ads1115Chip(bus, self.world.volts, int(calibration.channel[3]))], [bus, tree]
+        if calibration.supply:
+            second = i2c.open_bus(folder / SECOND, create=True)
             read = {int(w.channel[3]): partial(self._supply, name, w) for name, w in calibration.supply.items()}
             first = next(iter(read))
-            self._supply_chip = Ads1115Chip(self._second, read[first], first, others=read)
+            self._chips.append(Ads1115Chip(second, read[first], first, others=read))
+            self._files.append(second)
         self.board = Uno(self.world.pulses)
         self.line: SerialLine | None = None
         self.shown = SharedNumbers(folder / SHOWN, BYSTANDER, create=True)
         self._hand = SharedNumbers(folder / HAND, PULLED, create=True)
 
     def serve(self, t: float) -> None:
-        """Emulate the rig up to time t [s]."""
         self._powered = self.board.watch(t)
         self.world.pulled = self._hand["force"]
         self.world.advance(t)
         self.shown["relay"], self.shown["omega"], self.shown["thrust"] = self._powered, self.world.omega, self.world.thrust
-        self._chip.serve(t)
-        if self._second:
-            self._supply_chip.serve(t)
-        self.line.serve(t)
+        for far_end in (*self._chips, self.line):
+            far_end.serve(t)
 
     def close(self) -> None:
-        """Close the files."""
-        self.line.close()
-        self.shown.close()
-        self._hand.close()
-        self._bus.close()
-        if self._second:
-            self._second.close()
-        self._esc.close()
-        self._lac.close()
+        for file in (self.line, self.shown, self._hand, *self._files):
+            file.close()
 
     def _supply(self, name: str, wired: Input, t: float) -> float:
         """Voltage on an input of the second ADC, without noise, which is less than a count."""
@@ -219,39 +208,9 @@ class Emulation:
 
     def _driven(self) -> tuple[float, float]:
         """Commands of the pulses: (throttle [1], pitch [deg]). Without a signal the ESC stops and the pitch is at rest."""
-        esc, lac, calibration = self._esc.pulse(), self._lac.pulse(), self._calibration
+        esc, lac, calibration = self._outputs.duty(ESC), self._outputs.duty(LAC), self._calibration
         throttle = calibration.throttle(esc) if esc is not None and self._powered else 0.0
         return throttle, calibration.rest_pitch if lac is None else calibration.pitch(lac)
-
-
-class _Output:
-    """An output as read by ESC or LAC: the pulse [s] at every call; whether it is enabled is checked at every 64th."""
-
-    def __init__(self, tree: PwmTree, channel: int):
-        self._tree, self._channel, self._looks, self._on = tree, channel, 0, None
-        self._path, self._file = tree.chip / f"pwm{channel}" / "duty_cycle", None
-
-    def pulse(self) -> float | None:
-        self._looks += 1
-        if self._on is None or self._looks % 64 == 0:
-            self._on = self._tree.duty(self._channel)
-            return self._on
-        if self._file is None:
-            self._file = os.open(self._path, os.O_RDONLY)
-        text = os.pread(self._file, 32, 0).split(b"\n", 1)[0]
-        if text.isdigit():  # else: it is being written at this moment
-            self._on = 1e-9 * int(text)
-        return self._on
-
-    def close(self) -> None:
-        """Close the file."""
-        if self._file is not None:
-            os.close(self._file)
-
-
-def second_chip(calibration: Calibration, at: Path) -> tuple[int, Path] | None:
-    """Address and file of the second ADC, if the calibration has one."""
-    return (calibration.supply_address, at / SECOND) if calibration.supply else None
 
 
 @contextlib.contextmanager
@@ -260,13 +219,6 @@ def folder() -> Iterable[Path]:
     place = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
     with tempfile.TemporaryDirectory(prefix="vpp-hil-", dir=place) as name:
         yield Path(name)
-
-
-def hand(at: Path, ends: contextlib.ExitStack) -> Callable[[float], None]:
-    """The function that sets the force [N] on the emulated stand in the folder `at`."""
-    shared = SharedNumbers(at / HAND, PULLED)
-    ends.callback(shared.close)
-    return lambda force: shared.__setitem__("force", force)
 
 
 def virtual_bench(rig: EmulatedRig, calibration: Calibration, truth: Calibration | None = None) -> Bench:
@@ -291,18 +243,9 @@ def bench_in(
     ends: contextlib.ExitStack,
 ) -> Bench:
     """The devices of the emulated rig in the folder `at`, ready to use; `truth` as in `virtual_bench`."""
-    ends.enter_context(i2c.attached(at / BUS, clock, second=second_chip(truth, at)))
+    ends.enter_context(i2c.attached(at / BUS, clock, {truth.supply_address: at / SECOND} if truth.supply else {}))
+    hand = ends.enter_context(contextlib.closing(SharedNumbers(at / HAND, PULLED)))
     chip = at / PULSES / "pwmchip0"
     with pwm_tree.attached(at / PULSES):
-        return Bench(
-            clock,
-            calibration,
-            adc(calibration, str(at / BUS), clock),
-            Tachometer(port, clock),
-            PwmChannel(chip, ESC, "esc", clock),
-            PwmChannel(chip, LAC, "lac", clock),
-            emulated,
-            ends,
-            hand=hand(at, ends),
-            supply=supply(calibration, str(at / BUS), clock),
-        ).open()
+        further = {"emulated": emulated, "ends": ends, "hand": partial(hand.__setitem__, "force")}
+        return opened(calibration, clock, Wiring(str(at / BUS), port), chip, **further)

@@ -15,7 +15,7 @@ import tty
 from pathlib import Path
 
 from hil.devices.clock import Clock
-from hil.emulator.shared import SharedNumbers
+from hil.emulator.shared import SharedNumbers, refusal
 from hil.emulator.uno import Uno
 
 FAULTS = ("silent", "flipped", "garbage", "resets", "unplugged", "marks_lost", "marks_halved", "marks_doubled")
@@ -80,7 +80,6 @@ class SerialLine:
         raise NotImplementedError
 
     def close(self) -> None:
-        """Close everything."""
         self.faults.close()
 
 
@@ -155,12 +154,10 @@ class MemoryLine(SerialLine):
 
     @property
     def in_waiting(self) -> int:
-        """Bytes to read."""
         self._plugged()
         return len(self._arrived)
 
     def read(self, size: int) -> bytes:
-        """Up to `size` bytes of what has arrived."""
         self._plugged()
         data = bytes(self._arrived[:size])
         del self._arrived[:size]
@@ -173,12 +170,11 @@ class MemoryLine(SerialLine):
         return len(data)
 
     def reset_input_buffer(self) -> None:
-        """Drop what has arrived."""
         self._arrived.clear()
 
     def _plugged(self) -> None:
         if self.faults["unplugged"]:
-            raise OSError(errno.EIO, os.strerror(errno.EIO))
+            raise refusal(errno.EIO)
 
     def _hear(self, t):
         heard = [entry for entry in self._written if entry[0] <= t]

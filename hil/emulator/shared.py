@@ -1,4 +1,4 @@
-"""Named numbers in a small file that several processes map: what one sets, the others see at once."""
+"""What the emulated buses share: named numbers in a small file that several processes map, and the kernel's refusals."""
 
 import mmap
 import os
@@ -7,7 +7,8 @@ from pathlib import Path
 
 
 class SharedNumbers:
-    """One float64 per name. `create` makes the file, all zero; else it must exist, made with the same names.
+    """One float64 per name: what one process sets, the others see at once. `create` makes the file, all zero; else it must
+    exist, made with the same names.
 
     Each number is written and read whole (eight aligned bytes); several together are not.
     """
@@ -39,3 +40,8 @@ class SharedNumbers:
         """Close the file, which is kept."""
         self._numbers.release()
         self._memory.close()
+
+
+def refusal(code: int) -> OSError:
+    """What the kernel raises, by its number."""
+    return OSError(code, os.strerror(code))

@@ -49,11 +49,9 @@ class Relay:
         self.closed, self.silent, self._heard = True, False, now
 
     def heard(self, now: int) -> None:
-        """Note that a request has come."""
         self._heard = now
 
     def stop(self) -> None:
-        """Open it."""
         self.closed = False
 
     def watch(self, now: int) -> None:
@@ -63,7 +61,6 @@ class Relay:
 
     @property
     def flags(self) -> int:
-        """Its flags in an answer."""
         return (frames.CLOSED if self.closed else 0) | (frames.SILENT if self.silent else 0)
 
 

@@ -1,5 +1,6 @@
 """The physics behind the emulated rig's buses, stepped in time and read by the emulated devices as volts and marks' passes."""
 
+import warnings
 from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -7,8 +8,8 @@ from math import exp, floor, sqrt
 
 import numpy as np
 
-from hil.emulator.stepper import Stepper
 from vpp_fmu.kernel.types import Model
+from vpp_fmu.native.stepper import Stepper
 
 STEP = 0.001
 """Step, s, the largest that the physics allows; thrust and the mark's passes are interpolated linearly within it."""
@@ -57,8 +58,11 @@ class World:
         self._others = [inputs[s.name] for s in model.inputs]
         names = [s.name for s in model.inputs]
         self._throttle, self._pitch = names.index("throttle"), names.index("beta_ref")
-        self._stepper = Stepper(model, parameters, inputs)
-        places = {name: k for k, name in enumerate(self._stepper.outputs)}
+        with warnings.catch_warnings():  # without a compiler it is fast enough
+            warnings.simplefilter("ignore", RuntimeWarning)
+            self._stepper = Stepper(model, parameters)
+        self._stepper.start(self._others)
+        places = {y.name: k for k, y in enumerate(model.outputs)}
         self._at = [places[name] for name in ("thrust", "omega", "beta", "angle")]
         self._current_at, self._torque_at = places["current"], places["torque"]
         values = model.values(parameters)
@@ -74,25 +78,23 @@ class World:
 
     def advance(self, t: float) -> None:
         """Simulate up to time t [s] in whole steps."""
-        count = stepped = floor((t - self._from) / STEP + 1e-6) - self._steps
+        count = floor((t - self._from) / STEP + 1e-6) - self._steps
         if count <= 0:
             return
         self._others[self._throttle], self._others[self._pitch] = self._driven()
         thrust_at, omega_at, beta_at, angle_at = self._at
-        while count > 0:
-            rows = self._stepper.advance(self._others, STEP, min(count, _KEPT))
-            count -= len(rows)
-            for row in rows:
-                self._steps += 1
-                self._thrusts[self._steps % _KEPT] = row[thrust_at]
-                if floor(row[angle_at]) > floor(self._angle):
-                    self._pass(row[angle_at])
-                self._angle = row[angle_at]
+        for _ in range(count):
+            row = self._stepper.step(self._others, STEP)
+            self._steps += 1
+            self._thrusts[self._steps % _KEPT] = row[thrust_at]
+            if floor(row[angle_at]) > floor(self._angle):
+                self._pass(row[angle_at])
+            self._angle = row[angle_at]
         self.thrust, self.omega, self.beta = row[thrust_at], row[omega_at], row[beta_at]
         motor, self.torque = row[self._current_at], row[self._torque_at]
         self.current = self._others[self._throttle] * motor
         self.voltage = self._source - self._leads * self.current
-        kept = exp(-stepped * STEP / WARMS)
+        kept = exp(-count * STEP / WARMS)
         self.temperature = kept * self.temperature + (1.0 - kept) * (AMBIENT + HEATS * motor**2)
 
     def volts(self, t: float) -> float:

@@ -6,18 +6,22 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from hil.devices.ads1115 import Ads1115
 from hil.devices.calibration import Calibration
 from hil.devices.clock import Clock, MonotonicClock
 from hil.devices.pwm import PwmChannel, find_chip
 from hil.devices.supply import Supply
-from hil.devices.tachometer import Tachometer
+from hil.devices.tachometer import Port, Tachometer
 from hil.safety.faults import DeviceFault, FaultKind
 from vpp_fmu.errors import BadInput
 
 ESC, LAC = 0, 1
 """Outputs of the PWM chip (GPIO 12 and 13, hil/README.md)."""
+
+ADDRESS = 0x48
+"""I2C address of the thrust's ADC."""
 
 ESC_BOOT = 4.0
 """Time from an ESC's power-up at the idle pulse to its ready tone, s."""
@@ -73,7 +77,6 @@ class Bench:
 
     @property
     def counters(self) -> dict[str, Mapping[str, int]]:
-        """Counters of each device."""
         devices = (self.adc, self.tachometer, self.esc, self.lac, *((self.supply,) if self.supply else ()))
         return {device.name: dict(device.counters) for device in devices}
 
@@ -84,42 +87,32 @@ class Bench:
 
 @dataclass(frozen=True)
 class Wiring:
-    """Where the real rig's devices are on the Pi."""
+    """Where a rig's devices are: the I2C bus, the tachometer's port, the PWM chip's device, and its outputs."""
 
-    bus: int = 1
-    address: int = 0x48
-    port: str = "/dev/ttyACM0"
+    bus: int | str = 1
+    port: str | Callable[[], Port] = "/dev/ttyACM0"
     pwm: str = "fe20c000.pwm"
     channels: tuple[int, int] = (ESC, LAC)
 
 
 def real_bench(calibration: Calibration, wiring: Wiring) -> Bench:
     """The rig on this machine. DeviceFault NOT_READY if a device is missing."""
-    clock, chip = MonotonicClock(), find_chip(wiring.pwm)
-    bench = Bench(
+    return opened(calibration, MonotonicClock(), wiring, find_chip(wiring.pwm), esc_boot=ESC_BOOT)
+
+
+def opened(calibration: Calibration, clock: Clock, wiring: Wiring, chip: Path, **more: Any) -> Bench:
+    """The devices of a rig whose PWM chip is the folder `chip`, ready to use. `more`: further fields of the bench."""
+    c, bus, (esc, lac) = calibration, wiring.bus, wiring.channels
+    return Bench(
         clock,
         calibration,
-        adc(calibration, wiring.bus, clock, wiring.address),
+        Ads1115(bus, ADDRESS, c.channel, c.full_scale, c.rate, clock=clock),
         Tachometer(wiring.port, clock),
-        PwmChannel(chip, wiring.channels[0], "esc", clock),
-        PwmChannel(chip, wiring.channels[1], "lac", clock),
-        esc_boot=ESC_BOOT,
-        supply=supply(calibration, wiring.bus, clock),
-    )
-    return bench.open()
-
-
-def adc(calibration: Calibration, bus: int | str, clock: Clock, address: int = 0x48) -> Ads1115:
-    """The load cell's ADC with the calibration's channel, range and rate."""
-    c = calibration
-    return Ads1115(bus, address, c.channel, c.full_scale, c.rate, clock=clock)
-
-
-def supply(calibration: Calibration, bus: int | str, clock: Clock) -> Supply | None:
-    """The sensors of the motor's supply in the calibration; None if it has none."""
-    if not calibration.supply:
-        return None
-    return Supply(bus, calibration.supply_address, calibration.supply, clock=clock)
+        PwmChannel(chip, esc, "esc", clock),
+        PwmChannel(chip, lac, "lac", clock),
+        supply=Supply(bus, c.supply_address, c.supply, clock=clock) if c.supply else None,
+        **more,
+    ).open()
 
 
 def check_limits(path: str, calibration: Calibration, beta_min: float, beta_max: float) -> None:

@@ -172,7 +172,6 @@ class Cycle:
                 self.note(f"log: {self.log.warning}")
 
     def _status(self) -> str:
-        """The text of the terminal's line."""
         numbers = (
             ("thrust", "6.2f", self.sensors.thrust, "N"),
             ("set-point", "6.2f", self.wanted, "N"),

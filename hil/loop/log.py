@@ -259,7 +259,6 @@ class Reader:
         return _NUMBER.unpack_from(self._memory, self._slots * self._row.size + _DONE * _NUMBER.size)[0]
 
     def close(self) -> None:
-        """Release the memory."""
         self._memory.close()
 
     def _at(self, place: int) -> tuple[float, ...]:

@@ -163,7 +163,6 @@ class RigPlant:
 
     @property
     def last(self) -> RigSample:
-        """The last readings."""
         sensors = self._cycle.sensors
         return RigSample(sensors.thrust, sensors.omega, math.nan, sensors.thrust_age, sensors.mark_age)
 

@@ -63,7 +63,6 @@ class OperatorPage:
 
     @property
     def pid(self) -> int:
-        """Number of its process."""
         return self._process.pid
 
     @property
@@ -89,7 +88,6 @@ class OperatorPage:
         self._tell({"part": name, "before": before, **what})
 
     def follow(self, log: ProcessLog) -> None:
-        """Let the page read this log."""
         columns = [[column.name, list(column.words)] for column in log.columns]
         told = {"columns": columns, "slots": log.slots, "events": str(events_of(log.path))}
         self._tell({"log": told}, log.shared)

@@ -131,7 +131,6 @@ class Ear:
         self._loop = os.pidfd_open(os.getppid())
 
     def hear(self) -> None:
-        """Receive its messages."""
         with contextlib.suppress(BlockingIOError):
             while not self.gone:
                 data, descriptors, _, _ = socket.recv_fds(self._end, 1 << 20, 1)
@@ -173,7 +172,6 @@ async def serve(end: socket.socket, port: int) -> None:
 
 
 def main() -> None:
-    """See the module."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN if number != signal.SIGTERM else signal.SIG_DFL)
     with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w") as file:

@@ -24,7 +24,6 @@ class Pair(NamedTuple):
 
     @property
     def determinant(self):
-        """Determinant of the matrix."""
         return self.a11 * self.a22 - self.a12 * self.a21
 
 

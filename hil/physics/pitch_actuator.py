@@ -29,10 +29,6 @@ def _at_command(ops, s, p):
     return ops.clip(s.beta_ref, p.beta_low, p.beta_high)
 
 
-def _nothing(ops, s, p):
-    return 0.0
-
-
 ACTUATOR = Effect(
     "actuator",
     "the pitch actuator",
@@ -50,8 +46,8 @@ ACTUATOR = Effect(
     ),
     states=(
         State("rod", "deg", "position of the rod as blade pitch", _at_command, closed_by="rod_ahead"),
-        State("rod_rate", "deg/s", "rate of the rod", _nothing, closed_by="rod_rate_ahead"),
-        State("rod_current", "A", "current of the actuator", _nothing, closed_by="rod_current_ahead"),
+        State("rod_rate", "deg/s", "rate of the rod", 0.0, closed_by="rod_rate_ahead"),
+        State("rod_current", "A", "current of the actuator", 0.0, closed_by="rod_current_ahead"),
     ),
 )
 

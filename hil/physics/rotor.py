@@ -57,9 +57,6 @@ def shaft(commanded: bool) -> Effect:
         stalled = 0.0 if commanded else p.full_duty * ops.clip(s.throttle, 0.0, 1.0) * s.supply / resistance
         return ops.where(omega > 0.0, settled_current(ops, s, p, omega), stalled)
 
-    def nothing(ops, s, p):
-        return 0.0
-
     def step(ops, s, x, p, dt):
         return {
             "machine": p,
@@ -96,9 +93,7 @@ def shaft(commanded: bool) -> Effect:
         states=(
             State("shaft_speed", "rad/s", "speed of the shaft", speed, closed_by="shaft_speed_ahead"),
             State("motor_current", "A", "motor current", current, closed_by="current"),
-            State("shaft_angle", "1", "turns since the start", nothing, closed_by="angle"),
-            State(
-                "shaft_acceleration", "rad/s/s", "acceleration at the end of a step", nothing, closed_by="acceleration_ahead"
-            ),
+            State("shaft_angle", "1", "turns since the start", 0.0, closed_by="angle"),
+            State("shaft_acceleration", "rad/s/s", "acceleration at the end of a step", 0.0, closed_by="acceleration_ahead"),
         ),
     )

@@ -295,7 +295,6 @@ def _settling(loops: Mapping[str, Record], limits: Mapping[str, tuple[float, flo
 
 
 def said(step: Step, name: str) -> str:
-    """A step in words."""
     never = f"is out of reach, {step.reached}" if step.stuck else "does not settle"
     when = never if step.settling is None else f"settles within {number(step.settling, 3)} s"
     return f"{name}: the step from {number(step.before)} to {number(step.after)} N at {number(step.time)} s {when}"

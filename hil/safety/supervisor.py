@@ -79,7 +79,6 @@ class Supervisor:
 
     @property
     def pid(self) -> int:
-        """Number of the process."""
         return self._process.pid
 
     def beat(self) -> Fault | None:

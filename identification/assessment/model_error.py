@@ -1,7 +1,7 @@
 """Standard deviation of a model's error over half a second, steady and in transients, for a model that runs beside the rig."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import lfilter
@@ -31,10 +31,6 @@ class ModelError:
     steady: float
     moving: float
     freedom: int
-
-    def summary(self) -> dict:
-        """For identification.json."""
-        return asdict(self)
 
 
 def model_error(

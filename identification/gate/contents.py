@@ -46,7 +46,6 @@ class FileContents:
     runs: int | None = None
 
     def row(self) -> tuple[str, ...]:
-        """As a row of COLUMNS."""
         rows = f"{self.rows}" + (f" in {self.runs} runs" if self.runs else "")
         ranges = [self._range(name) for name in ("omega_ref", "beta_ref", "thrust")]
         others = [n for n in self.columns if n not in ("time", "omega_ref", "beta_ref", "thrust", "thrust_std", "samples")]

@@ -102,12 +102,10 @@ class Finding:
 
     @property
     def level(self) -> str:
-        """Error or warning."""
         return WARNING if self.accepted else KINDS[self.code].level
 
     @property
     def advice(self) -> str:
-        """Advice to the user."""
         return KINDS[self.code].advice
 
     @property

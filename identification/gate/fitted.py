@@ -37,23 +37,20 @@ SECOND = 1.0
 """s over which the score of an offset is summed: longer than the correlation time of thrust noise."""
 
 
+@ThreadpoolController().wrap(limits=1)  # on matrices this narrow one thread is faster
 def of_fit(
     found: Refinement, predictions: Mapping[str, Prediction], fitted: tuple[str, ...], noise: ReadingNoise, rig: Rig
 ) -> tuple[Finding, ...]:
     """All findings of a fit. `predictions` by record, including the `fitted` ones; `noise` of one reading; `rig`: its ranges
     are those of the map."""
     where = predictions[fitted[0]].record.source
-    with _BLAS.limit(limits=1):  # on matrices this narrow one thread is faster
-        return (
-            *_bounds(found, where),
-            *_errors(predictions, fitted, noise.high),
-            *_thin(found, where, rig),
-            *_sampling(found, predictions, fitted),
-            *_offset(found, where, noise.std, rig),
-        )
-
-
-_BLAS = ThreadpoolController()
+    return (
+        *_bounds(found, where),
+        *_errors(predictions, fitted, noise.high),
+        *_thin(found, where, rig),
+        *_sampling(found, predictions, fitted),
+        *_offset(found, where, noise.std, rig),
+    )
 
 
 def _bounds(found: Refinement, where: str) -> Iterator[Finding]:

@@ -49,17 +49,10 @@ class Passed:
         return replace(kept, findings=(*self.findings, *_of_one_file(found)))
 
 
+@ThreadpoolController().wrap(limits=1)  # on matrices this narrow one thread is faster
 def look(campaign: Campaign, further: Mapping[str, Record] | None = None, accept: Iterable[str] = ()) -> Passed:
     """All findings on the files. `accept`: codes whose errors become warnings, and whose rows are kept."""
     accept, further = check_accepted(accept), dict(further or {})
-    with _BLAS.limit(limits=1):  # on matrices this narrow one thread is faster
-        return _look(campaign, further, accept)
-
-
-_BLAS = ThreadpoolController()
-
-
-def _look(campaign: Campaign, further: Mapping[str, Record], accept: frozenset[str]) -> Passed:
     own = {n: r for n in RECORDS if (r := getattr(campaign, n)) is not None}
     fitted = [r for r in (own | further).values() if r is not campaign.validation]
     found = [f for r in fitted for f in unusable(r)]

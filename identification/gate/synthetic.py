@@ -113,7 +113,6 @@ def one_mark(time: np.ndarray, omega: np.ndarray, rng: np.random.Generator) -> n
 
 
 def write_campaign(folder: OutputFolder, campaign: Campaign) -> None:
-    """Write the campaign's files."""
     if campaign.static is not None:
         write_static(folder, campaign.static)
     if campaign.steps:

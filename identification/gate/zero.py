@@ -44,7 +44,6 @@ class Rest:
 
     @property
     def text(self) -> str:
-        """In words."""
         return f"{signed(round(self.mean, 6))} N at {number(0.5 * (self.begin + self.end))} s"
 
 

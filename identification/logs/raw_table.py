@@ -41,7 +41,6 @@ class RawTable:
         return len(self.lines)
 
     def wrong(self, name: str, row: int, found: object, allowed: str, hint: str = "") -> BadInput:
-        """The error for one cell."""
         return BadInput(self.source, f"{name}, {self.rows_are} {self.lines[row]}", found, allowed, hint)
 
     def find(self, wanted: str) -> str:

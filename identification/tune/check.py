@@ -31,17 +31,14 @@ class Measured:
         self._noise, self._dt = noise, self._chain.parameters["sample_time"]
 
     def start(self, thrust_set: float, thrust: float) -> None:
-        """Reset to the steady state at this thrust [N]."""
         self._noise_ahead = iter(self._noise.tolist())
         self._controller.start(thrust_set, self._chain.start({"thrust": thrust, "noise": 0.0})["reading"])
 
     def step(self, thrust_set: float, thrust: float) -> tuple[float, float]:
-        """The next commands [rpm, deg]."""
         reading = self._chain.advance({"thrust": thrust, "noise": next(self._noise_ahead)}, self._dt)["reading"]
         return self._controller.step(thrust_set, reading)
 
     def close(self) -> None:
-        """Release the controller."""
         self._controller.close()
 
 
@@ -72,5 +69,4 @@ def through_fmus(
 
 
 def largest_difference(first: Record, second: Record) -> float:
-    """Largest difference of thrust, N."""
     return float(np.max(np.abs(first["thrust"] - second["thrust"])))

@@ -161,7 +161,6 @@ def sampling(lag: float, usual: float) -> float:
 
 
 def _gains(named: Mapping[str, float]) -> dict[str, float]:
-    """The gains among the values of a controller."""
     return {name: value for name, value in named.items() if name[:3] in POWERS}
 
 

@@ -21,12 +21,11 @@ from identification.tune.tune import TuningTask
 from vpp_fmu.commands import idle
 from vpp_fmu.kernel.effects.dual_pid import ALLOCATION
 from vpp_fmu.kernel.measurement import MEASUREMENT
-from vpp_fmu.kernel.policy import policy_model
 from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.kernel.types import Model, Signal
 from vpp_fmu.native.closed_loop import ClosedLoop, Course
 from vpp_fmu.native.stepper import Stepper
-from vpp_fmu.policy import Policy, policy_from_arrays
+from vpp_fmu.policy import Policy, policy_from_arrays, policy_model
 from vpp_fmu.record import Record
 
 with warnings.catch_warnings():  # its optional plots

@@ -1,7 +1,7 @@
 """Stability margins of a sampled loop: gain, phase and delay margin, and largest sensitivity."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,10 +28,6 @@ class Margins:
     crossover: float | None
     delay: float | None
     sensitivity: float
-
-    def summary(self) -> dict:
-        """The margins for JSON."""
-        return asdict(self)
 
 
 def frequencies(dt: float, time_scale: float) -> np.ndarray:

@@ -83,7 +83,6 @@ class Objective:
 
     @property
     def loop(self) -> ClosedLoop:
-        """The compiled closed loop."""
         return closed_loop(self.effects, self.effects_from)
 
     @property

@@ -48,7 +48,6 @@ def _free(objective: Objective, commands: tuple[float, float]) -> tuple[str, ...
 
 
 def margins_at(objective: Objective, gains: np.ndarray, points: tuple[Point, ...]) -> tuple[Margins, ...]:
-    """Margins at each point."""
     omega = frequencies(objective.course.dt, objective.time_scale)
     loops = objective.open_loops(gains, omega, objective.paths(points, omega))
     return tuple(margins(omega, loop, objective.integrators(point)) for point, loop in zip(points, loops, strict=True))

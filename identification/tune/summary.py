@@ -14,7 +14,6 @@ NAMES = {"dual": "both actuators", "speed_only": "speed alone", "allocated": "bo
 
 
 def labels(found: Tuning, tuned: Tuned) -> dict[str, str]:
-    """Label of each gain set."""
     return {which: found.task.reference if which == "start" else which for which in tuned.gains}
 
 
@@ -76,7 +75,7 @@ def _controller(found: Tuning, tuned: Tuned) -> dict:
 def _gains(tuned: Tuned, which: str) -> dict:
     gains = tuned.gains[which]
     points = [
-        {"thrust": p.thrust, "commands": list(p.commands), "channels": list(p.channels), **m.summary()}
+        {"thrust": p.thrust, "commands": list(p.commands), "channels": list(p.channels), **vars(m)}
         for p, m in zip(tuned.points[which], tuned.margins[which], strict=True)
     ]
     return {
@@ -197,5 +196,4 @@ def margin_rows(verdict: Verdict) -> list[tuple[str, str]]:
 
 
 def settling(seconds: float | None) -> str:
-    """A settling time as text."""
     return "not settled" if seconds is None else f"{seconds:.3g} s"

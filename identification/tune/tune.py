@@ -12,8 +12,7 @@ from identification.tune.draws import Posterior, standard_deviations
 from identification.tune.margins import Margins, least
 from identification.tune.objective import ALPHA, Objective, Point
 from identification.tune.operating import margins_at, operating_points
-from identification.tune.rounds import rounds
-from identification.tune.search import SearchResult
+from identification.tune.search import SearchResult, rounds
 from identification.tune.verdict import Verdict, verdict
 from vpp_fmu.commands import idle
 from vpp_fmu.kernel.controller import CONTROLLER, speed_alone
@@ -83,7 +82,6 @@ class TuningTask:
 
     @property
     def controller(self) -> Model:
-        """The controller for the rig."""
         return CONTROLLER.sized(self.parameters.rig.scales)
 
     def objective(self, settings: Mapping[str, float]) -> Objective:
@@ -138,7 +136,6 @@ class Tuned:
 
     @property
     def final(self) -> np.ndarray:
-        """The chosen gains."""
         return self.gains[self.chosen]
 
     def cost(self, which: str) -> float:

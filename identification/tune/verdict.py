@@ -35,12 +35,10 @@ class Change:
 
     @property
     def worse(self) -> bool:
-        """Whether the figure has increased."""
         return self.grown > self.tolerance
 
     @property
     def better(self) -> bool:
-        """Whether the figure has decreased."""
         return -self.grown > self.tolerance
 
     def text(self) -> str:
@@ -96,7 +94,6 @@ class Verdict:
         return found
 
     def words(self) -> str:
-        """The verdict with its reason, in words."""
         if not self.better:
             return f"no better: kept the gains it started from{self._broken()}; {'; '.join(self.worse) or self._no_gain()}"
         none = f"overshoot and ringing within the limit of {100.0 * self.overshoot:g} % count as none"
@@ -122,7 +119,7 @@ class Verdict:
             "better": self.better,
             "words": self.words(),
             "steps": [{**asdict(s), "changes": [asdict(c) | {"worse": c.worse} for c in s.changes]} for s in self.steps],
-            "least_margins": [m and m.summary() for m in self.margins],
+            "least_margins": [m and asdict(m) for m in self.margins],
             "cost_with_limits": list(self.penalised),
         }
 

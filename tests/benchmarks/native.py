@@ -141,7 +141,7 @@ def foreign_calls(plant_path, controller_path, count=1000):
     pair = FmuPlant(plant_path, dt=STEP), FmuController(controller_path, dt=STEP)
     for part, values in zip(pair, ((0.0, 0.0), (5.0, 0.0)), strict=True):
         part.start(*values)
-    (plant, p), (controller, c) = ((part._instance, part._instance._slave.dll) for part in pair)
+    (plant, p), (controller, c) = ((part.instance, part.instance._slave.dll) for part in pair)
     at, timing = ctypes.c_double(0.0), (ctypes.c_double(STEP), ctypes.c_int(1))
     (to_plant, shown), (to_controller, given) = ((*part._writes, *part._reads) for part in (plant, controller))
     written, read, feedback = to_plant.arguments, (*given.arguments[:2], to_plant.values), to_controller.arguments

@@ -3,11 +3,11 @@
 import math
 import random
 
-from hil.emulator.stepper import Stepper
 from hil.physics.rig_model import library, powertrain
 from hil.physics.speed_pi import SpeedPi
 from hil.safety.limits import Limiter, Limits
 from hil.safety.plausibility import Plausibility, Reading
+from vpp_fmu.native.stepper import Stepper
 
 DT = 0.004
 SPIN_UP = 3.0
@@ -45,14 +45,16 @@ def run(profile, seconds, spoil=lambda t, reading: reading, stuck_at=math.inf, h
     `spoil` may change a reading; the speed loop gets the changed one, and is frozen while plausibility distrusts the speed.
     From `stuck_at` on the blades do not move. Time 0 is the end of the spin-up.
     """
-    rig = Stepper(powertrain(hidden), probes(hidden), {"throttle": 0.0, "beta_ref": 0.0, "supply": 24.0})
-    thrust, angle = rig.outputs.index("thrust"), rig.outputs.index("angle")
+    model = powertrain(hidden)
+    outputs, rig = [y.name for y in model.outputs], Stepper(model, probes(hidden))
+    thrust, angle = outputs.index("thrust"), outputs.index("angle")
+    rig.start([0.0, 0.0, 24.0])
     loop, limiter, checks, mark = SpeedPi(), Limiter(Limits()), Plausibility(Limits(), DT), Tachometer()
     noise, throttle, beta, blades = random.Random(seed), 0.0, 0.0, 0.0
     for k in range(round((SPIN_UP + seconds) / DT)):
         start, now = k * DT - SPIN_UP, (k + 1) * DT - SPIN_UP
         blades = beta if now < stuck_at else blades
-        rows = rig.advance([throttle, blades, 24.0], 0.001, 4)
+        rows = [rig.step([throttle, blades, 24.0], 0.001) for _ in range(4)]
         for j, row in enumerate(rows):
             mark.see(start + 0.001 * j, 0.001, row[angle])
         counts = round(rows[-1][thrust] / NEWTON_PER_COUNT + noise.gauss(0.0, NOISE))

@@ -10,6 +10,7 @@ from rigs import CALIBRATION, transitions
 
 from hil.devices.calibration import read_calibration, to_json
 from hil.devices.supply import Input
+from hil.emulator import i2c
 from hil.emulator.rig import EmulatedRig as Emulated
 from hil.emulator.world import AMBIENT, HEATS, WARMS, LoadCell, World
 from hil.loop.session import Setup
@@ -108,7 +109,7 @@ def test_a_fault_takes_two_readings_beyond_a_limit():
 
 
 def test_a_second_adc_that_is_not_there_is_found_before_arming(tmp_path, monkeypatch):
-    monkeypatch.setattr("hil.emulator.rig.second_chip", lambda *_: None)
+    monkeypatch.setattr("hil.emulator.i2c.attached", lambda path, clock, _, whole=i2c.attached: whole(path, clock))
     with pytest.raises(Exception, match="supply adc: not ready"):
         run(tmp_path)
 

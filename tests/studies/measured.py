@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
-from identification.assessment.quality import rmse
+from identification.assessment.prediction import rmse
 from identification.diagnose.diagnose import Diagnosis, diagnose
 from identification.fit.refine import refine
 from identification.identify import identify

@@ -27,8 +27,7 @@ from hil.loop.session import Setup
 from hil.results.campaign_folder import Measuring
 from hil.run import run_on_rig
 from hil.safety.limits import Limits
-from identification.assessment.prediction import predict
-from identification.assessment.quality import rmse
+from identification.assessment.prediction import predict, rmse
 from identification.fit.gradient_descent import descend
 from identification.fit.refine import BASE_PARAMETERS, refine
 from identification.identify import Identification, identify

@@ -107,12 +107,10 @@ class Day:
 
     @property
     def parameters(self) -> ParameterSet:
-        """The present model."""
         return self.rounds[-1].parameters if self.rounds else self.begun
 
     @property
     def law(self) -> Law:
-        """The present law."""
         return self.rounds[-1].law if self.rounds else Law(self.settings)
 
 

@@ -58,7 +58,6 @@ class Simulation:
 
     @property
     def outputs(self) -> dict[str, float]:
-        """The present outputs by name."""
         return {s.name: self.signals[s.name] for s in self.model.outputs}
 
     def _due(self) -> list[float]:

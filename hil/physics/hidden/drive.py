@@ -8,10 +8,6 @@ LEAST_VOLTS = 1.0
 RATED = 20.0  # A; about the current at full thrust
 
 
-def _nothing(ops, s, p):
-    return 0.0
-
-
 def _droop(ops, s, x, p, dt):
     charge = x.charge + x.drawn * dt
     volts = ops.maximum(s.supply - p.discharge * charge, LEAST_VOLTS)
@@ -27,8 +23,8 @@ SUPPLY_DROOP = Effect(
         Parameter("discharge", "V/A/s", 0.0, 0.0, 0.1, "voltage lost per charge drawn", 0.001),
     ),
     states=(
-        State("charge", "A.s", "charge drawn since the start", _nothing),
-        State("drawn", "A", "current drawn from the supply", _nothing, closed_by="supply_current"),
+        State("charge", "A.s", "charge drawn since the start", 0.0),
+        State("drawn", "A", "current drawn from the supply", 0.0, closed_by="supply_current"),
     ),
     off={"resistance": 0.0, "discharge": 0.0},
     probe={"resistance": 0.2, "discharge": 0.002},
@@ -53,7 +49,7 @@ MOTOR_HEATING = Effect(
         Parameter("resistance_rise", "1", 0.0, 0.0, 1.0, "share that the winding's resistance gains when warm at 20 A"),
         Parameter("time_constant", "s", 60.0, 5.0, 1000.0, "time constant of warming up", 100.0),
     ),
-    states=(State("heat", "1", "warmth over that at 20 A; cold at the start", _nothing),),
+    states=(State("heat", "1", "warmth over that at 20 A; cold at the start", 0.0),),
     off={"flux_loss": 0.0, "resistance_rise": 0.0},
     probe={"flux_loss": 0.08, "resistance_rise": 0.3, "time_constant": 20.0},
 )
@@ -73,7 +69,7 @@ SPEED_HUNTING = Effect(
         Parameter("amplitude", "1", 0.0, 0.0, 0.1, "amplitude, as throttle", 0.01),
         Parameter("frequency", "Hz", 1.5, 0.05, 20.0, "frequency"),
     ),
-    states=(State("phase", "1", "turns of the swing", _nothing),),
+    states=(State("phase", "1", "turns of the swing", 0.0),),
     off={"amplitude": 0.0},
     probe={"amplitude": 0.01},
 )

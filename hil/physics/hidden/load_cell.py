@@ -13,10 +13,6 @@ def _thrust(ops, s, p):
     return s.thrust
 
 
-def _nothing(ops, s, p):
-    return 0.0
-
-
 def _stand(ops, s, x, p, dt):
     soft = p.frequency > 0.0
     force, rate = swung(ops, x.force, x.rate, x.before, s.thrust, ops.where(soft, p.frequency, 1.0), p.damping, dt)
@@ -34,7 +30,7 @@ STAND_SWING = Effect(
     ),
     states=(
         State("force", "N", "force on the load cell", _thrust),
-        State("rate", "N/s", "rate of the force on the load cell", _nothing),
+        State("rate", "N/s", "rate of the force on the load cell", 0.0),
         State("before", "N", "thrust at the start of the step", _thrust),
     ),
     off={"frequency": 0.0},
@@ -104,7 +100,7 @@ DRIFT = Effect(
         Parameter("final", "N", 0.0, -3.0, 3.0, "drift when warm"),
         Parameter("time_constant", "s", 100.0, 1.0, 10000.0, "time constant of warming up", 100.0),
     ),
-    states=(State("clock", "s", "time since the start, at which the load cell is cold", _nothing),),
+    states=(State("clock", "s", "time since the start, at which the load cell is cold", 0.0),),
     off={"final": 0.0},
     probe={"final": 0.5, "time_constant": 30.0},
 )

@@ -23,10 +23,6 @@ CONTACT = 0.002
 """Time constant, s, with which a pushed linkage moves the damped blades, since it is not rigid."""
 
 
-def _nothing(ops, s, p):
-    return 0.0
-
-
 COMMAND_DELAY = Effect(
     "lac_command_delay",
     "a pitch command acts later",
@@ -57,7 +53,7 @@ PULSE_AVERAGE = Effect(
     "the LAC takes the mean of its last four pulses",
     _average,
     parameters=(Parameter("frame", "s", 0.0, 0.0, 0.1, "time from pulse to pulse; 0.02 is a servo signal's; 0: none", 0.01),),
-    states=(*map(_pulse, ("first", "second", "third", "fourth")), State("clock", "s", "time since a pulse", _nothing)),
+    states=(*map(_pulse, ("first", "second", "third", "fourth")), State("clock", "s", "time since a pulse", 0.0)),
     off={"frame": 0.0},
     probe={"frame": 0.02},
 )
@@ -122,7 +118,7 @@ ROD_STUCK = Effect(
     "the actuator gets stuck",
     _stick,
     parameters=(Parameter("after", "s", NEVER, 0.0, NEVER, "time at which it gets stuck; 1e6: never", 10.0),),
-    states=(State("clock", "s", "time since the start", _nothing),),
+    states=(State("clock", "s", "time since the start", 0.0),),
     off={"after": NEVER},
     probe={"after": 1.0},
 )
@@ -174,7 +170,7 @@ LINKAGE_RESONANCE = Effect(
     ),
     states=(
         State("blade", "deg", "pitch of the blades", _beta),
-        State("rate", "deg/s", "rate of the blades' pitch", _nothing),
+        State("rate", "deg/s", "rate of the blades' pitch", 0.0),
         State("before", "deg", "pitch that drives them, at the start of the step", _beta),
     ),
     off={"frequency": 0.0},

@@ -132,7 +132,6 @@ def _setting(task: TuningTask, starts: Settings) -> list[str]:
 
 
 def _named(gains: Any) -> str:
-    """The source of gains for a message."""
     return file_of(gains or "gains") or "gains"
 
 

@@ -115,7 +115,6 @@ def run(options):
 
 
 def add_rig(parser, fmu: bool = False) -> None:
-    """The options that choose and describe the rig."""
     add, wiring = parser.add_argument, Wiring()
     kinds = "emulated (default) or real" + (", or fmu PLANT.fmu, which runs its author's code" if fmu else "")
     text = f"{kinds}; and the rig's rig.json, which declares what it may do (default: what --parameters tells of its campaign, "

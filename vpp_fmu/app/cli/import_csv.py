@@ -58,7 +58,6 @@ def configure(parser):
 
 
 def add_reading(parser) -> None:
-    """The options of a table and its columns."""
     parser.add_argument("log", metavar="LOG", help="the table; .gz is unpacked")
     text = "NAME=COLUMN:UNIT, one or more, or an import.toml; for all other names as --propose says, where it is sure"
     parser.add_argument("--map", action="extend", nargs="+", default=[], metavar="M", help=text)

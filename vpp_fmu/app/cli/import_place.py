@@ -28,7 +28,6 @@ def add_kind(parser, default: str | None, text: str) -> None:
 
 
 def add_speed_from(parser) -> None:
-    """The option --speed-from."""
     text = "take omega_ref from the command or signal, or from the measured speed, where the motor does not hold its command"
     parser.add_argument("--speed-from", choices=("command", "measured"), default="command", help=text)
 

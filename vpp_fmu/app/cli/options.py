@@ -10,7 +10,7 @@ from vpp_fmu.parameters import gains_file, knowledge_file, parameters_file
 
 @dataclass(frozen=True)
 class Number:
-    """The `type` of an argument: a number from `low` to `high`, or one of `also`.
+    """The `type` of an argument: a number from `low` to `high`.
 
     `above`: `low` is excluded. `whole`: whole numbers only. NaN and infinities are never in a range. argparse puts the option
     before the message.
@@ -21,7 +21,6 @@ class Number:
     unit: str = ""
     whole: bool = False
     above: bool = False
-    also: tuple[float, ...] = ()
 
     def __call__(self, text: str) -> int | float:
         try:
@@ -29,22 +28,20 @@ class Number:
         except ValueError:
             value = math.nan
         inside = self.low < value <= self.high if self.above else self.low <= value <= self.high
-        if not inside and value not in self.also:
+        if not inside:
             raise argparse.ArgumentTypeError(f"found {shortened(text)}, expected {self.allowed}")
         return value
 
     @property
     def allowed(self) -> str:
-        """In words."""
         kind = "a whole number" if self.whole else "a number"
         span = f"above {self.low:g} and up to {self.high:g}" if self.above else f"from {self.low:.12g} to {self.high:.12g}"
-        others = "".join(f", or {value:g}" for value in self.also)
-        return f"{kind} {span} {self.unit}".rstrip() + others
+        return f"{kind} {span} {self.unit}".rstrip()
 
 
-def whole(low: int, high: int, unit: str = "", also: tuple[int, ...] = ()) -> Number:
+def whole(low: int, high: int) -> Number:
     """A whole number within a range."""
-    return Number(low, high, unit, whole=True, also=also)
+    return Number(low, high, whole=True)
 
 
 def shortened(text: str) -> str:
@@ -74,12 +71,10 @@ commands_file = InFolder(("plan.csv", "next_experiment.csv", "validation.csv", "
 
 
 def add_gains(parser, text: str) -> None:
-    """The option --gains."""
     parser.add_argument("--gains", type=gains_file, metavar="G", help=f"{text}; G: a file or its folder")
 
 
 def add_knowledge(parser, text: str) -> None:
-    """The option --knowledge."""
     parser.add_argument("--knowledge", type=knowledge_file, metavar="F", help=text)
 
 
@@ -91,7 +86,6 @@ def add_plant(parser, more: str = "", required: bool = False) -> None:
 
 
 def add_output(parser) -> None:
-    """The option -o."""
     parser.add_argument("-o", "--output", default="out", metavar="DIR", help="folder to write to (default: out)")
 
 

@@ -26,11 +26,9 @@ class Prompts:
         self._asked(f"{what}, then Enter", self._nothing, "an empty line")
 
     def read(self, what: str) -> float:
-        """Ask for a number."""
         return self._asked(what, float, "a number")
 
     def choice(self, what: str, words: Sequence[str]) -> str:
-        """Ask for one of some words."""
         shown = "/".join(words)
         return self._asked(f"{what}: type {shown}", lambda text: words[words.index(text)], " or ".join(words))
 

@@ -116,7 +116,6 @@ def _rig(options, setup: Setup) -> Rig:
 
 
 def said(done: Round) -> list[str]:
-    """A round in words."""
     alarms = [f"alarm after {one.time:.0f} s, {one.cause}" for one in done.mission.alarms]
     lines = [f"round {done.number}: {'; '.join(alarms) or 'no alarm'}"]
     lines.append(f"  diagnosis of the mission: {done.verdict}{''.join(f' {name}' for name in done.named)}")

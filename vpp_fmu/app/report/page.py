@@ -118,7 +118,6 @@ class Page:
         self._parts.append(_table(columns, rows, f"<b>Table {self._tables}.</b> {escape(caption)}"))
 
     def note(self, text: str) -> None:
-        """An important remark."""
         self._parts.append(f"<aside>{_paragraphs(text)}</aside>")
 
     def remarks(self, lines: Sequence[str]) -> None:

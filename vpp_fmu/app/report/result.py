@@ -56,13 +56,14 @@ class Result(ABC):
     def headline(self) -> str:
         """The finding in a sentence."""
 
-    @abstractmethod
     def key_figures(self) -> list[tuple[str, str, str]]:
         """Key figures (label, value, note)."""
+        return []
 
-    @abstractmethod
     def to_dict(self) -> dict[str, Any]:
         """All numbers, as the verb's JSON file holds them; strictly valid JSON."""
+        content: dict[str, Any] = self.found.summary()
+        return content
 
     @abstractmethod
     def fill(self, page: Page) -> None:

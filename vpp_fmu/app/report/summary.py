@@ -1,6 +1,7 @@
 """The content of diagnosis.json, and of the identification.json of a model that a diagnosis fitted."""
 
 import os
+from dataclasses import asdict
 
 import numpy as np
 
@@ -287,7 +288,7 @@ def identification_of(found: Diagnosis, fit: Fit) -> dict:
         "parameters": parameters,
         "not_identifiable": dict.fromkeys(uncertainty.left_open, "not identifiable from the records"),
         **found.reading_noise.summary(),
-        "model_error": error and error.summary(),
+        "model_error": error and asdict(error),
         "fitted": [one.name for one in found.fitted],
         **summaries(shown),
         "missing": list(found.campaign.missing),

@@ -44,7 +44,7 @@ class Driver:
     def states(self, port: Port) -> tuple[State, ...]:
         """Its states."""
         if not self.signal:
-            return (State("driver", self.unit, "since the record's start", lambda ops, s, p: 0.0),)
+            return (State("driver", self.unit, "since the record's start", 0.0),)
         if not self.behind or self.own_stage(port):
             return ()
 

@@ -70,6 +70,7 @@ def _rate_share(u: str) -> Callable:
 _PITCH = {"channel": "beta", "whole": True}
 _SPEED = {"channel": "omega", "whole": True}
 _PITCH_RATE = {**_PITCH, "before": "beta_reach", "staged": True}
+_SPEED_COMMAND = {**_SPEED, "before": "omega_drive"}
 _SPEED_RATE = {**_SPEED, "before": "omega_reach", "staged": True}
 _MAP = {"behind": "thrust_map"}
 
@@ -79,17 +80,8 @@ PORTS = {
         Port("pitch_command", "deg", "the pitch command", _added("beta_ref"), "pitch", 0.5, before="beta_drive", **_PITCH),
         Port("pitch_rate", "deg/s", "the pitch rate", _rate("beta"), "pitch/time", 10.0, **_PITCH_RATE),
         Port("pitch_rate_share", "1", "the pitch rate, as a factor", _rate_share("beta"), "", 3.0, **_PITCH_RATE),
-        Port("speed_command", "rpm", "the speed command", _added("omega_ref"), "speed", 0.5, before="omega_drive", **_SPEED),
-        Port(
-            "speed_command_share",
-            "1",
-            "the speed command, as a factor",
-            _multiplied("omega_ref"),
-            "",
-            0.5,
-            before="omega_drive",
-            **_SPEED,
-        ),
+        Port("speed_command", "rpm", "the speed command", _added("omega_ref"), "speed", 0.5, **_SPEED_COMMAND),
+        Port("speed_command_share", "1", "the speed command, as a factor", _multiplied("omega_ref"), "", 0.5, **_SPEED_COMMAND),
         Port("motor_acceleration", "rpm/s", "the motor's acceleration", _rate("omega"), "speed/time", 10.0, **_SPEED_RATE),
         Port(
             "motor_acceleration_share",

@@ -16,7 +16,6 @@ from vpp_fmu.kernel.twin.noises import (
     SPEED_ON_THE_WAY,
     WITHIN,
     dot,
-    nothing,
     pairs,
     times,
     weights,
@@ -65,8 +64,8 @@ def motion() -> Effect:
         State("b_place", "1", "normalised pitch of the place that it is at", lambda ops, s, p: s.at.b),
         State("w", "1", "normalised speed at the last sample", lambda ops, s, p: s.at.w),
         State("b", "1", "normalised pitch at the last sample", lambda ops, s, p: s.at.b),
-        State("move", "N", "decaying sum of the thrust's moves", nothing),
-        State("turned", "rpm", "decaying sum of the speed's moves", nothing),
+        State("move", "N", "decaying sum of the thrust's moves", 0.0),
+        State("turned", "rpm", "decaying sum of the speed's moves", 0.0),
         State("predicted", "rpm", "predicted speed at the last sample", lambda ops, s, p: s.predicted_speed),
     )
     return Effect("motion", "how far the operating point has gone", taken, states=states)

@@ -6,7 +6,7 @@ from math import ceil
 from vpp_fmu.kernel.plant import OURS
 from vpp_fmu.kernel.signals import BETA_REF, OMEGA, OMEGA_REF, THRUST
 from vpp_fmu.kernel.twin.innovation import innovation, motion
-from vpp_fmu.kernel.twin.noises import AT_NODES, BETWEEN, NODE, SLOW_TIME, nothing, pairs
+from vpp_fmu.kernel.twin.noises import AT_NODES, BETWEEN, NODE, SLOW_TIME, pairs
 from vpp_fmu.kernel.twin.prediction import SAMPLE_TIME, ahead_of, prediction
 from vpp_fmu.kernel.twin.watch import ACKNOWLEDGE, watch, watched
 from vpp_fmu.kernel.types import BOOLEAN, INTEGER, Effect, Model, Parameter, Signal, State
@@ -151,14 +151,11 @@ def adaptation(plant: Model, parts: Sequence[Parameter], sample_time: Parameter)
         Parameter("memory", "1", MEMORY, 1.0, 1e9, "distance in the map's scales over which a lag is forgotten", 100.0),
     )
     states = [
+        *(State(f"theta.{q.name}", "1", f"{q.name} in plausible changes", 0.0, f"next.theta.{i}") for i, q in enumerate(parts)),
+        State("slow_noise", "N", "estimate of the slow noise", 0.0, "next.noise.0"),
+        State("between", "N", "estimate of the model's error at this place beyond the map's", 0.0, "next.noise.1"),
         *(
-            State(f"theta.{q.name}", "1", f"{q.name} in plausible changes", nothing, f"next.theta.{i}")
-            for i, q in enumerate(parts)
-        ),
-        State("slow_noise", "N", "estimate of the slow noise", nothing, "next.noise.0"),
-        State("between", "N", "estimate of the model's error at this place beyond the map's", nothing, "next.noise.1"),
-        *(
-            State(name, "N", "estimate of the model's error at a node of the map", nothing, f"next.noise.{k}")
+            State(name, "N", "estimate of the model's error at a node of the map", 0.0, f"next.noise.{k}")
             for k, name in enumerate(AT_NODES, 2)
         ),
         *(State(f"covariance_{i}_{j}", "1", "of what is known", of_prior(i, j), f"next.P.{i}.{j}") for i, j in entries),

@@ -45,11 +45,6 @@ WITHIN = 1.96
 """Standard deviations of a 95 % band."""
 
 
-def nothing(ops: Any, s: Any, p: Any) -> float:
-    """Start value 0 of a state."""
-    return 0.0
-
-
 def pairs(n: int) -> list[tuple[int, int]]:
     """Places in the upper triangle of n x n."""
     return [(i, j) for i in range(n) for j in range(i, n)]

@@ -10,7 +10,6 @@ from vpp_fmu.kernel.effects.dead_time import dead_time
 from vpp_fmu.kernel.effects.thrust_map import THRUST_MAP
 from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.kernel.signals import BETA_REF, OMEGA_REF
-from vpp_fmu.kernel.twin.noises import nothing
 from vpp_fmu.kernel.types import Effect, Model, State, start, step
 
 SAMPLE_TIME = 0.004
@@ -40,7 +39,7 @@ def _held_back(e: Effect) -> Effect:
     def states() -> Iterable[State]:
         for u in e.delays:
             yield State(f"{u}.behind", "1", f"{u} behind two lags", lambda ops, s, p, u=u: getattr(s, u))
-            yield State(f"{u}.rate", "1/s", "rate of that", nothing)
+            yield State(f"{u}.rate", "1/s", "rate of that", 0.0)
 
     return replace(e, step=step, states=(*e.states, *states()), delays={})
 

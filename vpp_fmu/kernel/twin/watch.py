@@ -11,7 +11,7 @@ from math import log
 from typing import Any
 
 from vpp_fmu.kernel.duals import TINY
-from vpp_fmu.kernel.twin.noises import AT_NODES, PLACE, TOLERATED, nothing, pairs
+from vpp_fmu.kernel.twin.noises import AT_NODES, PLACE, TOLERATED, pairs
 from vpp_fmu.kernel.twin.prediction import settled_ones
 from vpp_fmu.kernel.types import BOOLEAN, Effect, Model, Parameter, Signal, State
 
@@ -116,22 +116,22 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
     def states() -> Iterable[State]:
         for name in names:
             for what in ("before", "lately"):
-                yield State(f"{what}.{name}", "1", f"{name} {what}, in plausible changes", nothing)
+                yield State(f"{what}.{name}", "1", f"{name} {what}, in plausible changes", 0.0)
             for way in (UP, DOWN):
-                yield State(f"sum.{name}.{way}", "1", f"log-likelihood ratio of a change of {name}, {way}", nothing)
+                yield State(f"sum.{name}.{way}", "1", f"log-likelihood ratio of a change of {name}, {way}", 0.0)
                 for k in range(len(NOISES)):
                     said = "what of such a change the noises' estimates have taken up"
-                    yield State(f"absorbed.{name}.{way}.{NOISES[k]}", "N", said, nothing)
-        yield State("clock", "s", "time since the values before were renewed", nothing)
-        yield State("wandering", "1", f"log-likelihood ratio of {FAR:g} times the variance of the slow noise", nothing)
-        yield State("unlike", "1", "log-likelihood ratio of twice the variance", nothing)
-        yield State("doubt", "1", "the same since an alarm", nothing)
-        yield State("seen", "1", "how far the operating point has gone since an alarm", nothing)
-        yield State("mode", "1", "0 watches, 1 follows a change, 2 has stopped", nothing)
-        yield State("direction", "1", "what the last alarm points to", nothing)
-        yield State("changes", "1", "changes that were followed", nothing)
+                    yield State(f"absorbed.{name}.{way}.{NOISES[k]}", "N", said, 0.0)
+        yield State("clock", "s", "time since the values before were renewed", 0.0)
+        yield State("wandering", "1", f"log-likelihood ratio of {FAR:g} times the variance of the slow noise", 0.0)
+        yield State("unlike", "1", "log-likelihood ratio of twice the variance", 0.0)
+        yield State("doubt", "1", "the same since an alarm", 0.0)
+        yield State("seen", "1", "how far the operating point has gone since an alarm", 0.0)
+        yield State("mode", "1", "0 watches, 1 follows a change, 2 has stopped", 0.0)
+        yield State("direction", "1", "what the last alarm points to", 0.0)
+        yield State("changes", "1", "changes that were followed", 0.0)
         for name in kept:
-            yield State(f"kept.{name}", "1", f"{name} when no sum was suspicious, parameters in plausible changes", nothing)
+            yield State(f"kept.{name}", "1", f"{name} when no sum was suspicious, parameters in plausible changes", 0.0)
 
     usual = threshold(0.01, len(names), sample_time)
     said = "log-likelihood ratio at which a change counts as one: ln(sums x samples between false alarms)"

@@ -63,15 +63,14 @@ class AllocateResult(Result):
         ]
 
     def to_dict(self) -> dict[str, Any]:
-        found = self.found
-        limits = {
-            name: {"min": low, "max": high}
-            for name, (low, high) in (("speed", found.surface.speed), ("pitch", found.surface.pitch))
-        }
+        found, (slowest, fastest), (low, high) = self.found, self.found.surface.speed, self.found.surface.pitch
         return {
             "format": FORMAT,
             "weight": found.weight,
-            "limits": {"speed": limits["speed"] | {"unit": "rpm"}, "pitch": limits["pitch"] | {"unit": "deg"}},
+            "limits": {
+                "speed": {"min": slowest, "max": fastest, "unit": "rpm"},
+                "pitch": {"min": low, "max": high, "unit": "deg"},
+            },
             "kind": found.model.kind,
             "best_fixed_pitch": {"value": found.fixed_beta, "unit": "deg"},
             "saving": found.saving,

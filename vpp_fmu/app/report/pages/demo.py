@@ -3,7 +3,7 @@
 from typing import Any
 
 from identification.demo import Demo
-from identification.thrust_steps import step_profile
+from identification.tune.profile import step_profile
 from vpp_fmu.app.report.figures import measured_against_predicted
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.diagnosis import DiagnoseResult, findings

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from identification.assessment.quality import rmse
+from identification.assessment.prediction import rmse
 from identification.diagnose.diagnose import UNEXPLAINED, Diagnosis
 from identification.diagnose.guess import Guess
 from identification.diagnose.learned.description import sentence as described
@@ -336,7 +336,6 @@ def _known(parameter: Mapping, ends: Sequence[float] | None) -> str:
 
 
 def _where(found: Diagnosis) -> str:
-    """Location of the unexplained error."""
     location = found.location
     band, section = (max(location[k], key=location[k].get) for k in ("share_by_band_hz", "mean_square_by_section"))
     strongest, largest = location["strongest_correlate"], location["largest"]

@@ -122,7 +122,6 @@ def _add_in_time(page: Page, found: Diagnosis, effect: str, channel: str, change
 
 
 def add_learned(page: Page, found: Diagnosis) -> None:
-    """Add the curve and the rivals."""
     learned = found.learned
     term, curve = learned.term, learned.curve
     page.note(f"A term outside the library {sentence(term)}. It is in the FMU, and in {FILE} for --effects-from.")

@@ -74,7 +74,6 @@ class Entry:
 
 
 def entry(name: str, found: Diagnosis) -> Entry:
-    """The line of a diagnosis."""
     content, folder = summary(found), found.campaign.folder
     (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
     sizes = {
@@ -200,9 +199,6 @@ class FleetResult(Result):
         text = f"{len(self.found)} campaigns: {', '.join(f'{count} {verdict}' for verdict, count in self._verdicts())}."
         apart = "; ".join(said for name, own in self._several().items() if (said := _farthest(name, own)))
         return f"{text} {apart or 'No parameter differs between them by more than its uncertainty'}."
-
-    def key_figures(self) -> list[tuple[str, str, str]]:
-        return []
 
     def tiles(self) -> list[tuple[str, str, str]]:
         return [(word, str(count), f"of {len(self.found)} campaigns") for word, count in self._verdicts()]

@@ -1,7 +1,6 @@
 """The report of an identification: parameters, errors of prediction, tests, static map and step responses."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -84,9 +83,6 @@ class IdentifyResult(Result, Linearisable):
         names = {*found.uncertainty.names, *unidentified}
         note = f"not: {', '.join(map(words, unidentified))}" if unidentified else "all fitted parameters"
         return [*figures, ("identifiable parameters", f"{len(names) - len(unidentified)} of {len(names)}", note)]
-
-    def to_dict(self) -> dict[str, Any]:
-        return self.found.summary()
 
     def lines(self) -> list[str]:
         found = self.found
@@ -209,7 +205,6 @@ def _add_steps(page: Page, found: Identification) -> None:
 
 
 def _add_parameters(page: Page, found: Identification) -> None:
-    """Values of the parameters and their correlation."""
     uncertainty = found.uncertainty
     units = {p.name: p.unit for p in found.parameters.model.parameters}
     page.section("Parameters")

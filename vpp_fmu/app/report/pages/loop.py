@@ -142,7 +142,6 @@ class CompareResult(Result):
     found: Comparison
 
     def __init__(self, found: Comparison, first: str, second: str):
-        """`first`, `second`: their files."""
         super().__init__(found, source=f"{second} beside {first}, at the times of the latter")
         self._names = first, second
 
@@ -158,14 +157,8 @@ class CompareResult(Result):
         said = next(iter(self._said().values()), "no shared column")
         return f"Over {self.found.time[-1] - self.found.time[0]:.4g} s that both records have: {said}."
 
-    def key_figures(self) -> list[tuple[str, str, str]]:
-        return []
-
     def lines(self) -> list[str]:
         return list(self._said().values())[1:]
-
-    def to_dict(self) -> dict[str, Any]:
-        return self.found.summary()
 
     def fill(self, page: Page) -> None:
         found, rows = self.found, []
@@ -217,7 +210,6 @@ def row(step: Step) -> tuple:
 
 
 def sentence(step: Step) -> str:
-    """A step in words."""
     change = f"The step from {number(step.before)} to {number(step.after)} N at {number(step.time, 4)} s"
     if step.stuck:
         return f"{change}: the set-point of {number(step.after)} N is out of reach: {step.reached}"

@@ -1,7 +1,5 @@
 """The report of a planned experiment: the expected accuracy, and its commands."""
 
-from typing import Any
-
 import numpy as np
 
 from identification.plan.excitation import PAPERS_HOLD
@@ -55,9 +53,6 @@ class PlanResult(Result):
                 note = f"std of {combination(forecast.names, direction)}, in parts of the parameters"
                 figures.append((f"weakest direction {when}", _percent(spread), note))
         return [*figures, ("gain over the paper's plan", f"{found.gain:.2f}", f"weakest direction, {_seconds(found)} s each")]
-
-    def to_dict(self) -> dict[str, Any]:
-        return self.found.summary()
 
     def _basis(self) -> list[str]:
         return [f"commands within {', '.join(self.found.rig.command_lines())}", self._noise]

@@ -26,7 +26,6 @@ WITHIN = f"the thrust's mean over {SPAN:g} s stays within 5 % of the step"
 
 
 def run_page(found: Outcome) -> Page:
-    """The page of a run."""
     content, loops, log = found.content, found.loops, found.log
     begin = 0.0
     if log is not None:

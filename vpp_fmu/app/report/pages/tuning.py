@@ -119,7 +119,6 @@ class TuneResult(Result):
 
 
 def _names(found: Tuning, tuned: Tuned) -> dict[str, str]:
-    """Labels of the gains in figures and tables."""
     return {which: f"{name} (before)" if which == "start" else name for which, name in labels(found, tuned).items()}
 
 
