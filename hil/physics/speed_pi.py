@@ -6,9 +6,9 @@ The same function serves an effect of the full model and the rig's software at 2
 step uses the integral at the middle of the step. The integral stops if the throttle is at a limit and the error would drive it
 further.
 
-The paper states no units. The mean lag of the loop is 1 / K_I: with throttle per rpm, a motor of 550 rpm/V on 24 V would have
-0.04 s, while the published time constants add up to 0.19 s (averaged) and 0.225 s (fine-tuned). These require a fifth of the
-gain, so one unit of the PI's output is UNIT = 0.2 of the throttle's range (chosen).
+The paper states no units. The mean lag of the loop is 1 / K_I (`hil.physics.reduction`): with throttle per rpm, a motor of
+550 rpm/V on 24 V would have 0.04 s, while the published time constants add up to 0.19 s (averaged) and 0.225 s (fine-tuned).
+These require a fifth of the gain, so one unit of the PI's output is UNIT = 0.2 of the throttle's range (chosen).
 """
 
 from hil.physics.propeller import RPM

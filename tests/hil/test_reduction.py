@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from builders import simulator
-from reduction import poles, reduced, state_space, two_lags, wiener
 from scipy.signal import StateSpace, lsim
 
+from hil.physics.reduction import poles, reduced, state_space, two_lags, wiener
 from hil.physics.rig_model import FULL_RIG
 from vpp_fmu.kernel.plant import BASE
 
