@@ -3,10 +3,10 @@
 import gzip
 import json
 import time
-import zlib
 
 import pytest
 from builders import refusal
+from studies.fuzz import bomb
 
 from hil.devices.calibration import read_calibration
 from hil.safety.limits import read_limits
@@ -96,12 +96,6 @@ def test_damaged_toml_is_refused_without_long_computation(read, what, tmp_path):
     began = time.process_time()
     assert words in refusal_of(read, tmp_path / "x.toml")
     assert time.process_time() - began < 30.0
-
-
-def bomb(megabytes):
-    """A gzip file of zeros that is never in memory as a whole."""
-    pack = zlib.compressobj(9, wbits=31)
-    return b"".join([*(pack.compress(bytes(2**20)) for _ in range(megabytes)), pack.flush()])
 
 
 def test_a_gzip_bomb_is_refused_without_being_unpacked(tmp_path, monkeypatch):

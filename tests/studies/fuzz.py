@@ -16,6 +16,7 @@ import re
 import resource
 import shutil
 import signal
+import struct
 import sys
 import tempfile
 import time
@@ -287,13 +288,22 @@ def encoding(rng: random.Random, data: bytes) -> tuple[str, bytes]:
     return "bytes: " + what, ways[what]()
 
 
+def bomb(megabytes: int) -> bytes:
+    """A gzip file of zeros that is never in memory as a whole: its blocks are equal, so one is compressed (RFC 1951)."""
+    zeros, pack, check = bytes(2**20), zlib.compressobj(9, wbits=-15), 0
+    block = pack.compress(zeros) + pack.flush(zlib.Z_FULL_FLUSH)
+    for _ in range(megabytes):
+        check = zlib.crc32(zeros, check)
+    end = b"\x03\0" + struct.pack("<II", check, megabytes * 2**20 % 2**32)  # an empty last block, CRC and size
+    return b"\x1f\x8b\x08" + bytes(7) + block * megabytes + end
+
+
 def packed(rng: random.Random, data: bytes) -> tuple[str, bytes]:
     """(kind of damage, a damaged gzip file)."""
     at = rng.randrange(1, len(data))
     what = rng.choice(("cut", "a bit", "tail", "twice", "bomb", "not packed", "damaged inside"))
     if what == "bomb":
-        pack = zlib.compressobj(9, wbits=31)
-        return "gzip: bomb", b"".join([*(pack.compress(bytes(2**20)) for _ in range(1500)), pack.flush()])
+        return "gzip: bomb", bomb(1500)
     if what == "damaged inside":
         done, inside = table(rng, gzip.decompress(data))
         return f"gzip: {done}", gzip.compress(inside)
