@@ -306,6 +306,7 @@ def test_where_the_speed_takes_the_pitch_its_readings_tell_the_lags_of_the_pitch
     both = fit.with_values_of((fit, thrust))
     for name in ("tau_beta_1", "tau_beta_2"):
         assert (both.values[name], both.std()[name]) == (thrust.values[name], thrust.std()[name])
+    assert {*both.uncertainty.names} <= {p.name for p in both.problem.model.parameters}  # no shift of the known speed
 
 
 def test_the_lack_of_fit_of_the_speed_is_that_of_its_stage():

@@ -11,7 +11,7 @@ Records of the same commands share the model error, so they are not independent.
 are computed: the model error adds up, and the noise averages out.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -73,17 +73,25 @@ class Uncertainty:
 
     def beside(self, other: "Uncertainty", names: Iterable[str]) -> "Uncertainty":
         """Joined with the parameters `names` of `other` that it does not have, assumed independent."""
-        kept = [k for k, n in enumerate(other.names) if n in names and n not in self.names]
-        further = {n for k, n in enumerate(other.names) if k in kept}
-        reaches = [NORMAL_95 * u.std[:, None] * np.ones(2) if u.reach is None else u.reach for u in (self, other)]
+        further = other.only({*names} - {*self.names})
+        reaches = [NORMAL_95 * u.std[:, None] * np.ones(2) if u.reach is None else u.reach for u in (self, further)]
         return Uncertainty(
-            (*self.names, *(other.names[k] for k in kept)),
-            np.append(self.values, other.values[kept]),
-            block_diag(self.covariance, other.covariance[np.ix_(kept, kept)]),
-            np.append(self.inflation, other.inflation[kept]),
-            np.vstack([reaches[0], reaches[1][kept]]),
-            (*self.profiled, *(n for n in other.profiled if n in further)),
-            (*self.left_open, *(n for n in other.left_open if n in further)),
+            self.names + further.names,
+            np.append(self.values, further.values),
+            block_diag(self.covariance, further.covariance),
+            np.append(self.inflation, further.inflation),
+            np.vstack(reaches),
+            self.profiled + further.profiled,
+            self.left_open + further.left_open,
+        )
+
+    def only(self, names: Container[str]) -> "Uncertainty":
+        """That of the parameters `names` alone."""
+        at = [k for k, n in enumerate(self.names) if n in names]
+        own, profiled, left_open = (tuple(n for n in ns if n in names) for ns in (self.names, self.profiled, self.left_open))
+        reach = None if self.reach is None else self.reach[at]
+        return Uncertainty(
+            own, self.values[at], self.covariance[np.ix_(at, at)], self.inflation[at], reach, profiled, left_open
         )
 
     def kind(self, name: str) -> str:

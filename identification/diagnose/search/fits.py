@@ -77,8 +77,8 @@ class Fit:
         again.problem.weigh(again.problem.residual_at(values))
         cost = 0.5 * float(np.sum(again.problem.residual_at(values) ** 2))
         idle = np.zeros(len(x), bool)
-        *others, (last, _) = shares  # its lags of the pitch count, where the speed tells them, too
-        estimate = last.uncertainty
+        *others, (last, its) = shares  # its lags of the pitch count, where the speed tells them, too
+        estimate = last.uncertainty.only(its)
         for part, own in others:
             estimate = estimate.beside(part.uncertainty, own)
         solution = Solution(x, np.zeros(0), np.zeros((0, len(x))), (cost,), 1, True, idle)
