@@ -110,7 +110,7 @@ static Constants *constants_for(void *m, double dt) {
 }
 
 /* A run settled on the first row of inputs, without tangents where it is `plain`; NULL: no memory. */
-void *begin(const double *parameters, const double *first, int plain) {
+ONCE void *begin(const double *parameters, const double *first, int plain) {
   Run *run = calloc(1, sizeof *run);
   if (!run) return NULL;
   if (!table_begins(&run->constants, sizeof(Constants))) {
@@ -179,7 +179,7 @@ typedef struct {
 
 /* Start from parameters (LANES x N_PARAMETERS). 0: the largest steps differ, so the runs would take different steps; or there is no
  * memory. */
-static int lanes_begin(Lanes *m, const double *parameters, const double *first) {
+ONCE static int lanes_begin(Lanes *m, const double *parameters, const double *first) {
   double own[N_VALUES] = {0}, tangents[N_TANGENTS];
   for (int k = 0; k < LANES; k++) {
     memcpy(own, first, N_INPUTS * sizeof *first);
@@ -235,7 +235,7 @@ WIDEST static void lanes_proceed(Lanes *m, const double *inputs, const double *s
 
 /* A whole record for groups x LANES sets of parameters, as proceed() runs each. inputs, steps: of n rows. outputs: N_OUTPUTS x n
  * rows of groups x LANES. done (groups): whether the group's outputs are there; see lanes_begin(). */
-void side_by_side(const double *parameters, long groups, const double *inputs, const double *steps, double late, long n,
+ONCE void side_by_side(const double *parameters, long groups, const double *inputs, const double *steps, double late, long n,
                   double *outputs, char *done) {
   Lanes *all = calloc(groups, sizeof *all);
   for (long g = 0; g < groups; g++) done[g] = all && lanes_begin(all + g, parameters + g * LANES * N_PARAMETERS, inputs);

@@ -192,9 +192,9 @@ def _runner(chain: _Chain, wrt: tuple[str, ...]):
 def _compiled(chain: _Chain, wrt: tuple[str, ...]):
     def source() -> str:
         program, last = trace(chain.model, wrt), files("vpp_fmu.native") / "simulate.c"
-        return "".join(
-            ("#define KEEPS_LENGTHS\n", c_source(program), c_lanes(program), rows_source(chain.model), last.read_text())
-        )
+        lanes = c_lanes(program)
+        begin = "#define KEEPS_LENGTHS\n" + "#define PREPARED ONCE\n" * bool(lanes)
+        return "".join((begin, c_source(program), lanes, rows_source(chain.model), last.read_text()))
 
     known = chain.text
     library = compiled_as(f"{known} {wrt}", source) if known else compiled(source())

@@ -24,8 +24,12 @@ ONCE = """#if defined(__clang__)
 #else
 #define APART
 #endif
+#ifndef PREPARED
+#define PREPARED
+#endif
 """
-"""Marks functions that run once per simulation: optimising them takes longer than it saves; and parts of a long function."""
+"""Marks functions that run once per simulation: optimising them takes longer than it saves; parts of a long function; and
+prepare(), which is ONCE where prepare_lanes() runs in its place."""
 
 
 def python_source(program: Program) -> str:
@@ -109,7 +113,7 @@ def c_source(program: Program) -> str:
     plain = tuple((target, value) for target, value in program.step if target[0] != "d")
     for head, writes in (
         ("ONCE void start(double *v, double *d)", program.start),
-        ("void prepare(const double *v, double dt, const double *dt_tangent, double *c)", program.prepare),
+        ("PREPARED void prepare(const double *v, double dt, const double *dt_tangent, double *c)", program.prepare),
         ("void step(double *v, const double *c, double *d)", program.step),
         *([("void step_values(double *v, const double *c)", plain)] if width else []),
         ("double largest_step(const double *v)", program.largest_step),
@@ -224,7 +228,7 @@ def _c_parts(head: str, writes: tuple[Write, ...], name: Callable) -> str:
     later |= set().union(*(reads[value] for value in later if value.op in COMPARE))
     places = {n: f"m[{k}]" for k, n in enumerate(n for n in alone if n in later and n.op not in COMPARE)}
     statements, stores = _c_statements(writes, name, places)
-    once, kind, function, arguments = re.fullmatch(r"(ONCE |)(\w+) (\w+)\((.*)\)", head).groups()
+    once, kind, function, arguments = re.fullmatch(r"(ONCE |PREPARED |)(\w+) (\w+)\((.*)\)", head).groups()
     passed = ", ".join(re.split(r"\W+", argument)[-1] for argument in arguments.split(", "))
     text, calls = [], []
     for k in range(0, len(statements), PART):
