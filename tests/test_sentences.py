@@ -8,7 +8,9 @@ import pytest
 from hil.emulator.rig import effects_to_hide
 from hil.physics.rig_model import library
 from vpp_fmu.app.cli import main
+from vpp_fmu.app.report.sentences import clause
 from vpp_fmu.errors import RecordWarning
+from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.plants import Sample
 from vpp_fmu.reach import thrust_range, warn_beyond_reach
 from vpp_fmu.record import Record
@@ -93,6 +95,15 @@ class Square:
 
 
 LIMITS = {"omega_ref": (1000.0, 2000.0), "beta_ref": (0.0, 10.0)}
+
+
+@pytest.mark.parametrize(
+    ("time_constant", "said"), [(0.0, "a time constant of 0 s (at once)"), (0.5, "a time constant of 0.5 s")]
+)
+def test_a_parameter_at_its_limit_form_is_said_in_words(time_constant, said):
+    (sag,) = [e for e in LIBRARY if e.name == "supply_sag"]
+    values = {sag.full(p.name): p.default for p in sag.parameters} | {"supply_sag.time_constant": time_constant}
+    assert clause(sag, values).endswith(said)
 
 
 def test_the_range_of_thrust_includes_a_blade_that_stalls():

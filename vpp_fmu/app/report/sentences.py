@@ -48,6 +48,8 @@ def titled(name: str) -> str:
 
 
 def limited(parameter: Parameter, value: float) -> str:
-    """A parameter's value with its unit, or "no limit"."""
-    free = parameter.unlimited is not None and math.isclose(value, parameter.unlimited, rel_tol=1e-3)
-    return "no limit" if free else size(value, parameter.unit)
+    """A parameter's value with its unit, or "no limit"; at its limit form with what that means: "0 s (at once)"."""
+    if parameter.unlimited is not None and math.isclose(value, parameter.unlimited, rel_tol=1e-3):
+        return "no limit"
+    at_limit = parameter.limit_form and value == parameter.default
+    return size(value, parameter.unit) + (f" ({parameter.limit_form})" if at_limit else "")
