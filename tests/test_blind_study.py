@@ -30,3 +30,11 @@ def test_two_effects_are_both_named():
     found = studied("pair", "pitch_command_deadband", "sensor_drift")
     assert scores.hit(found)
     assert not scores.worse(found)
+
+
+def test_a_term_of_the_speed_is_learned_where_the_speed_shows_no_lack_of_fit():
+    """The sensor is coarse: the thrust, or the validation record, shows that something is missing."""
+    found = studied("single", "speed_dependent_lag")  # SOME lacks it
+    assert found["verdict"] == "learned"
+    before, after = found["true_error"]
+    assert after < 0.5 * before

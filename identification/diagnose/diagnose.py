@@ -25,7 +25,7 @@ from identification.diagnose.initial_model import (
     from_identification,
     with_slow_noise,
 )
-from identification.diagnose.judgement import FORM, MIN_EVIDENCE, Smallest
+from identification.diagnose.judgement import FORM, MAJORITY, MIN_EVIDENCE, Smallest
 from identification.diagnose.lack_of_fit import LackOfFit
 from identification.diagnose.learned.learn import NAME, Attempt, Learned, better_than, learn, remains_beside
 from identification.diagnose.locate import locate
@@ -427,38 +427,34 @@ def _other(found: _Searched) -> _Searched | None:
 def _concluded(task: _Task, found: _Searched) -> Diagnosis:
     """The diagnosis from a search: a term of unknown form is learned if lack of fit remains, and the next experiment chosen."""
     at, judge, final, refuted, word = found.at, found.judge, found.final, found.refuted, found.word
-    attempt, learned_in, doubts = Attempt(), None, {}
+    attempt, with_term, doubts = Attempt(), None, {}
     if word in CHANGED and task.effort.thorough:
         found, doubts = _undoubted(task, found)
         final, refuted = found.final, found.refuted
         word = "partly" if doubts and not refuted else found.word
-    missed = "; ".join(doubts.values())
+    missed, identified = "; ".join(doubts.values()), found.base
     selection, before, after = found.selection(), lack_of(found.stages, "before"), lack_of(found.stages, "after")
     open_stages = [s for s in found.stages if (s.lacks if refuted else s.after.significant) or s.name in doubts]
-    for stage in open_stages if task.effort.thorough and word in UNEXPLAINED else ():
-        if not task.effort.allows("a term of unknown form"):
-            break
-        attempt, final = _learned(task, found, stage, final)
-        if attempt.learned:
-            word, refuted, missed, learned_in = "learned", "", "", stage
-            selection = _with(selection, attempt.learned)
-            lack = stage.judge.lack(attempt.learned.stage_fit)
-            after = lack_of([replace(s, after=lack) if s is stage else s for s in found.stages], "after")
-            break
-    identified = found.base
+    # A coarse speed sensor hides a lack of fit that the thrust shows.
+    unnamed = found.stages[-1] in open_stages and not found.stages[-1].accepted.effects
+    tries = [(s, False) for s in open_stages] + [(s, True) for s in found.stages[:-1] if unnamed and s not in open_stages]
     if word == "none":
         identified = final = with_slow_noise(found.groups, at, judge.searcher.experiments[0].noise, found.base)
-    fitted = tuple(one for group in found.groups for one in group)
-    if found.unseen and word not in UNEXPLAINED:
-        noise = judge.searcher.experiments[0].noise
-        worse = partial(worse_than_noise, found.unseen, selection.final, noise, least=judge.least())
-        missed = worse(final)
-        if missed and final.effects:
-            given = Replacement(judge, found.base, judge.base, selection.final, final, found.unseen, False)
-            if (narrowed_fit := at_supported_thresholds(given)) and not worse(narrowed_fit):
-                final, missed = narrowed_fit, ""
+    if word not in UNEXPLAINED:
+        final, missed = _seen_by_validation(found, selection, final)
         if missed:
             word, doubts = "partly" if final.effects else "unexplained", {found.stages[-1].name: missed}
+            tries = [(s, True) for s in found.stages]
+    if task.effort.thorough and word in UNEXPLAINED:
+        attempt, with_term = _unknown_term(task, found, tries, selection)
+    if with_term:
+        attempt, stage = with_term.attempt, with_term.stage
+        lack = stage.judge.lack(attempt.learned.stage_fit)
+        own = lack_of([replace(s, after=lack) if s is stage else s for s in found.stages], "after")
+        after, identified, final, missed = with_term.joint or own, found.base, with_term.final, with_term.missed
+        selection, refuted, doubts = with_term.selection, "", {found.stages[-1].name: missed}
+        word = "partly" if missed or (with_term.joint and after.significant) else "learned"
+    fitted = tuple(one for group in found.groups for one in group)
     experiment, guess = discriminating_experiment(_timed(at, final), task.seed, fitted[0].record.period), None
     if word in UNEXPLAINED:
         guess = _guessed(task, found, open_stages, experiment)
@@ -494,9 +490,24 @@ def _concluded(task: _Task, found: _Searched) -> Diagnosis:
         attempt=attempt,
         best_guess=guess,
         not_tried=tuple(task.effort.not_tried),
-        channels=_channels(found, learned_in, refuted, doubts if missed else ()),
+        channels=_channels(found, with_term, refuted, doubts if missed else ()),
         missed=missed,
     )
+
+
+def _seen_by_validation(found: _Searched, selection: Selection, final: Fit) -> tuple[Fit, str]:
+    """(the final model, with thresholds that the validation record supports; why that record shows that it misses something,
+    else "")."""
+    if found.unseen is None:
+        return final, ""
+    judge = found.judge
+    worse = partial(worse_than_noise, found.unseen, selection.final, judge.searcher.experiments[0].noise, least=judge.least())
+    missed = worse(final)
+    if missed and final.effects:
+        given = Replacement(judge, found.base, judge.base, selection.final, final, found.unseen, False)
+        if (narrowed := at_supported_thresholds(given)) and not worse(narrowed):
+            return narrowed, ""
+    return final, missed
 
 
 def _undoubted(task: _Task, found: _Searched) -> tuple[_Searched, dict[str, str]]:
@@ -534,14 +545,55 @@ def _undoubted(task: _Task, found: _Searched) -> tuple[_Searched, dict[str, str]
     return found, doubts
 
 
-def _channels(found: _Searched, learned_in: Stage | None, refuted: str, doubted: Iterable[str]) -> dict[str, dict]:
+def _channels(found: _Searched, with_term: "_WithTerm | None", refuted: str, doubted: Iterable[str]) -> dict[str, dict]:
     """Verdict and names of effects of each stage. `doubted`: the stages that miss something without a lack of fit."""
     shown = {s.name: {"verdict": s.word, "effects": list(s.accepted.effects)} for s in found.stages}
     if refuted:
         shown = {s.name: {"verdict": "unexplained" if s.lacks else "none", "effects": []} for s in found.stages}
+    for stage in shown.values() if with_term and with_term.joint and not with_term.joint.significant else ():
+        stage["verdict"] = "none" if stage["verdict"] == "unexplained" else stage["verdict"]
     for name in doubted:
         shown[name]["verdict"] = "partly" if shown[name]["effects"] else "unexplained"
-    return shown | ({learned_in.name: {"verdict": "learned", "effects": [NAME]}} if learned_in else {})
+    return shown | ({with_term.stage.name: {"verdict": "learned", "effects": [NAME]}} if with_term else {})
+
+
+@dataclass(frozen=True)
+class _WithTerm:
+    """A model with a learned term that may replace the present one. `stage`: in which it was learned; `missed`: why the
+    validation record shows that something is missing beside it, else ""; `joint`: lack of fit in all channels beside it, None
+    if the stage had a lack of fit itself."""
+
+    attempt: Attempt
+    stage: Stage
+    final: Fit
+    missed: str
+    selection: Selection
+    joint: LackOfFit | None
+
+
+def _unknown_term(
+    task: _Task, found: _Searched, tries: Iterable[tuple[Stage, bool]], selection: Selection
+) -> tuple[Attempt, _WithTerm | None]:
+    """(what was tried; a model with a learned term, None without). `tries`: stages, and whether they have no lack of fit
+    themselves. A term there must explain most of that of all channels, and miss nothing on the validation record. A term that
+    misses something there counts if no later one misses nothing."""
+    attempt, terms, before = Attempt(), [], found.judge.lack(found.judge.base)
+    for stage, is_closed in tries:
+        if not task.effort.allows("a term of unknown form"):
+            break
+        here, final = _learned(task, found, stage, found.final)
+        attempt = attempt if is_closed or attempt.learned else here
+        if not here.learned:
+            continue
+        with_it = _with(selection, here.learned)
+        final, missed = _seen_by_validation(found, with_it, final)
+        joint = found.judge.lack(here.learned.term.fit) if is_closed else None
+        if joint and (missed or (joint.significant and joint.missing > MAJORITY * before.missing)):
+            continue
+        terms.append(_WithTerm(here, stage, final, missed, with_it, joint))
+        if not missed:
+            break
+    return attempt, next((term for term in terms if not term.missed), terms[0] if terms else None)
 
 
 def _guessed(task: _Task, found: _Searched, open_stages: Sequence[Stage], experiment: Record) -> Guess | None:
