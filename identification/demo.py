@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from identification.assessment.prediction import rmse
-from identification.diagnose.diagnose import Diagnosis, diagnose
+from identification.diagnose.diagnose import diagnose
+from identification.diagnose.diagnosis import Diagnosis
 from identification.tune.profile import step_profile
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.commands import idle

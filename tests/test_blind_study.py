@@ -33,7 +33,7 @@ def test_two_effects_are_both_named():
 
 
 def test_a_term_of_the_speed_is_learned_where_the_speed_shows_no_lack_of_fit():
-    """The sensor is coarse: the thrust, or the validation record, shows that something is missing."""
+    """One mark per revolution is coarse: the thrust, or the validation record, shows that something is missing."""
     found = studied("single", "speed_dependent_lag")  # SOME lacks it
     assert found["verdict"] == "learned"
     before, after = found["true_error"]

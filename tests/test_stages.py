@@ -10,7 +10,7 @@ from studies.synthetic import TRUTH, commands
 from identification.demo import example_folder
 from identification.diagnose import diagnose as diagnosing
 from identification.diagnose import given_speed, stages
-from identification.diagnose.diagnose import _channels, _other, _with, diagnose
+from identification.diagnose.diagnose import _channels, _other, _unknown_term, _with, diagnose
 from identification.diagnose.effort import Effort
 from identification.diagnose.given_speed import with_given_speed
 from identification.diagnose.lack_of_fit import LackOfFit
@@ -229,6 +229,41 @@ def test_each_channel_agrees_with_the_verdict(refuted, doubted, thrust):
     stages.append(SimpleNamespace(name="thrust", word="attributed", lacks=True, accepted=SimpleNamespace(effects=("lag",))))
     shown = _channels(SimpleNamespace(stages=stages), None, refuted, doubted)
     assert {name: (one["verdict"], one["effects"]) for name, one in shown.items()} == {"speed": ("none", []), "thrust": thrust}
+
+
+def lack(missing: float) -> SimpleNamespace:
+    return SimpleNamespace(significant=missing > 0.0, missing=missing)
+
+
+@pytest.mark.parametrize(
+    ("terms", "chosen"),
+    [
+        ({"thrust": (0.0, "")}, "thrust"),
+        ({"speed": (0.0, "")}, "speed"),
+        ({"speed": (0.4, "")}, "speed"),  # of 1 that is missing beside the base
+        ({"speed": (0.6, "")}, None),  # it leaves most of it
+        ({"speed": (0.0, "worse on validation.csv")}, None),
+        ({"thrust": (0.0, "worse on validation.csv")}, "thrust"),  # the verdict says so
+        ({"thrust": (0.0, "worse on validation.csv"), "speed": (0.0, "")}, "speed"),
+        ({}, None),
+    ],
+)
+def test_a_term_of_a_stage_without_lack_of_fit_must_explain_most(monkeypatch, terms, chosen):
+    """The thrust shows a lack of fit, the speed none. `terms`: what remains beside the one learned there, and is missed."""
+    speed, thrust = (SimpleNamespace(name=name) for name in ("speed", "thrust"))
+    judge = SimpleNamespace(base="base", lack=lambda fit: lack(1.0 if fit == "base" else terms[fit][0]))
+    found = SimpleNamespace(judge=judge, final="present")
+
+    def learned(task, found, stage, present):
+        term = SimpleNamespace(term=SimpleNamespace(fit=stage.name)) if stage.name in terms else None
+        return SimpleNamespace(learned=term), stage.name
+
+    monkeypatch.setattr(diagnosing, "_learned", learned)
+    monkeypatch.setattr(diagnosing, "_with", lambda selection, term: selection)
+    monkeypatch.setattr(diagnosing, "_seen_by_validation", lambda found, selection, fit: (fit, terms[fit][1]))
+    task = SimpleNamespace(effort=Effort(None, True))
+    _, with_term = _unknown_term(task, found, [(thrust, False), (speed, True)], None)
+    assert (with_term and with_term.stage.name) == chosen
 
 
 def test_a_stage_that_explains_less_than_half_gives_no_effect_to_the_model(monkeypatch):

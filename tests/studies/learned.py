@@ -10,7 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.diagnose.diagnose import Diagnosis, diagnose
+from identification.diagnose.diagnose import diagnose
+from identification.diagnose.diagnosis import Diagnosis
 from identification.diagnose.learned.description import sentence
 from identification.diagnose.search.fits import Fit
 from vpp_fmu.native import Simulator

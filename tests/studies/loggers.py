@@ -18,7 +18,8 @@ from functools import cached_property
 
 import numpy as np
 
-from identification.diagnose.diagnose import Diagnosis, diagnose
+from identification.diagnose.diagnose import diagnose
+from identification.diagnose.diagnosis import Diagnosis
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.record import Record
 

@@ -17,7 +17,8 @@ from itertools import pairwise
 from pathlib import Path
 
 from identification.assessment.prediction import rmse
-from identification.diagnose.diagnose import Diagnosis, diagnose
+from identification.diagnose.diagnose import diagnose
+from identification.diagnose.diagnosis import Diagnosis
 from identification.fit.refine import refine
 from identification.identify import identify
 from identification.logs.delimited import read_delimited

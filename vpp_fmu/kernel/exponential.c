@@ -3,13 +3,13 @@
 #include <string.h>
 
 #ifdef __GNUC__
-#define WITHIN static inline __attribute__((always_inline))
+#define INLINED static inline __attribute__((always_inline))
 #else
-#define WITHIN static inline
+#define INLINED static inline
 #endif
 
 /* 2**k for a whole k of at most some 1000: the last bits of k + 1.5 * 2**52 are k in binary. */
-WITHIN double power_of_2(double k) {
+INLINED double power_of_2(double k) {
   const double shifted = k + (6755399441055744.0 + 1023.0);
   unsigned long long bits;
   double two;
@@ -19,7 +19,7 @@ WITHIN double power_of_2(double k) {
   return two;
 }
 
-WITHIN double split(double x, double *k) {
+INLINED double split(double x, double *k) {
   *k = x * 1.4426950408889634 + 6755399441055744.0 - 6755399441055744.0;
   const double near = x - *k * 6.93147180369123816490e-01, rest = *k * 1.90821492927058770002e-10;
   const double r = near - rest, left = (near - r) - rest, s = r * r, t = s * s;
@@ -29,13 +29,13 @@ WITHIN double split(double x, double *k) {
   return r + (left + s * (low + t * (high + t * top)));
 }
 
-WITHIN double exp_within(double x) {
+INLINED double exp_inlined(double x) {
   double k;
   const double q = split(x, &k), inside = (q + 1.0) * power_of_2(k);
   return x < -700.0 ? 0.0 : x > 700.0 ? INFINITY : inside;
 }
 
-WITHIN double expm1_within(double x) {
+INLINED double expm1_inlined(double x) {
   double k;
   const double q = split(x, &k), inside = (q + (1.0 - power_of_2(-k))) * power_of_2(k);
   return x < -700.0 ? -1.0 : x > 700.0 ? INFINITY : inside;
@@ -45,6 +45,6 @@ WITHIN double expm1_within(double x) {
 #define EXP exp_called
 #define EXPM1 expm1_called
 
-APART static double exp_called(double x) { return exp_within(x); }
+APART static double exp_called(double x) { return exp_inlined(x); }
 
-APART static double expm1_called(double x) { return expm1_within(x); }
+APART static double expm1_called(double x) { return expm1_inlined(x); }

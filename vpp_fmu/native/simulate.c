@@ -54,7 +54,7 @@ static double *entry_of(Table *t, double dt) {
 /* The widest vectors of the processor, from compiler.py: no fused operations, and so the same bits on each. */
 #ifdef VECTORS
 #define WIDEST __attribute__((target(VECTORS)))
-/* Scalar code, as of exp(), takes four times as long while the upper halves of vector registers are in use. */
+/* Scalar code, as of sin(), takes four times as long while the upper halves of vector registers are in use. */
 #define LEAVE_VECTORS __builtin_ia32_vzeroupper()
 #else
 #define WIDEST

@@ -137,8 +137,8 @@ def c_lanes(program: Program) -> str:
         ("prepare_lanes(double (*restrict v)[LANES], const double *restrict dt, double (*restrict c)[LANES])", program.prepare),
         ("step_lanes(double (*restrict v)[LANES], const double (*restrict c)[LANES])", step),
     )
-    within = "#undef EXP\n#undef EXPM1\n#define EXP exp_within\n#define EXPM1 expm1_within\n"
-    return f"\n#define LANES {LANES}\n{within}" + "".join(_c_lanes(head, writes) for head, writes in heads)
+    inlined = "#undef EXP\n#undef EXPM1\n#define EXP exp_inlined\n#define EXPM1 expm1_inlined\n"
+    return f"\n#define LANES {LANES}\n{inlined}" + "".join(_c_lanes(head, writes) for head, writes in heads)
 
 
 def _c_lanes(head: str, writes: tuple[Write, ...]) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 
 from identification.assessment.model_error import model_error
 from identification.assessment.prediction import Prediction, predict, summaries
-from identification.diagnose.diagnose import Diagnosis
+from identification.diagnose.diagnosis import Diagnosis
 from identification.diagnose.judgement import MIN_EVIDENCE, Judgement
 from identification.diagnose.learned.description import FILE as LEARNED
 from identification.diagnose.learned.description import block, source

@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 
 from identification.assessment.prediction import rmse
-from identification.diagnose.diagnose import UNEXPLAINED, Diagnosis
+from identification.diagnose.diagnosis import Diagnosis
 from identification.diagnose.guess import Guess
 from identification.diagnose.learned.description import sentence as described
+from identification.diagnose.validation import UNEXPLAINED
 from identification.fit.noise import blocks
 from identification.fit.problem import Prior
 from identification.fit.uncertainty import NORMAL_95

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from identification.diagnose.diagnose import Diagnosis
+from identification.diagnose.diagnosis import Diagnosis
 from identification.diagnose.learned.columns import Course, lagged
 from identification.diagnose.learned.description import FILE, rival_words, sentence
 from identification.diagnose.learned.laws import curve_of

@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from identification.diagnose.diagnose import Diagnosis
+from identification.diagnose.diagnosis import Diagnosis
 from identification.fit.uncertainty import NORMAL_95
 from identification.static.static_map import TERMS, design
 from vpp_fmu.app.report import style

@@ -3,7 +3,7 @@
 import numpy as np
 
 from identification.assessment.residual_tests import NORMAL_95, lagged_correlation
-from identification.diagnose.diagnose import Diagnosis
+from identification.diagnose.diagnosis import Diagnosis
 from identification.diagnose.locate import RATE, cross_spectrum
 from identification.fit.noise import Noise, blocks
 from vpp_fmu.app.report import style
