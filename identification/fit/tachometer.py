@@ -6,10 +6,10 @@ at its row's time by up to a revolution, which a fit would attribute to the rig.
 delayed as the sensor does it, and compared only at new values.
 """
 
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.linalg import solve_banded
+from scipy.linalg.lapack import dtbtrs
 from scipy.sparse import csr_array, diags
 
 from vpp_fmu.record import Record, digit_of
@@ -86,15 +86,15 @@ class Tachometer:
         if not self.sensor.filter:
             return self._average @ omega
         drive, decay = self._filter
-        return self._average @ solve_banded((1, 0), decay, drive @ omega, check_finite=False)  # a trial of a fit may diverge
+        return self._average @ dtbtrs(decay, drive @ omega, uplo="L", diag="U")[0]
 
     def transpose(self, weights: np.ndarray) -> np.ndarray:
         """The transpose of `shows`: (rows,) whose product with a speed equals that of `weights` (m,) with its readings."""
         found = self._average.T @ weights
         if not self.sensor.filter:
             return found
-        drive, (ones, decay) = self._filter
-        return drive.T @ solve_banded((0, 1), np.vstack([np.append(0.0, decay[:-1]), ones]), found, check_finite=False)
+        drive, decay = self._filter
+        return drive.T @ dtbtrs(decay, found, uplo="L", diag="U", trans="T")[0]
 
     @cached_property
     def matrix(self) -> csr_array:
@@ -109,14 +109,14 @@ class Tachometer:
 
     @cached_property
     def _filter(self) -> tuple[csr_array, np.ndarray]:
-        """(matrix (rows, rows) from the speed to the filter's drive, its decay from row to row as a banded matrix (2, rows)): a
-        first-order low-pass that starts in equilibrium."""
+        """(matrix (rows, rows) from the speed to the filter's drive, its decay from row to row as the bands of a lower
+        triangular matrix (2, rows)): a first-order low-pass that starts in equilibrium."""
         n, ratio = len(self._time), np.diff(self._time) / self.sensor.filter
         kept = np.exp(-ratio)
         mean = -np.expm1(-ratio) / ratio
         straight = diags([np.append(1.0, 1.0 - mean), mean - kept], offsets=[0, -1], shape=(n, n))
         bent = diags([1.0 - kept], offsets=[-1], shape=(n, n - 1))
-        return csr_array(straight + bent @ _bends(self._time)), np.vstack([np.ones(n), np.append(-kept, 0.0)])
+        return csr_array(straight + bent @ _bends(self._time)), np.asfortranarray([np.ones(n), np.append(-kept, 0.0)])
 
     @property
     def times(self) -> np.ndarray:
@@ -198,6 +198,12 @@ def _guess(shown: np.ndarray, step: np.ndarray, new: np.ndarray) -> str:
 def _bends(time: np.ndarray) -> csr_array:
     """Matrix (rows - 1, rows): mean deviation over each step h of a signal from a straight line between its rows. It is -h^2 /
     12 times the mean of the second derivatives at both rows."""
+    return _bends_of(time.tobytes())
+
+
+@lru_cache(maxsize=8)  # a fit of a sensor needs them for one record again and again
+def _bends_of(time_bytes: bytes) -> csr_array:
+    time = np.frombuffer(time_bytes)
     n, steps = len(time), np.diff(time)
     if n < 3:
         return csr_array((max(n - 1, 0), n))
