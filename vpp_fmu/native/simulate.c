@@ -31,7 +31,7 @@ static int table_begins(Table *empty, size_t size) {
 }
 
 /* The entry of a length; or one that begins with NAN, for the caller to fill. */
-static double *entry_of(Table *t, double dt) {
+static inline double *entry_of(Table *t, double dt) {
   if (*t->last == dt) return t->last;
   unsigned long long bits;
   memcpy(&bits, &dt, sizeof bits);
@@ -94,7 +94,7 @@ WIDEST static void look_ahead(Run *run, double dt) {
 }
 #endif
 
-static Constants *constants_for(void *m, double dt) {
+static inline Constants *constants_for(void *m, double dt) {
   Run *run = m;
   Constants *own = (Constants *)entry_of(&run->constants, dt);
 #ifdef LANES

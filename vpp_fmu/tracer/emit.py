@@ -116,7 +116,7 @@ def c_source(program: Program) -> str:
         ("PREPARED void prepare(const double *v, double dt, const double *dt_tangent, double *c)", program.prepare),
         ("void step(double *v, const double *c, double *d)", program.step),
         *([("void step_values(double *v, const double *c)", plain)] if width else []),
-        ("double largest_step(const double *v)", program.largest_step),
+        ("inline double largest_step(const double *v)", program.largest_step),
         ("ONCE void show(double *v)", program.show),
     ):
         parts.append(c_function(head, writes, name))
