@@ -6,6 +6,7 @@ import random
 import signal
 import sys
 import time
+from weakref import WeakKeyDictionary
 
 # Tests run side by side: a second thread of BLAS would wait for the other process, and burn its core meanwhile.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -210,6 +211,7 @@ def no_compiler(monkeypatch):
     monkeypatch.setattr(compiler.shutil, "which", lambda name: None)
     monkeypatch.setattr(Model, "memo", property(lambda model: {}))  # models compiled before must not be used
     monkeypatch.setattr(simulator, "_runner", simulator._runner.__wrapped__)
+    monkeypatch.setattr(simulator, "_any_runner", WeakKeyDictionary())
     monkeypatch.setattr(native_flavour, "binaries", native_flavour.binaries.__wrapped__)
     for cached in caches:
         cached.cache_clear()

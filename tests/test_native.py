@@ -2,6 +2,7 @@
 
 import subprocess
 from dataclasses import replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pytest
@@ -182,6 +183,7 @@ def own_cache(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(Model, "memo", property(lambda model: {}))  # a process's own memory must not serve
     monkeypatch.setattr(simulators, "_runner", simulators._runner.__wrapped__)
+    monkeypatch.setattr(simulators, "_any_runner", WeakKeyDictionary())
     compiler.cache_folder.cache_clear()
     yield tmp_path / "cache" / "vpp-fmu"
     compiler.cache_folder.cache_clear()
@@ -196,6 +198,14 @@ def test_compiled_models_are_cached(own_cache, monkeypatch):
     assert len(list(own_cache.iterdir())) == 2
     monkeypatch.setattr(subprocess, "run", None)  # compiling again would fail
     np.testing.assert_array_equal(Simulator(BASE).simulate({}, inputs, steps), first)
+
+
+def test_a_model_with_sensitivities_serves_without_them(own_cache):
+    inputs, steps = random_steps(50, 5), np.full(49, 0.004)
+    model = plant(["pitch_delay"])
+    alone = Simulator(model).simulate({PITCH: 0.01}, inputs, steps)
+    both = Simulator(model, [PITCH]).simulate({PITCH: 0.01}, inputs, steps)
+    np.testing.assert_array_equal(both, alone)
 
 
 def test_a_user_defined_effect_with_the_name_of_a_traced_one_is_traced_anew(own_cache, monkeypatch):

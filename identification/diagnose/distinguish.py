@@ -52,8 +52,7 @@ def distinguishability(
 
     def response(candidate: Candidate) -> np.ndarray:
         effect = candidate.effect
-        # Screening uses the same sensitivities: they are compiled once.
-        simulator = Simulator(plant([*base.effects, effect.name], library), candidate.sizes)
+        simulator = Simulator(plant([*base.effects, effect.name], library))
         off = {effect.full(n): v for n, v in effect.off.items()}
         on = {effect.full(n): v for n, v in effect.probe.items()}
         there, without = about.rows(simulator, [{**candidate.form, **on}, {**candidate.form, **off}]).T

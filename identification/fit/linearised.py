@@ -23,6 +23,11 @@ class Linearised:
         self.residual = self.orthogonal_part(residual[:size])
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """The fitted parameters."""
+        return self._problem.coordinates.names
+
+    @property
     def records(self) -> list[Record]:
         """One record of each experiment."""
         return [e.record for e in self._problem.experiments]
@@ -90,11 +95,11 @@ class Linearised:
         problem = self._problem
         return np.concatenate([c / problem.scale[k] for k, c in problem.columns(outputs).items()])
 
-    def columns(self, simulator: Simulator, changes: Mapping[str, float]) -> np.ndarray:
-        """Sensitivities (rows, wrt) of the scaled residual in the `wrt` parameters of a simulator."""
-        values, problem = {**self._values, **changes}, self._problem
+    def columns(self, simulator: Simulator, changes: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
+        """Sensitivities (rows, k) of the scaled residual in k of the parameters of a simulator."""
+        values, problem, at = {**self._values, **changes}, self._problem, [simulator.wrt.index(n) for n in names]
         runs = [simulator.sensitivities(values, *e.record.run) for e in problem.experiments]
-        columns = problem.columns([tangents for _, tangents in runs], [outputs for outputs, _ in runs])
+        columns = problem.columns([tangents[:, :, at] for _, tangents in runs], [outputs for outputs, _ in runs])
         return np.vstack([c / problem.scale[k] for k, c in columns.items()])
 
     def left(self, simulator: Simulator, points: Sequence[Mapping[str, float]]) -> np.ndarray:

@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache, lru_cache, partial
 from importlib.resources import files
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -176,17 +177,25 @@ def rows_source(model: Model) -> str:
     return "".join([schedule.read_text(), f"static const int COMMANDED[] = {{{flags}}};\n", rows.read_text()])
 
 
+_any_runner: WeakKeyDictionary = WeakKeyDictionary()
+"""One runner of each model that is in use: it runs without its sensitivities, too, to the same bits."""
+
+
 @lru_cache(maxsize=1024)
 def _runner(chain: _Chain, wrt: tuple[str, ...]):
     """(run, side_by_side). `run(parameters, inputs, steps, late, pieces, outputs (size, outputs), tangents {output: (size,
     wrt)})`: fills both with one piece (a slice of at most `size` rows) after the other, and yields it. `side_by_side(parameters
     (runs, n), inputs, steps, late, outputs (outputs, rows, runs), done (runs / LANES,))`: fills the outputs of LANES runs each
     if they take the same steps, and sets `done`; None if no runs do."""
+    if not wrt and chain in _any_runner:
+        return _any_runner[chain]
     try:
-        return _compiled(chain, wrt)
+        found = _compiled(chain, wrt)
     except CompilerMissing as missing:
         _say_once(str(missing))
         return _interpreted(trace(chain.model, wrt)), None
+    _any_runner.setdefault(chain, found)
+    return found
 
 
 def _compiled(chain: _Chain, wrt: tuple[str, ...]):

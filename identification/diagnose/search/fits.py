@@ -351,7 +351,9 @@ class Searcher:
         jumping = {e.full(p) for e in model.effects for p in e.rounds.values()}
         smooth = [n for n, does in zip(free, moved, strict=True) if does and n not in jumping]
         scanned = {n for n, does in zip(free, moved, strict=True) if does and n in jumping}
-        scanned |= {n for n in free if not {n} & {*smooth, *jumping} and piecewise_constant(model, self.experiments, values, n)}
+        scanned |= {
+            n for n in free if not {n} & {*smooth, *jumping} and piecewise_constant(simulator, self.experiments, values, n)
+        }
         return smooth, [n for n in free if n in scanned]
 
 

@@ -91,7 +91,8 @@ class _LinearScreening:
     def at(self, candidate: Candidate) -> tuple[float, dict[str, float], int]:
         """(decrease of half the sum of squares at the best point; values there, with the fitted parameters re-estimated; number
         of points)."""
-        simulator = Simulator(plant([*self._effects, candidate.name], self._library), candidate.sizes)
+        model = plant([*self._effects, candidate.name], self._library)
+        simulator = Simulator(model, [*self._about.names, *candidate.free])  # a first look at the candidate uses the same one
         response = _Response(self._about, simulator, candidate)
         found = [self._proportional(response, shape) or self._grid(response, shape) for shape in candidate.shapes()]
         gain, point = max(found, key=lambda pair: pair[0])
@@ -243,4 +244,5 @@ class _Response:
 
     def tangents(self, point) -> np.ndarray:
         """(rows, sizes)"""
-        return self._about.orthogonal_part(self._about.columns(self._simulator, {**self.candidate.form, **point}))
+        columns = self._about.columns(self._simulator, {**self.candidate.form, **point}, self.candidate.sizes)
+        return self._about.orthogonal_part(columns)
