@@ -180,11 +180,12 @@ class _Estimate:
         if not self._measured:
             return self._logger_of(start)
         best = self._likeliest(each, start)
-        if (latest := self._latest(best)) is None:
+        latest = self._latest(best)
+        if best.delayed:  # by the rig or the sensor: to be named by a diagnosis
+            found = self._logger_of(best) if latest is None else Logger(*latest.rows(self._period), period=self._period)
+            return replace(found, sensor=replace(best.sensor, delay=0.0), sensor_std={})
+        if latest is None:
             return self._logger_of(best)
-        if best.late_thrust:
-            sensor = replace(best.sensor, delay=0.0)
-            return Logger(latest.value / self._period, latest.std / self._period, sensor, {}, self._period)
         best = self._likeliest(each, start, latest.value / self._period)
         uncertain = {name: best.estimate(name)[1] for name in best.free}
         return Logger(latest.value / self._period, latest.std / self._period, best.sensor, uncertain, self._period)
@@ -198,27 +199,29 @@ class _Estimate:
         fits = list(each(rough, self._hypotheses()))
         scores = _scores(fits)
         if held is None:
-            fits += each(rough, self._with_late_thrust(fits[int(np.argmax(scores))], fits))
+            fits += each(rough, self._delayed(fits, scores))
             scores = _scores(fits)
         near = [fit for fit, score in zip(fits, scores, strict=True) if score > max(scores) - NEAR]
         near = list(each(lambda fit: fit.solved(FULL), near))
         near = [fit for fit in near if not any(other.fits_thrust_better_than(fit) for other in near)]
         scores = _scores(near)
         likely = [(s, fit) for s, fit in zip(scores, near, strict=True) if s >= max(scores) - NOT_DISTINGUISHED]
-        return min(likely, key=lambda pair: (pair[1].sensor.averaged, -pair[0]))[1]
+        return min(likely, key=lambda pair: (pair[1].sensor.averaged, pair[1].delayed, -pair[0]))[1]
 
-    def _with_late_thrust(self, best: "_SensorFit", fits: Sequence["_SensorFit"]) -> list[tuple]:
-        """Hypotheses with a delay of the speed other than that of the thrust, of the sensors whose renewals are likelier than
-        those of the `best` fit: where the rig delays its thrust, a wrong sensor, whose values are newer, would explain it."""
-        likelier = [fit for fit in fits if fit.renewed > best.renewed + EVIDENCE and fit.with_delay != fit.free]
-        return [(fit.sensor, fit.with_delay, fit.renewed) for fit in likelier]
+    def _delayed(self, fits: Sequence["_SensorFit"], scores: Sequence[float]) -> list[tuple]:
+        """Hypotheses with a delay of the speed other than that of the thrust. Only telemetry has one else: where the rig delays
+        its thrust, or its speed reading, telemetry would explain it, though the renewals are likelier for another sensor."""
+        rivals = [fit for fit, score in zip(fits, scores, strict=True) if "delay" in fit.free and score > max(scores) - NEAR]
+        least = min((fit.renewed for fit in rivals), default=np.inf) + EVIDENCE
+        return [(fit.sensor, fit.with_delay, fit.renewed) for fit in fits if fit.renewed > least and fit.with_delay != fit.free]
 
     def _latest(self, fit: "_SensorFit") -> "_Delay | None":
         """The offset that the speed readings alone show, if that of a fit of all readings is later: the rest is a delay of the
         thrust. None if it is not later."""
         if SPEED_DELAY not in self._delays or fit.offset.agrees_with(NONE):
             return None
-        sensor = replace(fit.sensor, delay=0.0) if fit.late_thrust else fit.sensor
+        late_thrust = fit.delayed and fit.reads_ahead
+        sensor = replace(fit.sensor, delay=0.0) if late_thrust else fit.sensor
         experiments = [Experiment(g, independent(1.0), channels=("omega",)).measured_by(sensor) for g in self._groups]
         turning = {e.name for e in self._model.effects if e.in_speed}
         names = [n for n in self._names if n.startswith("tau_omega") or n.split(".")[0] in turning]
@@ -234,10 +237,10 @@ class _Estimate:
         spread = uncertainty(problem, found)
         at = spread.names.index(SPEED_DELAY)
         # The delay of telemetry is unknown, too: its readings may be as new as their rows.
-        newer = sensor.delay - fit.earliest if sensor.kind == TELEMETRY and "delay" in fit.free else 0.0
+        newer = sensor.delay - fit.earliest if "delay" in fit.free and not fit.delayed else 0.0
         value = float(spread.values[at]) - EARLIEST * self._period + newer
         own = _Delay(value, float(spread.std[at]), fit.unknown_instant)
-        if not fit.late_thrust and (not own.value < fit.offset.value or own.agrees_with(fit.offset)):
+        if not late_thrust and (not own.value < fit.offset.value or own.agrees_with(fit.offset)):
             return None
         near = [v for v in (0.0, round(value / self._period) * self._period) if not own.differs_from(v)]
         return replace(own, value=max(near[0] if near else value, 0.0))
@@ -363,9 +366,9 @@ class _SensorFit:
         return tuple(sorted({*self.free, "delay"})) if self.sensor.kind and "delay" not in self._of._declared else self.free
 
     @property
-    def late_thrust(self) -> bool:
-        """Whether a mark or an encoder reads ahead of the thrust: it is the thrust that is late."""
-        return self.sensor.kind in (MARK, ENCODER) and "delay" in self.free and self.reads_ahead
+    def delayed(self) -> bool:
+        """Whether a mark or an encoder, which have no delay, gets one: before 0, the thrust is late."""
+        return self.sensor.kind in (MARK, ENCODER) and "delay" in self.free
 
     @property
     def reads_ahead(self) -> bool:
@@ -499,6 +502,10 @@ class _Delay:
     value: float
     std: float
     unknown: float = 0.0
+
+    def rows(self, period: float) -> tuple[float, float]:
+        """(value, standard error) in rows."""
+        return self.value / period, self.std / period
 
     def differs_from(self, value: float) -> bool:
         return abs(self.value - value) > SIGNIFICANT * self.std + self.unknown

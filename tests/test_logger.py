@@ -126,8 +126,8 @@ def test_row_means_of_a_held_value_are_late_by_its_mean_age(rate):
     assert np.sqrt(np.mean(error**2)) < ramp * 0.5 / 50.0
 
 
-def turned(seed, marks, rate, averaged=False, late=0.0):
-    """A record of a sensor of so many marks, and of samples or means over rows; the thrust is `late` [s]."""
+def turned(seed, marks, rate, averaged=False, **late):
+    """A record of a sensor of so many marks, and of samples or means over rows; `late` [s]: delays of the readings."""
     sent, fine = commands(seed, rate=rate), 20
     held = {n: np.repeat(sent[n], fine) for n in ("omega_ref", "beta_ref")}
     thrust, omega, _ = Simulator(BASE).simulate({}, held, np.full(len(sent) * fine - 1, 1.0 / (rate * fine))).T
@@ -135,7 +135,7 @@ def turned(seed, marks, rate, averaged=False, late=0.0):
     pulses = np.interp(np.arange(1.0, turn[-1]), turn, time)
     last = np.maximum(np.searchsorted(pulses, time, side="right") - 1, 1)
     speed = np.round(60.0 / marks / (pulses[last] - pulses[last - 1]))
-    read = {"omega": speed, "thrust": np.interp(time - late, time, thrust)}
+    read = {n: np.interp(time - late.get(n, 0.0), time, c) for n, c in {"omega": speed, "thrust": thrust}.items()}
     read = {n: c.reshape(-1, fine).mean(axis=1) if averaged else c[::fine] for n, c in read.items()}
     read["thrust"] += np.random.default_rng(seed + 1).normal(0.0, 0.05, len(sent))
     return sent.with_columns(**read)
@@ -149,9 +149,11 @@ def test_row_means_are_distinguished_from_samples(averaged):
 
 
 @pytest.mark.parametrize("seed", [51, 52, 53])
-def test_a_late_thrust_is_not_taken_for_a_newer_speed_sensor(seed):
-    """Telemetry without age, and commands that act a row late, would explain the thrust as well."""
-    logger = as_logged(passed(campaign(turned(seed, 1, 100.0, late=0.015)))).logger
+@pytest.mark.parametrize("late", [{"thrust": 0.015}, {"omega": 0.012}])
+def test_a_late_reading_is_not_taken_for_telemetry(seed, late):
+    """Telemetry without age, and commands that act a row late, would explain a late thrust as well; older telemetry a late
+    speed."""
+    logger = as_logged(passed(campaign(turned(seed, 1, 100.0, **late)))).logger
     assert (logger.sensor, logger.rows) == (SpeedSensor("mark", 1), pytest.approx(0.0, abs=0.1))
 
 
@@ -239,7 +241,7 @@ def test_an_offset_later_than_the_speed_alone_shows_is_a_delay_of_the_thrust(row
     of = _Estimate(groups, found.rig.scales, {}, (), LIBRARY, AVERAGED)
     fit = _SensorFit(of, SpeedSensor("encoder"), (), tied=True).solved((6, 6))
     assert of._latest(fit) is None
-    own = {n: getattr(fit, n) for n in ("values", "sensor", "free", "earliest", "unknown_instant", "late_thrust")}
+    own = {n: getattr(fit, n) for n in ("values", "sensor", "free", "earliest", "unknown_instant", "delayed")}
     assert of._latest(SimpleNamespace(offset=_Delay(8.0 / RATE, 0.1 / RATE), **own)).value == pytest.approx(rows / RATE)
 
 

@@ -106,7 +106,7 @@ def test_the_interval_of_a_size_includes_off_where_the_likelihood_ratio_does(see
     shown = Simulator(model).simulate(model.values(true), columns, np.diff(time))[:, 0]
     record = Record(columns | {"thrust": shown + noise * rng.standard_normal(1500)}, "record")
     names, values = ["tau_beta_1", "tau_beta_2", "c20", "c11"], plant().values()
-    searcher = Searcher([Experiment([Fitted("record", record)], independent(15.0))], names, None, values, LIBRARY)
+    searcher = Searcher([Experiment([Fitted("record", record)], independent(15.0))], names, None, LIBRARY)
     free = ["inflow_lag.gain", "inflow_lag.time_constant"]
     found = searcher.fit(["inflow_lag"], {"inflow_lag.form": 1.0}, free, {**values, **true})
     ratio = searcher.fit([], {}, [], values).deviance - found.deviance

@@ -40,7 +40,7 @@ def test_steady_points_lose_weight_only_beside_effects_of_the_map(name, widened)
     names = ["tau_beta_1", "tau_beta_2", "c20", "c11"]
     told = Prior(("c20",), np.array([values["c20"] + 0.05]), np.array([[0.01**2]]))
     knowledge = lambda *_: told  # noqa: E731
-    searcher = Searcher([Experiment([Fitted("drawn", record)], independent(15.0))], names, knowledge, values, LIBRARY)
+    searcher = Searcher([Experiment([Fitted("drawn", record)], independent(15.0))], names, knowledge, LIBRARY)
     found = searcher.fit([name], {}, [effect.full(n) for n in free], values)
     assert found.at_rest is widened
     agreed = found.agreed(knowledge)
@@ -79,7 +79,7 @@ def test_a_fit_with_the_same_arguments_is_computed_once():
     """Another start or another order of the lags is another fit."""
     record = Record({"time": 0.02 * np.arange(400), **commanded(400), "thrust": RNG.standard_normal(400)}, "drawn")
     values = plant(()).values()
-    searcher = Searcher([Experiment([Fitted("drawn", record)], independent(15.0))], ["c20", "c11"], None, values, LIBRARY)
+    searcher = Searcher([Experiment([Fitted("drawn", record)], independent(15.0))], ["c20", "c11"], None, LIBRARY)
     found = searcher.fit((), {}, (), values)
     assert searcher.fit([], {}, [], dict(values)) is found
     assert searcher.fit((), {}, (), {**values, "c20": 0.1}) is not found
@@ -100,7 +100,7 @@ def test_an_estimate_with_the_map_of_another_fit_changes_the_lags_alone():
     read = shown[:, 0] + 0.1 * rng.standard_normal(2000)
     record = Record({"time": 0.01 * np.arange(2000), **told, "omega": shown[:, 1], "thrust": read}, "drawn")
     names, values = ["tau_omega_1", "tau_omega_2", "c20", "c11"], plant(()).values()
-    searcher = Searcher([Experiment([Fitted("drawn", record)], independent(15.0))], names, None, values, LIBRARY)
+    searcher = Searcher([Experiment([Fitted("drawn", record)], independent(15.0))], names, None, LIBRARY)
     other, found = searcher.fit((), {}, (), values), searcher.fit(["speed_asymmetry"], {}, [name], values)
     held = found.with_map_of(other)
     assert {n: held.values[n] for n in ("c20", "c11")} == {n: other.values[n] for n in ("c20", "c11")}
@@ -193,9 +193,9 @@ def test_a_dead_band_in_a_closed_loop_is_found(half_width, start):
     read = shown(half_width) + 0.05 * rng.standard_normal(len(flown))
     record = Record({n: flown[n] for n in ("time", "omega_ref", "beta_ref")} | {"thrust": read}, "flown")
     names, values = ["tau_omega_1", "tau_beta_1", "tau_beta_2", "c20"], plant().values()
-    searcher = Searcher([Experiment([Fitted("flown", record)], independent(15.0))], names, None, values, LIBRARY)
+    searcher = Searcher([Experiment([Fitted("flown", record)], independent(15.0))], names, None, LIBRARY)
     (candidate,) = candidates([e for e in LIBRARY if e.name == "pitch_command_deadband"], [record])
-    seen = Screening(searcher.fit([], {}, [], values), searcher.start, LIBRARY, biased=False).at(candidate)
+    seen = Screening(searcher.fit([], {}, [], values), LIBRARY).at(candidate)
     assert np.std(shown(seen.values[name]) - shown(half_width)) < 0.05  # less than the noise
     found = searcher.fit(["pitch_command_deadband"], {}, [name], {**values, name: start})
     low, high = found.thresholds[name]
@@ -223,7 +223,7 @@ def test_a_refit_leaves_the_double_pole_of_a_fit_without_the_effect(name, truth,
     read = Simulator(model).simulate(model.values(truth), told, np.full(3999, 0.01))[:, 0] + 0.05 * rng.standard_normal(4000)
     record = Record({"time": 0.01 * np.arange(4000), **told, "thrust": read}, "drawn")
     names, values, library = ["tau_beta_1", "tau_beta_2", *TERMS], plant().values(), sized(LIBRARY, FAST)
-    searcher = Searcher([Experiment([Fitted("drawn", record)], independent(15.0))], names, None, values, library)
+    searcher = Searcher([Experiment([Fitted("drawn", record)], independent(15.0))], names, None, library)
     candidate = candidates([e for e in library if e.name == name], [record])[0]
     base = searcher.fit([], {}, [], values)
     linear = base.linearised().residual
@@ -244,7 +244,7 @@ def test_a_limit_of_the_pitch_is_found_wherever_it_is(form, end, value):
     read = Simulator(model).simulate(model.values(truth), told, np.full(3999, 0.01))[:, 0] + 0.2 * rng.standard_normal(4000)
     record = Record({"time": 0.01 * np.arange(4000), **told, "thrust": read}, "drawn")
     names, values = ["tau_beta_1", "tau_beta_2", *TERMS], plant().values()
-    searcher = Searcher([Experiment([Fitted("drawn", record)], independent(15.0))], names, None, values, LIBRARY)
+    searcher = Searcher([Experiment([Fitted("drawn", record)], independent(15.0))], names, None, LIBRARY)
     options = candidates([e for e in LIBRARY if e.name == name], [record])
     base = searcher.fit([], {}, [], values)
     right = next(c for c in options if c.form[f"{name}.form"] == form)

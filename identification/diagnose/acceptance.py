@@ -130,9 +130,11 @@ class Judge:
         return removed >= self.least_speed() ** 2 or removed * slope**2 >= self.least() ** 2
 
     def matters(self, effect: str, fit: Fit) -> bool:
-        """Whether an effect reaches the minimum size, all other parameters held."""
+        """Whether an effect reaches the minimum size, all other parameters held. Without one of the speed's reading, the lags
+        would be wrong, though it changes no thrust."""
         declared = next(e for e in fit.problem.model.effects if e.name == effect)
-        return self._size(fit, replace(fit, values={**fit.values, **declared.switched_off}), declared.common)[-1]
+        rest = replace(fit, values={**fit.values, **declared.switched_off})
+        return declared.reading == "speed" or self._size(fit, rest, declared.common)[-1]
 
     def _size(self, with_it: Fit, without: Fit, common: float) -> tuple[float, float, float, bool]:
         """(rms change of the thrust [N]; the minimum size; rms change of the speed's readings [rpm]; whether the change of

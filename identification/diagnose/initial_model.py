@@ -160,7 +160,7 @@ def prepared(groups: Sequence[Sequence[Fitted]], at: InitialModel, options: Sequ
 
     def refitted(pair) -> Fit:
         candidate, seen = pair
-        return added(searcher, base, candidate, {**base.values, **seen.values}, seen.slow_first)
+        return added(searcher, base, candidate, {**base.values, **seen.values}, base.slow_first)
 
     best = min(pool.map(refitted, ranked), key=Fit.bic, default=base)
     found = with_lower_noise(groups, at, searcher, base, best) if evidence_over(best, base) > MIN_EVIDENCE else None
@@ -190,7 +190,7 @@ def with_noise(
 ) -> tuple[Searcher, Fit]:
     """(searcher, base) with another noise."""
     again, base = fitted_base(groups, at, noise, base.values)
-    again.points, again.base_score_gain = searcher.points, searcher.base_score_gain
+    again.points = searcher.points
     return again, base
 
 
@@ -219,7 +219,7 @@ def fitted_base(
     starts = [values, {**values, **{n: at.first[n] for n in at.fitted}}]
 
     def fitted(factor: float) -> tuple[Searcher, Fit]:
-        searcher = Searcher(experiments, at.fitted, at.knowledge, at.first, at.library, factor)
+        searcher = Searcher(experiments, at.fitted, at.knowledge, at.library, factor)
         return searcher, min((searcher.fit((), {}, (), start) for start in starts), key=Fit.bic)
 
     searcher, base = fitted(WIDEST)

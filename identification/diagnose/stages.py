@@ -236,7 +236,6 @@ def _stage(groups, runs, at, speed_error, options, smallest, effort, pool, words
     effort.stage(f"noise{words}")
     searcher, base = prepared(groups, at, options, pool)
     judge = Judge(searcher, base, smallest, runs, speed_error)
-    searcher.base_score_gain = judge.lack(base).score.gain
     give_back()
 
     def clearer(judge: Judge, fit: Fit) -> Judge | None:

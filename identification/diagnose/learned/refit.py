@@ -45,7 +45,7 @@ class Term:
 def _searcher(other: Searcher, effect: Effect, lead: Lead) -> Searcher:
     sizes = {effect.full(n): effect.probe[n] for n in effect.off if n not in _fixed(lead)}
     library = placed(other.library, effect, PORTS[lead.port])
-    return Searcher(other.experiments, other.names, _with_prior_of_sizes(other, sizes), other.start, library)
+    return Searcher(other.experiments, other.names, _with_prior_of_sizes(other, sizes), library)
 
 
 def _fixed(lead: Lead) -> set[str]:

@@ -37,10 +37,6 @@ NOTHING = 1e-9
 LOOKS = 4
 """Evaluations of a first look at a start: two Gauss-Newton steps or so."""
 
-BIASED = 0.15
-"""Log-likelihood gain per row of generic regressors above which the base counts as biased. They then explain more than a
-quarter of the residual's power, 1 - exp(-2 BIASED)."""
-
 
 @dataclass(frozen=True)
 class Fit:
@@ -226,23 +222,20 @@ class Fit:
 
 class Searcher:
     """Fits models to given experiments. `knowledge`: the prior, its standard deviations multiplied by `factor`; `names`: the
-    identifiable base parameters; `start`: their values before any fit."""
+    identifiable base parameters."""
 
     def __init__(
         self,
         experiments: Sequence[Experiment],
         names: Sequence[str],
         knowledge: Knowledge | None,
-        start: Mapping[str, float],
         library: Iterable[Effect],
         factor: float = 1.0,
     ):
         self.experiments, self.names, self.library = tuple(experiments), tuple(names), tuple(library)
         self.knowledge, self.factor = knowledge, factor
-        self.start = {n: start[n] for n in names}
         self.screened: dict[tuple, dict] = {}
         self._fits: dict[tuple, Fit] = {}
-        self.base_score_gain = 0.0  # log-likelihood gain of generic regressors beside the base
         self.points = 0  # the largest number of points screened in one round
         self._off = {name: value for effect in self.library for name, value in effect.switched_off.items()}
 
@@ -323,11 +316,6 @@ class Searcher:
         """Prior of the free parameters of a model, widened by the factor. The widest has no influence, with any effects."""
         prior = self.knowledge and self.knowledge(model, values, self.names if self.factor == WIDEST else names)
         return prior and prior.loosened(self.factor)
-
-    def biased(self, fit: Fit) -> bool:
-        """Whether the missing effect is so large that the base, fitted without it, is biased; where only speed is fitted, that
-        costs little to assume."""
-        return not fit.effects and self.base_score_gain >= BIASED * fit.score.counts.get("thrust", 0)
 
     def _unreached(self, model, values, name) -> bool:
         """Whether the simulated records are the same to the bit with the parameter switched off."""

@@ -85,8 +85,8 @@ def _first_look(searcher: Searcher, fit: Fit, candidate: Candidate, at: Screenin
 
     Starts are the point that screening predicts, and the first grid of shapes at the plausible size; then, if the order of lags
     matters, the same with the other order, and with hardly any second lag: an effect with a lag of its own replaces it."""
-    points = [({**fit.values, **at.values}, at.slow_first)]
-    points += [({**fit.values, **shape, **candidate.within(candidate.probe)}, fit.slow_first) for shape in candidate.shapes()]
+    own = [at.values, *({**shape, **candidate.within(candidate.probe)} for shape in candidate.shapes())]
+    points = [({**fit.values, **values}, fit.slow_first) for values in own]
     found = [look for point in points if (look := _look(searcher, fit, candidate, *point))]
     if not found:
         return None
@@ -148,7 +148,7 @@ def screened(
     fresh = [c for c in options if c.name not in fit.effects]
     cached = searcher.screened.setdefault((key(fit), fit.deviance), {})
     if new := [c for c in fresh if c.label not in cached]:
-        at = Screening(fit, searcher.start, searcher.library, biased=searcher.biased(fit)).at
+        at = Screening(fit, searcher.library).at
         for done, (c, result) in enumerate(zip(new, pool.map(at, new), strict=True), start=1):
             cached[c.label] = result
             progress(done, len(new), max(new[:done], key=lambda each: cached[each.label].likelihood_gain).label)

@@ -2,13 +2,10 @@
 
 The fitted parameters are linearised. If an effect's response is proportional to its sizes, one simulation with sensitivities
 gives the best sizes. Else a grid is searched: all combinations of two sizes, or one size after the other.
-
-A large missing effect biases the fit so much that linearisation about it fails. Then the model is also linearised about the
-start values, which come from the static map and the step responses, in both orders of the pitch lags.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -18,7 +15,6 @@ from identification.diagnose.search.fits import Fit
 from identification.diagnose.search.rounding import Rounding
 from identification.diagnose.search.threshold import divided
 from identification.fit.linearised import Linearised
-from identification.fit.problem import Problem
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native import Simulator
@@ -46,57 +42,29 @@ between points."""
 
 @dataclass(frozen=True)
 class ScreeningResult:
-    """Predicted gain of a candidate: decrease `likelihood_gain` of half the sum of squares, at `values` of all free parameters
-    and the order of lags `slow_first`; `points`: number of computed points."""
+    """Predicted gain of a candidate: decrease `likelihood_gain` of half the sum of squares, at `values` of all free parameters;
+    `points`: number of computed points."""
 
     likelihood_gain: float
     values: Mapping[str, float]
     points: int
-    slow_first: Mapping[str, bool]
 
 
 class Screening:
-    """Screens candidates beside one fit. `start`: parameters before any fit; `biased`: linearise about them, too."""
+    """Screens candidates beside one fit."""
 
-    def __init__(self, fit: Fit, start: Mapping[str, float], library: Iterable[Effect], biased: bool):
-        library, problem = tuple(library), fit.problem
-        about = fit.linearised()
-        cost = 0.5 * float(about.residual @ about.residual)
-        self._models = [(_LinearScreening(about, cost, fit.effects, library), fit.slow_first)]
-        if biased:
-            for order in (True, False):
-                slow_first = {**fit.slow_first, "beta": order}
-                there = Problem(problem.model, problem.experiments, fit.values, problem.coordinates.names, None, slow_first)
-                there.scale = problem.scale
-                x = there.coordinates.vector({**fit.values, **start})
-                self._models.append(
-                    (_LinearScreening(Linearised(there, x, *there.evaluate(x)), cost, fit.effects, library), slow_first)
-                )
+    def __init__(self, fit: Fit, library: Iterable[Effect]):
+        self._about, self._effects, self._library = fit.linearised(), fit.effects, tuple(library)
+        self._cost = 0.5 * float(self._about.residual @ self._about.residual)
 
     def at(self, candidate: Candidate) -> ScreeningResult:
-        """The best result for a candidate, over the points of linearisation. The order of the pitch lags has no influence on an
-        effect of another channel."""
-        models = self._models if "beta" in candidate.effect.channels else self._models[:2]
-        found = [ScreeningResult(*model.at(candidate), order) for model, order in models]
-        return replace(max(found, key=lambda each: each.likelihood_gain), points=sum(each.points for each in found))
-
-
-class _LinearScreening:
-    """Screens about one point of linearisation. `cost`: half the sum of squares of the fit to improve."""
-
-    def __init__(self, about: Linearised, cost: float, effects: Iterable[str], library: tuple[Effect, ...]):
-        self._about, self._cost, self._effects, self._library = about, cost, tuple(effects), library
-        self._offset = cost - 0.5 * float(about.residual @ about.residual)  # the gain of linearisation alone
-
-    def at(self, candidate: Candidate) -> tuple[float, dict[str, float], int]:
-        """(decrease of half the sum of squares at the best point; values there, with the fitted parameters re-estimated; number
-        of points)."""
+        """The best result for a candidate, with the fitted parameters re-estimated."""
         model = plant([*self._effects, candidate.name], self._library)
         simulator = Simulator(model, [*self._about.names, *candidate.free])  # a first look at the candidate uses the same one
         response = _Response(self._about, simulator, candidate)
         found = [self._proportional(response, shape) or self._grid(response, shape) for shape in candidate.shapes()]
         gain, point = max(found, key=lambda pair: pair[0])
-        return gain, response.re_estimated(point) | point, response.points
+        return ScreeningResult(gain, response.re_estimated(point) | point, response.points)
 
     def _proportional(self, response: "_Response", shape) -> tuple[float, dict[str, float]] | None:
         """The best sizes of a proportional response; None if it is not proportional."""
@@ -163,7 +131,7 @@ class _LinearScreening:
         best = -np.inf, {}
         for point, (along, power) in zip(points, response.products(points), strict=True):
             stretch = float(np.clip(-along / power, *STRETCH)) if power else 1.0
-            gain = self._offset - stretch * (along + 0.5 * stretch * power)
+            gain = -stretch * (along + 0.5 * stretch * power)
             if gain > best[0]:
                 sizes = {n: point[n] * stretch for n, v in response.candidate.off.items() if v == 0.0}
                 best = gain, point | response.candidate.within(sizes)
