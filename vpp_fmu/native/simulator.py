@@ -187,8 +187,8 @@ def _runner(chain: _Chain, wrt: tuple[str, ...]):
     wrt)})`: fills both with one piece (a slice of at most `size` rows) after the other, and yields it. `side_by_side(parameters
     (runs, n), inputs, steps, late, outputs (outputs, rows, runs), done (runs / LANES,))`: fills the outputs of LANES runs each
     if they take the same steps, and sets `done`; None if no runs do."""
-    if not wrt and chain in _any_runner:
-        return _any_runner[chain]
+    if not wrt and (found := _any_runner.get(chain)):
+        return found
     try:
         found = _compiled(chain, wrt)
     except CompilerMissing as missing:
