@@ -52,14 +52,18 @@ def select(
     of workers in `pool`. `words`: of what, for progress.
     """
     found, nuisances = Selection(judge.base, judge.base, judge.base), set()
+
+    def accepted(beside: Fit) -> tuple[Fit | None, Fit | None, Fit | None]:
+        effort.stage(f"try {len(options)} candidates{words}{_beside(beside)}")
+        found.rounds.append(search_round(judge.searcher, beside, options, pool, effort.progress))
+        return _first_accepted(found, beside, judge)
+
     for count in range(MOST):
-        beside = "".join(f" + {name}" for name in found.whole.effects)
-        if count and not effort.allows(f"a further effect{words}{beside}"):
+        if count and not effort.allows(f"a further effect{words}{_beside(found.whole)}"):
             break
-        effort.stage(f"try {len(options)} candidates{words}{beside}")
-        tried = search_round(judge.searcher, found.whole, options, pool, effort.progress)
-        found.rounds.append(tried)
-        best, small = _first_accepted(found, tried, judge)
+        best, small, half = accepted(found.whole)
+        if best is None and half and effort.allows(f"a further effect{words}{_beside(half)}"):
+            best = accepted(half)[0]
         if best is None and small and judge.lack(found.whole).significant and not judge.lack(small).significant:
             nuisances.add(small.effects[-1])
             best = small
@@ -86,33 +90,41 @@ def select(
     return judge, found
 
 
-def _first_accepted(found: Selection, tried: Sequence[CandidateFit], judge: Judge) -> tuple[Fit | None, Fit | None]:
-    """(the accepted candidate of most evidence beside the effects found so far, None without one; the best one that is only too
-    small).
+def _beside(fit: Fit) -> str:
+    return "".join(f" + {name}" for name in fit.effects)
+
+
+def _first_accepted(found: Selection, beside: Fit, judge: Judge) -> tuple[Fit | None, Fit | None, Fit | None]:
+    """(the accepted candidate of most evidence `beside` a fit, None without one; the best one that is only too small; the best
+    one that only explains too little of the lack of fit), of the last round.
 
     None with less than the share STRONG of the evidence of a refused one is accepted: it would stand in for that. A further
-    effect must explain most of the lack of fit that is left: a chain of small gains corrects a wrong law."""
-    strongest, small, before = 0.0, None, judge.lack(found.whole)
-    for t in _ranked([t for t in tried if t.fit is not None]):
+    effect must explain most of the lack of fit that is left: a chain of small gains corrects a wrong law. Of two of one size
+    neither does; so one may be tried beside the effects found so far and a first one that explains too little. Both together
+    must explain as much as two effects would that each explain most of what is left."""
+    strongest, small, half = 0.0, None, None
+    before = judge.lack(found.whole)
+    needed = before.missing * MAJORITY ** (1 + len(beside.effects) - len(found.whole.effects))
+    for t in _ranked([t for t in found.rounds[-1] if t.fit is not None]):
         if t.evidence <= max(MIN_EVIDENCE, STRONG * strongest):
             break
-        fit = _bounded(judge.searcher, found.whole, t) if t.fit.at_bound else t.fit
-        judged = judge(t.candidate.name, fit, found.whole)
+        fit = _bounded(judge.searcher, beside, t) if t.fit.at_bound else t.fit
+        judged = judge(t.candidate.name, fit, beside)
         if not judged.refused and found.judgements:
-            left, needed = judge.lack(fit), MAJORITY * before.missing
+            left = judge.lack(fit)
             if left.significant and left.missing > needed:
                 removed = 1.0 - left.missing / before.missing if before.missing else 0.0
-                least = f"the minimum is {100.0 * MAJORITY:.0f} %"
+                least = f"the minimum is {100.0 * (1.0 - needed / before.missing) if before.missing else 0.0:.0f} %"
                 why = f"it removes {100.0 * removed:.0f} % of the lack of fit that remains, {least}"
-                judged = replace(judged, refused=(why,))
+                judged, half = replace(judged, refused=(why,)), half or fit
         if not judged.refused:
-            return fit, small
+            return fit, small, half
         found.refused.setdefault(t.candidate.name, judged)
         if judged.small:
             small = small or fit
         else:
             strongest = max(strongest, t.evidence)
-    return None, small
+    return None, small, half
 
 
 Tried = list[tuple[str, Fit, Callable[[], Judgement]]]
@@ -122,9 +134,10 @@ Tried = list[tuple[str, Fit, Callable[[], Judgement]]]
 def nearest(judge: Judge, found: Selection, options: Sequence[Candidate], effort: Effort, pool) -> Tried:
     """Candidates beside the final set, by decreasing evidence."""
     searcher, final = judge.searcher, found.whole
-    last = found.rounds[-1] if found.rounds else []
+    beside = [tried for tried in found.rounds if key(final)[0] == tuple(sorted(tried[0].beside))]
+    last = beside[-1] if beside else []
     on_these = all(t.fit.problem.experiments == searcher.experiments for t in last if t.fit)  # not on those of another logger
-    if not last or key(final)[0] != tuple(sorted(last[0].beside)) or not on_these:
+    if not last or not on_these:
         if not effort.allows(f"a best guess beside {' + '.join(final.effects)}"):
             return []
         last = search_round(searcher, final, options, pool, effort.progress)
