@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import chi2
 
 from identification.diagnose import acceptance, crossval, diagnose, selection, validation
-from identification.diagnose.crossval import HeldOut, by_thirds, cross_validated, error_increases, folds, p_no_decrease
+from identification.diagnose.crossval import HeldOut, contiguous_folds, cross_validated, error_increases, folds, p_no_decrease
 from identification.diagnose.effort import Effort
 from identification.diagnose.judgement import (
     ALPHA,
@@ -169,11 +169,13 @@ def test_cross_validation_is_that_of_refits_without_the_fold(monkeypatch):
     assert held.squares["thrust"] == pytest.approx(expected, rel=1e-9)
 
 
-def test_a_third_that_alone_tells_a_parameter_tests_the_model_with_its_value(monkeypatch):
-    """Two orthogonal parameters; almost only the last third tells the second, which keeps its value there."""
+@pytest.mark.parametrize("split", [folds, contiguous_folds])
+def test_a_fold_that_alone_tells_a_parameter_tests_the_model_with_its_value(monkeypatch, split):
+    """Two orthogonal parameters; almost only the last fold tells the second, which keeps its value there."""
     monkeypatch.setattr(crossval, "_errors", lambda fit, moves, split: ((), ()))
     time = np.arange(0.0, 60.0, 0.1)
-    last = time >= 40.0
+    fold = split(time, 60.0)
+    last = fold == fold.max()
     sizes = np.column_stack([np.ones(len(time)), 0.1 + 0.9 * last])
     columns, noise = sizes * RNG.standard_normal(sizes.shape), RNG.standard_normal(len(time))
     for part in (last, ~last):
@@ -181,10 +183,12 @@ def test_a_third_that_alone_tells_a_parameter_tests_the_model_with_its_value(mon
         columns[part, 1] = other - one * (one @ other) / (one @ one)
     residual = noise - columns @ np.linalg.lstsq(columns, noise, rcond=None)[0]
     expected = 0.0
-    for out, known in ((time < 20.0, [0, 1]), ((time >= 20.0) & ~last, [0, 1]), (last, [0])):
+    for k in range(fold.max() + 1):
+        out, known = fold == k, [0] if k == fold.max() else [0, 1]
         c = np.linalg.lstsq(columns[~out][:, known], residual[~out], rcond=None)[0]
         expected += np.sum((residual[out] - columns[out][:, known] @ c) ** 2)
-    assert by_thirds(fit_of(residual, columns, time)).squares["thrust"] == pytest.approx(expected, rel=1e-9)
+    held = cross_validated(fit_of(residual, columns, time), split)
+    assert held.squares["thrust"] == pytest.approx(expected, rel=1e-9)
 
 
 def test_every_row_is_in_one_fold_and_short_records_have_all_folds():

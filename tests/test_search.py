@@ -206,8 +206,8 @@ def test_a_dead_band_in_a_closed_loop_is_found(half_width, start):
     assert high - low < 0.05
 
 
-FAST = replace(PAPER, time_scale=0.2)
-"""A rig whose actuators settle in 0.2 s."""
+FAST, SLOW = replace(PAPER, time_scale=0.2), replace(PAPER, time_scale=1.0)
+"""Rigs whose actuators settle in 0.2 s and in 1 s."""
 
 
 @pytest.mark.parametrize(
@@ -237,18 +237,26 @@ def test_a_refit_leaves_the_double_pole_of_a_fit_without_the_effect(name, truth,
     assert tried.fit.deviance == pytest.approx(best.deviance, abs=0.1)
 
 
-@pytest.mark.parametrize(("form", "end", "value"), [(1.0, "maximum", 4.8), (2.0, "minimum", -1.0)])
-def test_a_limit_of_the_pitch_is_found_wherever_it_is(form, end, value):
-    """Commands from -2.5 to 6.5 deg do not reach the effect's plausible limits, -3 and 7 deg. Without the limit, map and lags
-    absorb much of it. The search is as good as a fit that starts from the true values."""
-    name, (model, rng) = "pitch_travel_limit", (plant(["pitch_travel_limit"]), np.random.default_rng(int(10 * abs(value))))
-    truth = {f"{name}.{end}": value, f"{name}.form": form, "tau_beta_1": 0.3, "tau_beta_2": 0.12}
+@pytest.mark.parametrize(
+    ("name", "limit", "value", "form", "lags"),
+    [
+        ("pitch_travel_limit", "maximum", 4.8, 1.0, (0.3, 0.12)),
+        ("pitch_travel_limit", "minimum", -1.0, 2.0, (0.3, 0.12)),
+        ("pitch_rate_limit", "rate", 1.2, 1.0, (0.8, 0.4)),
+        ("pitch_rate_limit", "rate", 1.2, 2.0, (0.8, 0.4)),
+    ],
+)
+def test_a_limit_of_the_pitch_is_found_wherever_it_is(name, limit, value, form, lags):
+    """Commands from -2.5 to 6.5 deg do not reach the effect's plausible limits: -3 and 7 deg, or 5 deg/s. Without the limit,
+    map and lags absorb much of it. The search is as good as a fit that starts from the true values."""
+    library, model, rng = sized(LIBRARY, SLOW), plant([name]), np.random.default_rng(int(10 * abs(value)))
+    truth = {f"{name}.{limit}": value, f"{name}.form": form, "tau_beta_1": lags[0], "tau_beta_2": lags[1]}
     told = {"omega_ref": np.repeat(rng.uniform(2500.0, 5800.0, 80), 50), "beta_ref": np.repeat(rng.uniform(-2.5, 6.5, 80), 50)}
     read = Simulator(model).simulate(model.values(truth), told, np.full(3999, 0.01))[:, 0] + 0.2 * rng.standard_normal(4000)
     record = Record({"time": 0.01 * np.arange(4000), **told, "thrust": read}, "drawn")
     names, values = ["tau_beta_1", "tau_beta_2", *TERMS], plant().values()
-    searcher = Searcher([Experiment([Fitted("drawn", record)], independent(15.0))], names, None, LIBRARY)
-    options = candidates([e for e in LIBRARY if e.name == name], [record])
+    searcher = Searcher([Experiment([Fitted("drawn", record)], independent(15.0))], names, None, library)
+    options = candidates([e for e in library if e.name == name], [record])
     base = searcher.fit([], {}, [], values)
     right = next(c for c in options if c.form[f"{name}.form"] == form)
     best = searcher.fit([name], right.form, list(right.free), {**values, **truth})

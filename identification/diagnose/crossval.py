@@ -74,13 +74,12 @@ def cross_validated(
     fit: Fit,
     split: Callable[[np.ndarray, float], np.ndarray] = folds,
     moving: Callable[[str], bool] | None = None,
-    least: float = 0.0,
 ) -> HeldOut:
     """The fit's residuals in each fold, predicted from the other folds.
 
-    `split(time, seconds)`: the fold of each time. `moving(name)`: whether a parameter is refitted; None: all are. `least`: a
-    direction is not refitted if the other folds have at most this share of its information. LinAlgError: the sensitivities
-    diverge, so the fit is no minimum.
+    `split(time, seconds)`: the fold of each time. `moving(name)`: whether a parameter is refitted; None: all are. A fold that
+    alone tells a parameter (the only one in which the pitch reaches its limit) tests the model with its value. LinAlgError: the
+    sensitivities diverge, so the fit is no minimum.
     """
     problem = fit.problem
     if fit.parts:
@@ -93,16 +92,15 @@ def cross_validated(
             raise np.linalg.LinAlgError("the sensitivities diverge")
         if moving is not None:
             jacobian = jacobian * [float(moving(name)) for name in problem.coordinates.names]
-        held, steps = predicted([residual, *_alternatives(fit)], jacobian, _fold_of(fit, split), least)
+        held, steps = predicted([residual, *_alternatives(fit)], jacobian, _fold_of(fit, split))
         moves = steps @ problem.coordinates.jacobian(fit.solution.value).T
     score = problem.score_of(held)
     return HeldOut(score.squares, score.counts, *_errors(fit, moves, split))
 
 
 def by_thirds(fit: Fit, moving: Callable[[str], bool] | None = None) -> HeldOut:
-    """Cross-validation with whole thirds of each record left out: whether a model carries over to other commands. A third that
-    alone tells a parameter (the only one in which the pitch moves) tests the model with its value."""
-    return cross_validated(fit, contiguous_folds, moving, ESTIMABLE)
+    """Cross-validation with whole thirds of each record left out: whether a model carries over to other commands."""
+    return cross_validated(fit, contiguous_folds, moving)
 
 
 def _fold_of(fit: Fit, split: Callable[[np.ndarray, float], np.ndarray]) -> np.ndarray:
@@ -110,9 +108,7 @@ def _fold_of(fit: Fit, split: Callable[[np.ndarray, float], np.ndarray]) -> np.n
     return np.concatenate([split(time, seconds) for time, seconds in fit.problem.times])
 
 
-def predicted(
-    residuals: Sequence[np.ndarray], jacobian: np.ndarray, fold_of: np.ndarray, least: float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
+def predicted(residuals: Sequence[np.ndarray], jacobian: np.ndarray, fold_of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(residual (n,) in each fold, predicted from the others; step (folds, coordinates) of the fit to them).
 
     `residuals`: of the fit and of its alternatives, (rows,) each; `fold_of` (n,): the fold of each row. Further rows, of a
@@ -123,7 +119,7 @@ def predicted(
         out = np.flatnonzero(fold_of == fold)
         kept = np.append(np.flatnonzero(fold_of != fold), np.arange(size, len(jacobian)))
         j = jacobian[kept]
-        inverse = informed_inverse(j.T @ j, jacobian.T @ jacobian, least)
+        inverse = informed_inverse(j.T @ j, jacobian.T @ jacobian)
         steps = [-inverse @ (j.T @ r[kept]) for r in residuals]
         costs = np.array([0.5 * float(np.sum((r[kept] + j @ s) ** 2)) for r, s in zip(residuals, steps, strict=True)])
         likely = np.exp(costs.min() - costs)
@@ -196,19 +192,17 @@ def _whitened(noise: Noise, shown: Prediction) -> dict[str, np.ndarray]:
     return found
 
 
-def informed_inverse(part: np.ndarray, whole: np.ndarray, least: float) -> np.ndarray:
+def informed_inverse(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
     """Pseudo-inverse of the information matrix (k, k) of part of the data, in the directions in which the part has more than
-    the share `least` of the information of the `whole`."""
-    if least <= 0.0:
-        return np.linalg.pinv(part, rcond=1e-12, hermitian=True)
+    the share ESTIMABLE of the information of the `whole`."""
     size = np.sqrt(np.diag(whole))
     size = np.where(size > 0.0, size, 1.0)
     power, axes = np.linalg.eigh(whole / np.outer(size, size))
     known = power > 1e-12 * power[-1]
     unit = (axes[:, known] / np.sqrt(power[known])) / size[:, None]
     share, turned = np.linalg.eigh(unit.T @ part @ unit)
-    estimable = unit @ turned[:, share > least]
-    return (estimable / share[share > least]) @ estimable.T
+    estimable = unit @ turned[:, share > ESTIMABLE]
+    return (estimable / share[share > ESTIMABLE]) @ estimable.T
 
 
 def _alternatives(fit: Fit) -> list[np.ndarray]:

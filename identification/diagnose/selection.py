@@ -134,7 +134,7 @@ Tried = list[tuple[str, Fit, Callable[[], Judgement]]]
 def nearest(judge: Judge, found: Selection, options: Sequence[Candidate], effort: Effort, pool) -> Tried:
     """Candidates beside the final set, by decreasing evidence."""
     searcher, final = judge.searcher, found.whole
-    beside = [tried for tried in found.rounds if key(final)[0] == tuple(sorted(tried[0].beside))]
+    beside = [tried for tried in found.rounds if tried and key(final)[0] == tuple(sorted(tried[0].beside))]
     last = beside[-1] if beside else []
     on_these = all(t.fit.problem.experiments == searcher.experiments for t in last if t.fit)  # not on those of another logger
     if not last or not on_these:

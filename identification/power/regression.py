@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from identification.diagnose.command_shapes import regress_out
-from identification.diagnose.crossval import ESTIMABLE, folds, predicted, rms
+from identification.diagnose.crossval import folds, predicted, rms
 from identification.diagnose.judgement import ACCURACY
 from identification.diagnose.score_test import ScoreTest, tested
 from identification.fit.noise import Blocks, Colour, colour_of
@@ -225,7 +225,7 @@ class RegressionFit:
         p = self.problem
         own = [folds(part.at.time, float(part.record.time[-1])) for part in p.parts]
         jacobian = np.hstack([p.base, p.whitened(self.slopes)])
-        held, moves = predicted([self.residual], -jacobian, p.rows_of(own), ESTIMABLE)
+        held, moves = predicted([self.residual], -jacobian, p.rows_of(own))
         errors = []
         for part, slopes, fold in zip(p.parts, self.slopes, own, strict=True):
             columns = np.hstack([part.means[1] / p.size, slopes])

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from identification.diagnose.crossval import ESTIMABLE, contiguous_folds, informed_inverse
+from identification.diagnose.crossval import contiguous_folds, informed_inverse
 from identification.diagnose.learned.columns import Course
 from identification.fit.linearised import Linearised
 
@@ -92,7 +92,7 @@ class Scores:
         shares, rank = _solved(whole, -product.sum(axis=0))
         error, total = 0.0, sum(self._squares)
         for k in self._folds:
-            other = informed_inverse(whole - gram[k], whole, ESTIMABLE) @ (product[k] - product.sum(axis=0))
+            other = informed_inverse(whole - gram[k], whole) @ (product[k] - product.sum(axis=0))
             error += self._squares[k] + 2.0 * float(other @ product[k]) + float(other @ gram[k] @ other)
         gain = 0.5 * len(self._fold) * float(np.log(total / max(error, 1e-300)))
         return Scored(-0.5 * float(shares @ product.sum(axis=0)), gain, rank, shares / size)

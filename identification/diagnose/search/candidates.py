@@ -77,6 +77,13 @@ class Candidate:
         axes = [[(n, v) for v in self.axis(n)] for n in self.free if n not in self.sizes]
         return [dict(point) for point in product(*axes)]
 
+    def starts(self) -> list[dict[str, float]]:
+        """Values that fits start from: the grid of shapes at the plausible sizes. A limit starts at each size of its grid:
+        above the moves of the records it has no influence, and no slope leads to it."""
+        limits = {self.effect.full(p.name) for p in self.effect.parameters if p.unlimited is not None and p.scale != "position"}
+        axes = [[(n, v) for v in self.axis(n)] for n in self.sizes if n in limits]
+        return [self.within({**self.probe, **dict(sizes)}) | shape for shape in self.shapes() for sizes in product(*axes)]
+
     def axis(self, name: str) -> list[float]:
         """First grid of a free parameter, around the probe. Sizes take both signs if both are allowed.
 

@@ -13,7 +13,7 @@ import numpy as np
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.screening import Screening, ScreeningResult
-from identification.fit.coordinates import CHANNELS, SHORTEST
+from identification.fit.coordinates import SHORTEST
 from vpp_fmu.native.memory import give_back
 
 SAME_RESPONSE = 1e-6
@@ -83,21 +83,22 @@ def search_round(
 def _first_look(searcher: Searcher, fit: Fit, candidate: Candidate, at: ScreeningResult) -> Fit | None:
     """The best fit of a candidate after two steps from each start; None if all diverge.
 
-    Starts are the point that screening predicts, and the first grid of shapes at the plausible size; then, if the order of lags
-    matters, the same with the other order, and with hardly any second lag: an effect with a lag of its own replaces it."""
-    own = [at.values, *({**shape, **candidate.within(candidate.probe)} for shape in candidate.shapes())]
-    points = [({**fit.values, **values}, fit.slow_first) for values in own]
-    found = [look for point in points if (look := _look(searcher, fit, candidate, *point))]
-    if not found:
-        return None
-    further, free = [], [u for u in CHANNELS if {f"tau_{u}_1", f"tau_{u}_2"} <= {*searcher.names}]
-    acts_within = not _exchangeable(min(found, key=lambda look: look.deviance), candidate.effect.channels)
-    for u in free if acts_within else ():
-        if u in candidate.effect.channels:
-            further += [_flipped(u, *point) for point in points]
-            further += [_alone(u, slow_first, *points[-1]) for slow_first in (True, False)]
-    found += [look for point in further if (look := _look(searcher, fit, candidate, *point))]
-    return searcher.counted(min(found, key=lambda look: look.deviance), fit.thresholds)
+    Starts are the point that screening predicts, and those of the candidate. From those where the order of lags matters, the
+    same with the other order, and with hardly any second lag: an effect with a lag of its own replaces it."""
+    points = [({**fit.values, **values}, fit.slow_first) for values in (at.values, *candidate.starts())]
+    looks = [_look(searcher, fit, candidate, *point) for point in points]
+    free = _ordered(searcher, candidate)
+    acting = [p for p, look in zip(points, looks, strict=True) if look and free and not _exchangeable(look, free)]
+    for u in free if acting else ():
+        further = [_flipped(u, *point) for point in acting] + [_alone(u, first, *acting[-1]) for first in (True, False)]
+        looks += [_look(searcher, fit, candidate, *point) for point in further]
+    found = [look for look in looks if look is not None]
+    return searcher.counted(min(found, key=lambda look: look.deviance), fit.thresholds) if found else None
+
+
+def _ordered(searcher: Searcher, candidate: Candidate) -> list[str]:
+    """The channels in which a candidate acts and both lags are free: the response may depend on their order."""
+    return [u for u in candidate.effect.channels if {f"tau_{u}_1", f"tau_{u}_2"} <= {*searcher.names}]
 
 
 def _look(searcher: Searcher, fit: Fit, candidate: Candidate, start, order) -> Fit | None:
@@ -157,12 +158,14 @@ def screened(
 
 
 def _widened(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit, others: Mapping[str, Fit]) -> Fit:
-    """The candidate's refit, or a better one: started from the fit of a special case, or with a size switched on. Superfluous
-    sizes are removed.
+    """The candidate's refit, or a better one: with the lags in the other order, started from the fit of a special case, or with
+    a size switched on. Superfluous sizes are removed.
 
     `others`: fits of other effects in its place.
     """
     fits = [refit]
+    if (free := _ordered(searcher, candidate)) and not _exchangeable(refit, free):
+        fits += [added(searcher, fit, candidate, *_flipped(u, refit.values, refit.slow_first)) for u in free]
     for name, shared in candidate.effect.contains.items():
         if special := others.get(name):
             same = {candidate.effect.full(own): special.values[f"{name}.{its}"] for own, its in shared.items()}
