@@ -82,7 +82,7 @@ class MemoryLog:
     """A log for virtual time: kept in memory, written by `close`.
 
     It takes rows of numbers, one float per column. `broken`: why rows no longer reach the file; `warning`: why the disk may not
-    hold the rest of the rows; both are empty while all is well. `done`: share of the measurement that is done, for the operator.
+    hold the rest of the rows; both are empty while all is well. `done`: share of the measurement that is done.
     """
 
     def __init__(self, path: str | os.PathLike, columns: Sequence[Column]):

@@ -1,6 +1,6 @@
 """The twin of an identified rig: its priors, residual band and adapted parameters, and one update per tick beside the rig."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -81,13 +81,6 @@ class Alarm(NamedTuple):
     cause: str
 
 
-def alarm_of(t: float, residual: float, direction: float, adapted: Mapping[str, Mapping]) -> Alarm:
-    """The alarm at t [s] for a twin's outputs; `adapted` as in `Twin`."""
-    name = [None, *adapted][round(direction)]
-    like = f"most like a change of {name}, {adapted[name]['description']}" if name else "like no change of one parameter"
-    return Alarm(t, name, f"the rig is not its model, {residual:+.2f} N now, {like}")
-
-
 class Twin:
     """The twin of `twin_of`, in this process; `outputs`: names of the values that `update` returns.
 
@@ -127,7 +120,11 @@ class Twin:
         outputs = self._stepper.step(self._before, self._dt)
         self.residual, alarm, direction = (outputs[k] for k in self._shown)
         if alarm > 0.5 and not self.alarmed:
-            self.alarms.append(alarm_of(t, self.residual, direction, self.adapted))
+            name = [None, *self.adapted][round(direction)]
+            like = "like no change of one parameter"
+            if name:
+                like = f"most like a change of {name}, {self.adapted[name]['description']}"
+            self.alarms.append(Alarm(t, name, f"the rig is not its model, {self.residual:+.2f} N now, {like}"))
         self.alarmed = alarm > 0.5
         return outputs
 

@@ -12,7 +12,7 @@ import math
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -32,11 +32,9 @@ from hil.replay import other_settings, replay
 from hil.results.campaign_folder import Measuring, commands_of, records_of
 from hil.results.outcome import (
     Outcome,
-    RunSetup,
     carry_out,
     finish,
     finish_fmu,
-    fmu_loop,
     judged_steps,
     kept_of,
     limits_by_end,
@@ -46,7 +44,7 @@ from hil.results.outcome import (
     step_lines,
 )
 from hil.results.runs import begun, file_entry
-from hil.run import ON_ALARM, check_profile, start_of
+from hil.run import ON_ALARM, LimitedPlant, Run, check_profile, run_on_rig, start_of
 from hil.safety.limits import Limits
 from hil.selftest import selftest
 from hil.twin.band import read_band
@@ -76,6 +74,7 @@ from vpp_fmu.date import now
 from vpp_fmu.errors import BadInput, RecordWarning, VppError
 from vpp_fmu.files import OutputFolder, read_text
 from vpp_fmu.kernel.signals import BETA_REF, OMEGA_REF
+from vpp_fmu.loop import run as run_loop
 from vpp_fmu.parameters import ParameterSet, beside, check_same_model, knowledge_file, parameters_file
 from vpp_fmu.plants import COMMANDS, Controller, FmuController, FmuPlant, KernelController, KernelPlant
 from vpp_fmu.reach import warn_beyond_reach
@@ -256,34 +255,29 @@ def _run(options) -> Answer:
     twin = _twin(options)
     other = (Path(options.beside).name, _fmu_loop(options.beside, options, profile)[0]) if options.beside else None
     inject = _injected(options, setup, float(profile.time[-1] - profile.time[0]))
-    task = RunSetup(setup, controller, profile, start, twin, other, inject)
     parent = OutputFolder(options.output)
     lines.append(allowed_words(setup.allowed))
-    content = _begun(options, setup) | task.summary()
+    content = _begun(options, setup) | ({"injected": dict(zip(("fault", "after"), inject, strict=True))} if inject else {})
+    content |= {"twin": twin.summary()} if twin else {}
     content["controller"]["limits"] = limits_by_end(controller.limits)
-    with watched(options, content) as page, Lines(options) as shown:
+    with contextlib.closing(controller), watched(options, content) as page, Lines(options) as shown:
         confirm(setup, lines)
-        done, folder, found = carry_out(
-            task, content | {"begun": now()}, parent, page, shown, lambda found: run_page(found).html()
-        )
-        return _answer(found, [*lines, *shown], written(options, folder), done.judge)
+
+        def run(folder: Path, after: Sequence[str]) -> Run:
+            return run_on_rig(setup, controller, profile, folder, start, twin, after, page, inject)
+
+        begun_now, report = content | {"begun": now()}, lambda found: run_page(found).html()
+        done, folder, found = carry_out(run, begun_now, parent, page, shown, report, other)
+    return _answer(found, [*lines, *shown], written(options, folder), done.failure)
 
 
-def _answer(found: Outcome, lines: list[str], place: list[str], judge: Callable[[], None] = lambda: None) -> Answer:
-    """The answer of a run. `judge` raises the failure that the run found, if any."""
+def _answer(found: Outcome, lines: list[str], place: list[str], failure: VppError | None = None) -> Answer:
+    """The answer of a run; `failure`: what went wrong in it."""
     content = found.content
     judged = [judged_steps(loop, found.reach) for loop in found.loops.values()]
     text = headline(judged[0]) if judged else "No row of the loop was measured."
     early = f"The run ended early: {content['ended']}. " if content["ended"] else ""
-    return Answer(f"{early}{text}", content, [*lines, *lines_of(found)], written=place, failure=_failure(judge))
-
-
-def _failure(judge: Callable[[], None]) -> VppError | None:
-    """What `judge` raises, if anything."""
-    try:
-        return judge()
-    except VppError as failure:
-        return failure
+    return Answer(f"{early}{text}", content, [*lines, *lines_of(found)], written=place, failure=failure)
 
 
 def _campaign(options) -> Answer:
@@ -349,7 +343,7 @@ def _selftest(options) -> Answer:
         lines.insert(0, f"loop: {content['real_time']}; {busy}\n{timing.text()}")
     good = sum(one.good for one in found.checks)
     text = f"{good} of {len(found.checks)} checks of the rig are good."
-    return Answer(text, content, lines, written=written(options, folder), failure=_failure(found.judge))
+    return Answer(text, content, lines, written=written(options, folder), failure=found.failure)
 
 
 def _report(options) -> Answer:
@@ -501,9 +495,9 @@ def _fmu_loop(path: str, options, profile: Record) -> tuple[Record, dict[str, tu
     check_profile(profile, limits)
     start, controller = start_of(options.start, limits, allowed), controller_of(options)
     reached = reach(asdict(limits), limits_by_end(controller.limits))
-    with contextlib.closing(FmuPlant(path)) as plant:
+    with contextlib.closing(controller), contextlib.closing(LimitedPlant(FmuPlant(path), limits)) as plant:
         warn_beyond_reach(profile, plant, reached)
-    return fmu_loop(path, controller, profile, start, limits), reached
+        return run_loop(plant, controller, profile, start), reached
 
 
 def _twin(options) -> Twin | None:
