@@ -4,6 +4,7 @@ import contextlib
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -65,17 +66,22 @@ BAND, SPAN = 0.05, 0.1
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """The results of a run: the content of hil.json, the `log` (None if it has no row), the loops over the profile by name, the
-    rig's first, and the timing of its ticks in real time."""
+    rig's first, the timing of its ticks in real time, and (least, greatest) of each command by name, if known."""
 
     content: dict
     log: Record | None
     loops: dict[str, Record]
     timing: Timing | None
+    limits: Mapping[str, tuple[float, float]]
 
-    @property
-    def reach(self) -> dict[str, tuple[float, float]]:
-        """The ranges of the commands, as from `reach`, by the limits in hil.json."""
-        return reach(self.content.get("limits", {}), self.content.get("controller", {}).get("limits", {}))
+    @cached_property
+    def steps(self) -> dict[str, list[Step]]:
+        """The changes of the set-point in each loop."""
+        return {name: judged_steps(loop, self.limits) for name, loop in self.loops.items()}
+
+    def judged(self) -> dict:
+        """Entries of hil.json about these changes."""
+        return {"units": UNITS, "steps": {name: [asdict(one) for one in found] for name, found in self.steps.items()}}
 
 
 Report = Callable[[Outcome], str]
@@ -136,13 +142,13 @@ def of_log(log: Path) -> tuple[Record | None, dict, bool]:
     return record, content, True
 
 
-def finish_fmu(folder: OutputFolder, plant: str, record: Record, limits: Mapping[str, tuple[float, float]]) -> dict:
-    """Write the files of a run with a plant FMU instead of the rig, except its page; returns the content of hil.json. `limits`:
-    as of `judged_steps`."""
+def finish_fmu(folder: OutputFolder, plant: str, record: Record, limits: Mapping[str, tuple[float, float]]) -> Outcome:
+    """Write the files of a run with a plant FMU instead of the rig, except its page. `limits` of its commands."""
     write_run(folder.path / "run.csv", record)
-    content = {"format": "vpp-hil/1", "rig": "fmu", "plant": Path(plant).name, **_settling({"plant FMU": record}, limits)}
-    folder.write("hil.json", as_json(content))
-    return content
+    found = Outcome({"format": "vpp-hil/1", "rig": "fmu", "plant": Path(plant).name}, None, {"plant FMU": record}, None, limits)
+    found.content.update(found.judged())
+    folder.write("hil.json", as_json(found.content))
+    return found
 
 
 def finish(
@@ -163,8 +169,9 @@ def finish(
     if loops and beside is not None:
         loops["plant FMU"] = beside[1]
         content["beside"] = {"plant": beside[0], "rms_thrust": _rms(difference(*reversed(loops.values()))["thrust"])}
-    found = Outcome(content, log, loops, timing(log) if real_time else None)
-    content |= _settling(loops, found.reach)
+    limits = reach(content.get("limits", {}), content.get("controller", {}).get("limits", {}))
+    found = Outcome(content, log, loops, timing(log) if real_time else None, limits)
+    content |= found.judged()
     refusals: list[BadInput] = []
     for write in (  # hil.json first: on a full disk the reason of the end is worth most
         lambda: folder.write("hil.json", as_json(content)),
@@ -231,27 +238,21 @@ def judged_steps(run: Record, limits: Mapping[str, tuple[float, float]]) -> list
     return steps(smoothed(run, SPAN), BAND, limits)
 
 
-def _settling(loops: Mapping[str, Record], limits: Mapping[str, tuple[float, float]]) -> dict:
-    """Entries of hil.json about the changes of the set-point in each loop."""
-    judged = {name: [asdict(step) for step in judged_steps(loop, limits)] for name, loop in loops.items()}
-    return {"units": UNITS, "steps": judged}
-
-
 def said(step: Step, name: str) -> str:
     never = f"is out of reach, {step.reached}" if step.stuck else "does not settle"
     when = never if step.settling is None else f"settles within {number(step.settling, 3)} s"
     return f"{name}: the step from {number(step.before)} to {number(step.after)} N at {number(step.time)} s {when}"
 
 
-def step_lines(loops: dict[str, Record], limits: Mapping[str, tuple[float, float]]) -> list[str]:
+def step_lines(found: Outcome) -> list[str]:
     """The steps of the set-point, one a line."""
-    judged = [(name, step) for name, loop in loops.items() for step in judged_steps(loop, limits)]
-    return [f"{said(step, name)}, overshoot {step.overshoot:.1f} %" for name, step in judged]
+    steps = [(name, step) for name, steps in found.steps.items() for step in steps]
+    return [f"{said(step, name)}, overshoot {step.overshoot:.1f} %" for name, step in steps]
 
 
 def lines_of(found: Outcome) -> list[str]:
     """The results of a run in words."""
-    content, lines = found.content, step_lines(found.loops, found.reach)
+    content, lines = found.content, step_lines(found)
     if "energy" in content:
         lines.append("energy from the supply: {}, {}".format(*energy_words(content["energy"])))
     if "beside" in content:

@@ -27,7 +27,7 @@ from hil.emulator.rig import CALIBRATION, POWERED, calibrated_for, effects_to_hi
 from hil.loop.bench import Wiring, check_limits
 from hil.loop.cycle import PERIOD
 from hil.loop.session import REPORT, Setup, found_log
-from hil.page.operator_page import OperatorPage, served
+from hil.page.operator_page import OperatorPage
 from hil.replay import other_settings, replay
 from hil.results.campaign_folder import Measuring, commands_of, records_of
 from hil.results.outcome import (
@@ -35,7 +35,6 @@ from hil.results.outcome import (
     carry_out,
     finish,
     finish_fmu,
-    judged_steps,
     kept_of,
     limits_by_end,
     lines_of,
@@ -239,10 +238,10 @@ def _run(options) -> Answer:
             raise BadInput("command line", "--watch", "--rig fmu", "an emulated or real rig: a loop of FMUs ends in seconds")
         folder = OutputFolder(options.output)
         record, limits = _fmu_loop(rig.plant, options, profile)
-        content = finish_fmu(folder, rig.plant, record, limits)
-        folder.write("report.html", fmu_page(rig.plant, record, options.profile, limits).html())
-        lines += step_lines({"plant FMU": record}, limits)
-        return Answer(headline(judged_steps(record, limits)), content, lines, written=written(options, folder))
+        found = finish_fmu(folder, rig.plant, record, limits)
+        folder.write("report.html", fmu_page(rig.plant, options.profile, found).html())
+        (steps,) = found.steps.values()
+        return Answer(headline(steps), found.content, [*lines, *step_lines(found)], written=written(options, folder))
     setup, controller = setup_of(options), controller_of(options)
     check_profile(profile, setup.limits)
     start = start_of(options.start, setup.limits, setup.allowed)
@@ -274,8 +273,7 @@ def _run(options) -> Answer:
 def _answer(found: Outcome, lines: list[str], place: list[str], failure: VppError | None = None) -> Answer:
     """The answer of a run; `failure`: what went wrong in it."""
     content = found.content
-    judged = [judged_steps(loop, found.reach) for loop in found.loops.values()]
-    text = headline(judged[0]) if judged else "No row of the loop was measured."
+    text = headline(next(iter(found.steps.values()))) if found.steps else "No row of the loop was measured."
     early = f"The run ended early: {content['ended']}. " if content["ended"] else ""
     return Answer(f"{early}{text}", content, [*lines, *lines_of(found)], written=place, failure=failure)
 
@@ -578,7 +576,7 @@ def watched(options, content: Mapping) -> Iterator[OperatorPage | None]:
     if options.virtual:
         allowed = "a run in real time: a virtual one ends in seconds"
         raise BadInput("command line", "--watch", "--watch and --virtual", allowed)
-    with served(content, options.watch) as page:
+    with OperatorPage(content, options.watch) as page:
         print(f"operator's page: {page.address}", flush=True)  # at once, with --quiet too, because the page has STOP
         yield page
 
