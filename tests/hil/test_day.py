@@ -55,7 +55,7 @@ def test_a_profile_again_and_again_is_one_profile_and_costs_each_time():
     time = PERIOD * np.arange(round(9.0 / PERIOD) + 1)
     off = np.where((time > 3.0 - PERIOD / 2) & (time < 6.0 - PERIOD / 2), 1.5, 0.0)
     record = Record({"time": time + 70.0, "thrust_set": np.full(len(time), 5.0), "thrust": 5.0 - off}, "")
-    costs = [measured_cost(record.part(rows), SETTINGS) for rows in flight.passes(record, once, 3)]
+    costs = flight.costs_of(record, once, 3, SETTINGS)
     assert np.subtract(costs, costs[0]) == pytest.approx([0.0, 0.03, 0.0], abs=1e-12)
 
 
@@ -161,7 +161,7 @@ def test_a_flight_that_ends_early_is_the_last_one(results, tmp_path, monkeypatch
     """An operator's stop must not begin the next flight."""
     flown = []
 
-    def stopped(setup, settings, profile, folder, twin=None, times=1):
+    def stopped(setup, settings, profile, folder, twin=None):
         flown.append(folder.name)
         raise RunEnded("operator: Ctrl-C")
 

@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import ttest_ind
 
-from hil.loop.columns import LEARNED
 from hil.loop.cycle import PERIOD
 from hil.loop.rig import RunEnded
 from hil.loop.session import Setup
-from hil.run import profile_start, run_on_rig, write_run
+from hil.run import Run, run_on_rig, write_run
 from hil.twin.twin import Alarm, Twin
 from identification.tune.objective import ALPHA
 from vpp_fmu.files import OutputFolder
@@ -41,30 +40,19 @@ PRESENT = "what flew"
 
 
 @dataclass(frozen=True, eq=False)
-class Flight:
-    """`record`: as in run.csv; `twin`: outputs of the twin (rows,) by name, empty without one; `units`: of its
-    parameters; `alarms`: the twin's, in s from the record's start; `costs`: the paper's cost (eq. 21) of the measured thrust,
-    for each repetition of the profile."""
-
-    record: Record
-    twin: Mapping[str, np.ndarray]
-    units: Mapping[str, str]
-    alarms: tuple[Alarm, ...]
-    costs: tuple[float, ...]
-
-
-@dataclass(frozen=True, eq=False)
 class Round:
     """A round, its `number` from 1, with the effects `hidden` in the rig.
 
-    `mission`: its first flight; `verdict` of the diagnosis of the mission, and the effects that it `named`. `parameters`: the
-    next model; `before`, `after`: rms thrust errors [N] in the mission of the present model, which has not seen it, and of the
-    next one. `costs`: by gains, measured costs of the profile's repetitions; `winner`: the next `settings` of the controller.
+    `mission`: its first flight, and the twin's `alarms` in it, in s from its record's start; `verdict` of the diagnosis of the
+    mission, and the effects that it `named`. `parameters`: the next model; `before`, `after`: rms thrust errors [N] in the
+    mission of the present model, which has not seen it, and of the next one. `costs`: by gains, measured costs of the profile's
+    repetitions; `winner`: the next `settings` of the controller.
     """
 
     number: int
     hidden: tuple[str, ...]
-    mission: Flight
+    mission: Run
+    alarms: tuple[Alarm, ...]
     verdict: str
     named: tuple[str, ...]
     parameters: ParameterSet
@@ -100,7 +88,7 @@ class Day:
     @property
     def alarms(self) -> int:
         """Rounds with an alarm."""
-        return sum(bool(one.mission.alarms) for one in self.rounds)
+        return sum(bool(one.alarms) for one in self.rounds)
 
     @property
     def added(self) -> list[str]:
@@ -113,23 +101,15 @@ class Day:
         return float(np.mean(self.rounds[0].costs[PRESENT])), self.rounds[-1].cost
 
 
-def fly(
-    setup: Setup, settings: Mapping[str, float], profile: Record, folder: Path, twin: Twin | None = None, times: int = 1
-) -> Flight:
-    """Close the loop on the rig over a profile, repeated `times` times, by a controller of these settings; log and run.csv go
-    to `folder`. BadInput; RunEnded if it ended early."""
+def fly(setup: Setup, settings: Mapping[str, float], profile: Record, folder: Path, twin: Twin | None = None) -> Run:
+    """Close the loop on the rig over a profile by a controller of these settings; log and run.csv go to `folder`. BadInput;
+    RunEnded if it ended early."""
     OutputFolder(folder)
-    done = run_on_rig(setup, KernelController(settings, PERIOD), repeated(profile, times), folder, twin=twin)
+    done = run_on_rig(setup, KernelController(settings, PERIOD), profile, folder, twin=twin)
     write_run(folder / "run.csv", done.record)
     if done.ended:
         raise RunEnded(done.ended)
-    rows = np.flatnonzero(np.isfinite(done.log["omega_wanted"]))
-    shown = {name: done.log[LEARNED + name][rows] for name in twin.outputs} if twin else {}
-    units = {name: one["unit"] for name, one in twin.adapted.items()} if twin else {}
-    began = profile_start(done.log)
-    alarms = tuple(one._replace(time=one.time - began) for one in twin.alarms) if twin else ()
-    costs = tuple(measured_cost(done.record.part(rows), settings) for rows in passes(done.record, profile, times))
-    return Flight(done.record, shown, units, alarms, costs)
+    return done
 
 
 def repeated(profile: Record, times: int) -> Record:
@@ -140,15 +120,16 @@ def repeated(profile: Record, times: int) -> Record:
     return Record(rows | {"time": rows["time"] + length * np.repeat(np.arange(times), counts)}, profile.source)
 
 
-def passes(record: Record, profile: Record, times: int) -> list[slice]:
-    """Rows of each repetition of a run over a profile `repeated` `times` times."""
+def costs_of(record: Record, profile: Record, times: int, settings: Mapping[str, float]) -> tuple[float, ...]:
+    """The cost of each repetition of a run over a profile `repeated` `times` times."""
     length = float(profile.time[-1] - profile.time[0])
     edges = np.searchsorted(record.time - record.time[0], length * np.arange(1, times) - 0.5 * PERIOD)
-    return [slice(a, b) for a, b in pairwise([0, *edges.tolist(), len(record)])]
+    rows = [slice(a, b) for a, b in pairwise([0, *edges.tolist(), len(record)])]
+    return tuple(measured_cost(record.part(each), settings) for each in rows)
 
 
 def measured_cost(record: Record, settings: Mapping[str, float]) -> float:
-    """Integral of the squared error over the thrust's scale [s], and the cost of the gains."""
+    """The paper's cost (eq. 21) of the measured thrust: integral of the squared error over its scale [s], and the gains'."""
     error = (record["thrust_set"] - record["thrust"]) / settings["thrust_scale"]
     gains = np.array([settings[name] for name in GAINS])
     return float(np.sum(error**2) * PERIOD + ALPHA * gains @ gains)

@@ -8,13 +8,14 @@ import numpy as np
 
 from hil.loop.rig import RunEnded
 from hil.loop.session import Setup
+from hil.run import Run, profile_start
 from hil.twin.band import Band
 from hil.twin.twin import Twin, twin_of
 from identification.assessment.prediction import predict
 from identification.diagnose.diagnose import diagnose
 from identification.tune.profile import common_reach, rig_profile
 from vpp_fmu.app.api.control import tune
-from vpp_fmu.app.day import PRESENT, Day, Flight, Round, best_of, fly, mission
+from vpp_fmu.app.day import PRESENT, Day, Round, best_of, costs_of, fly, mission, repeated
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.scales import PAPER
@@ -40,24 +41,26 @@ def next_round(
 ) -> Round:
     """Fly one round; its logs go to `folder`. BadInput; RunEnded for a flight that ended early, after which none begins."""
     number, settings, model, flown = len(day.rounds) + 1, day.settings, day.parameters, 0
+    here = f"round {number}"
     hidden: tuple[str, ...] = ()
 
-    def flight(what: str, own: Mapping[str, float], profile: Record, twin: Twin | None = None, times: int = 1) -> Flight:
+    def flight(what: str, own: Mapping[str, float], profile: Record, twin: Twin | None = None) -> Run:
         nonlocal flown, hidden
         flown += 1
-        setup = rig(number, flown, f"round {number}: {what}")
+        setup = rig(number, flown, f"{here}: {what}")
         hidden = setup.emulated.hidden if setup.emulated else ()
         try:
-            return fly(setup, own, profile, folder / f"flight_{flown:02d}", twin, times)
+            return fly(setup, own, profile, folder / f"flight_{flown:02d}", twin)
         except RunEnded as ended:
-            raise RunEnded(f"round {number}: {what}: {ended}") from ended
+            raise RunEnded(f"{here}: {what}: {ended}") from ended
 
-    stage("mission")
+    stage(f"{here}: mission")
     low, high = common_reach(model, {"dual": settings})
     low, high = low + 0.1 * (high - low), high - 0.1 * (high - low)
     pace = max(model.rig.scales.time_scale / PAPER.time_scale, 1.0)
-    first = flight("mission", settings, mission(low, high, pace, 1000 * seed + number), Twin(twin_of(model, band)))
-    stage("diagnose")
+    twin = Twin(twin_of(model, band))
+    first = flight("mission", settings, mission(low, high, pace, 1000 * seed + number), twin)
+    stage(f"{here}: diagnose")
     record = Record({name: first.record[name] for name in ("time", "omega_ref", "beta_ref", "thrust", "omega")}, "mission")
     # The rig waits, and a mission is too short to learn a term of unknown form.
     campaign = Campaign(folder, None, (), record, None, None, rig=model.rig)
@@ -67,16 +70,20 @@ def next_round(
     adapted = replace(adapted, source={**model.source, **adapted.source})
     candidates = {PRESENT: settings}
     if policy == MODEL_BASED:
-        stage("tune")
+        stage(f"{here}: tune")
         tuned = tune(adapted, gains=gains_of(settings), profile=day.profile, noise=band.noise, seed=seed)
         candidates[policy] = tuned.gains["dual"].values
-    stage("compare on the rig")
-    costs = {name: flight(name, each, day.profile, times=TIMES).costs for name, each in candidates.items()}
+    stage(f"{here}: compare on the rig")
+    costs = {}
+    for name, own in candidates.items():
+        done = flight(name, own, repeated(day.profile, TIMES))
+        costs[name] = costs_of(done.record, day.profile, TIMES, own)
     winner = best_of(costs)
     return Round(
         number=number,
         hidden=hidden,
         mission=first,
+        alarms=tuple(one._replace(time=one.time - profile_start(first.log)) for one in twin.alarms),
         verdict=found.verdict,
         named=named,
         parameters=adapted,

@@ -12,7 +12,7 @@ import math
 import os
 import sys
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -567,18 +567,16 @@ def confirm(setup: Setup, lines: Sequence[str]) -> None:
         raise BadInput("confirmation", "typed word", repr(typed), WORD)
 
 
-@contextlib.contextmanager
-def watched(options, content: Mapping) -> Iterator[OperatorPage | None]:
+def watched(options, content: Mapping) -> contextlib.AbstractContextManager[OperatorPage | None]:
     """A context with the operator's page, if --watch is given; its address is printed. BadInput."""
     if options.watch is None:
-        yield None
-        return
+        return contextlib.nullcontext()
     if options.virtual:
         allowed = "a run in real time: a virtual one ends in seconds"
         raise BadInput("command line", "--watch", "--watch and --virtual", allowed)
-    with OperatorPage(content, options.watch) as page:
-        print(f"operator's page: {page.address}", flush=True)  # at once, with --quiet too, because the page has STOP
-        yield page
+    page = OperatorPage(content, options.watch)
+    print(f"operator's page: {page.address}", flush=True)  # at once, with --quiet too, because the page has STOP
+    return page
 
 
 VERBS = {

@@ -71,11 +71,7 @@ def _round(options, day: Day, rig: Rig, band: Band, number: int, folder: OutputF
     """Fly a round and write its files; returns the content of day.json so far."""
     own = OutputFolder(folder.path / f"round_{number}")
     with stages("vpp twin", options.quiet) as stage:
-
-        def of_round(text: str) -> None:
-            stage(f"round {number}: {text}")
-
-        done = next_round(day, rig, band, options.policy, own.path, options.seed, options.workers, of_round)
+        done = next_round(day, rig, band, options.policy, own.path, options.seed, options.workers, stage)
     day.rounds.append(done)
     for line in said(done):
         shown(line)
@@ -112,7 +108,7 @@ def _rig(options, setup: Setup) -> Rig:
 
 
 def said(done: Round) -> list[str]:
-    alarms = [f"alarm after {one.time:.0f} s, {one.cause}" for one in done.mission.alarms]
+    alarms = [f"alarm after {one.time:.0f} s, {one.cause}" for one in done.alarms]
     lines = [f"round {done.number}: {'; '.join(alarms) or 'no alarm'}"]
     lines.append(f"  diagnosis of the mission: {done.verdict}{''.join(f' {name}' for name in done.named)}")
     lines.append(f"  error of the thrust in the mission: {done.before:.4f} N before, {done.after:.4f} N fitted anew")
@@ -142,7 +138,7 @@ def summary(done: Round) -> dict:
     return {
         "round": done.number,
         "hidden": list(done.hidden),
-        "alarms": [one._asdict() for one in done.mission.alarms],
+        "alarms": [one._asdict() for one in done.alarms],
         "verdict": done.verdict,
         "named": list(done.named),
         "error": {"before": done.before, "after": done.after, "unit": "N"},

@@ -2,12 +2,13 @@
 
 import numpy as np
 
+from hil.run import profile_start
 from vpp_fmu.app.day import GAINS, PRESENT, Day
 from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import Figure, panels
 from vpp_fmu.app.report.figures import closed_loop
 from vpp_fmu.app.report.page import Page
-from vpp_fmu.app.report.pages.loop import adapted_parameters
+from vpp_fmu.app.report.pages.rig import add_twin
 
 
 def day_page(day: Day) -> Page:
@@ -33,7 +34,7 @@ def day_page(day: Day) -> Page:
         (
             str(r.number),
             ", ".join(r.hidden) or "-",
-            "; ".join(f"after {one.time:.0f} s, {one.cause}" for one in r.mission.alarms) or "none",
+            "; ".join(f"after {one.time:.0f} s, {one.cause}" for one in r.alarms) or "none",
             f"{r.verdict} {' + '.join(r.named)}",
             r.winner,
         )
@@ -43,9 +44,10 @@ def day_page(day: Day) -> Page:
     gains = [(n, day.first[n], *(r.settings[n] for r in day.rounds)) for n in GAINS]
     page.table(("gain", "as it began", *(f"after round {r.number}" for r in day.rounds)), gains, "Gains that fly.")
     page.section("The last mission")
-    mission = last.mission
-    page.figure(adapted_parameters(mission.record.time, mission.twin, mission.units), "What the twin made of its parameters.")
-    page.figure(closed_loop({"rig": mission.record}, f"The mission of round {last.number}, as it was flown"))
+    log, begin = last.mission.log, profile_start(last.mission.log)
+    twin = last.mission.session.rig.twin.summary() | {"alarms": [one._asdict() for one in last.alarms]}
+    add_twin(page, log.with_columns(time=log.time - begin), twin)
+    page.figure(closed_loop({"rig": last.mission.record}, f"The mission of round {last.number}, as it was flown"))
     return page
 
 

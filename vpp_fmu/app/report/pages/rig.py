@@ -41,7 +41,7 @@ def run_page(found: Outcome) -> Page:
     if len(loops) > 1:
         _add_difference(page, *reversed(loops.items()))
     if log is not None and content.get("twin"):
-        _add_twin(page, log, content["twin"], begin)
+        add_twin(page, log, content["twin"], begin)
     if found.timing:
         _add_timing(page, found.timing, content.get("real_time", "not known"))
     _add_counts(page, content, begin)
@@ -115,8 +115,8 @@ def _add_counts(page: Page, content: Mapping, begin: float = 0.0) -> None:
     page.table(("device", "what", "times"), rows, "What the devices counted.")
 
 
-def _add_twin(page: Page, log: Record, twin: Mapping, begin: float) -> None:
-    """Residual and parameters of the twin, if the log has them; `begin`: time [s] of the profile's first row."""
+def add_twin(page: Page, log: Record, twin: Mapping, begin: float = 0.0) -> None:
+    """Residual and parameters of the twin, if the log has them; `begin`: time [s] of the profile's first row by its alarms."""
     units = {name: unit for name, unit in twin["units"].items() if LEARNED + name in log}
     if not units or not np.isfinite(log[LEARNED + "band"]).any():
         return
