@@ -31,7 +31,7 @@ from vpp_fmu.errors import BadInput
 LATE = 1.0
 """Time, s, after which a row that is due on the disk is late: the log is then broken."""
 
-_BATCH = 4096  # rows the writer takes at once
+_BATCH = 4096  # bytes of the pipe, rows at most, that the writer takes at once
 _PAUSE = 0.05  # s between two batches
 _GET_PIPE_SIZE = 1032  # F_GETPIPE_SZ; Python names it from 3.10 on only where the system's headers do
 _SYNC_EVERY = 1.0  # s; a power cut may lose the rows of this time, and gzip holds them back
@@ -388,7 +388,8 @@ def write_rows(path: Path, columns: Sequence[Column], slots: int, shared: int, p
         status[_FREE] = free_bytes(path.parent)
         goodbye |= _GOODBYE in told
         events.add(b"".join(line + b"\n" for line in told if line != _GOODBYE))
-        time.sleep(_PAUSE)
+        if len(data) < _BATCH:  # else more is waiting
+            time.sleep(_PAUSE)
     events.close()
     return file.close(), goodbye
 
