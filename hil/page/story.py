@@ -50,10 +50,12 @@ class Story:
             return
         for row in self._reader.rows():
             self._take(dict(zip(self._names, row, strict=True)))
-        new = read_events(self._events)[self._read :]
-        self._read += len(new)
-        for event in new:
-            self._hear(event)
+        size = self._events.stat().st_size if self._events.exists() else 0  # it is created with the first event
+        if size > self._size:
+            new = read_events(self._events)[self._read :]
+            self._size, self._read = size, self._read + len(new)
+            for event in new:
+                self._hear(event)
 
     def since(self, number: int, point: int, event: int, mapped: int) -> dict:
         """New data for a browser that has those up to these counts; the whole part if it has another part `number`."""
@@ -73,7 +75,7 @@ class Story:
         self._row: Mapping[str, float] = {}
         self._twin: Mapping[str, float] = {}
         self._reader: Reader | None = None
-        self._read, self._heard = 0, time.monotonic()
+        self._size, self._read, self._heard = 0, 0, time.monotonic()
         for path in message.get("before", ()):
             self._map += [event["point"][:4] for event in read_events(Path(path)) if "point" in event]
 
