@@ -39,7 +39,6 @@ _HANGS = 5.0  # s without a row on the disk after which the writer is ended
 _ROW, _GOODBYE = b"\n", b'"goodbye"'
 _SAVED, _ERROR, _BYTES, _FREE, _DONE = range(5)
 """Numbers in the memory after the rows: rows saved, the writer's error, bytes saved and free; and the loop's share done."""
-_NUMBER = struct.Struct("d")
 _PACKED = 0.45  # of the size of random decimal digits that gzip leaves: log2(10) = 3.3 of 8 bits, Huffman's code needs 3.4
 
 
@@ -214,7 +213,7 @@ class ProcessLog:
         return b""
 
     def _time(self, row: int) -> float:
-        return _NUMBER.unpack_from(self._memory, row % self.slots * self._row.size)[0]
+        return self._row.unpack_from(self._memory, row % self.slots * self._row.size)[0]
 
 
 Log = MemoryLog | ProcessLog
@@ -241,7 +240,7 @@ class Reader:
     @property
     def done(self) -> float:
         """Share of the measurement that is done."""
-        return _NUMBER.unpack_from(self._memory, self._slots * self._row.size + _DONE * _NUMBER.size)[0]
+        return struct.unpack_from("d", self._memory, self._slots * self._row.size + _DONE * struct.calcsize("d"))[0]
 
     def close(self) -> None:
         self._memory.close()
@@ -362,7 +361,7 @@ def largest(path: Path, columns: Sequence[Column], rows: int) -> int:
 
 def _shared(descriptor: int, size: int) -> tuple[mmap.mmap, memoryview]:
     """(memory of the rows, `size` bytes, and of the numbers after them; a view of these numbers)."""
-    numbers = (_DONE + 1) * _NUMBER.size
+    numbers = (_DONE + 1) * struct.calcsize("d")
     os.ftruncate(descriptor, size + numbers)
     memory = mmap.mmap(descriptor, size + numbers)
     return memory, memoryview(memory)[size:].cast("d")  # a view stores a number at once, other than struct

@@ -98,8 +98,7 @@ class Twin:
             n: {"start": values[n], "change": values[f"change.{n}"], "unit": parts[n].unit, "description": parts[n].description}
             for n in names
         }
-        self._inputs = [u.start for u in own.model.inputs]
-        self._at = [[u.name for u in own.model.inputs].index(name) for name in ("omega_ref", "beta_ref", "thrust", "omega")]
+        self._inputs = {u.name: u.start for u in own.model.inputs}
         self._shown = [self.outputs.index(name) for name in ("residual", "alarm", "direction")]
         self._stepper, self._dt, self._time = Stepper(own.model, own.values), dt, 0.0
         self.alarms: list[Alarm] = []
@@ -133,8 +132,6 @@ class Twin:
         known = {"false_alarms_per_hour": FALSE_ALARMS, "certain": CERTAIN}
         return known | {"units": self.units, "adapted": self.adapted}
 
-    def _given(self, *values: float) -> list[float]:
-        given = list(self._inputs)
-        for place, value in zip(self._at, values, strict=True):
-            given[place] = value
-        return given
+    def _given(self, omega_ref: float, beta_ref: float, thrust: float, omega: float) -> list[float]:
+        read = {"omega_ref": omega_ref, "beta_ref": beta_ref, "thrust": thrust, "omega": omega}
+        return [*(self._inputs | read).values()]
