@@ -89,9 +89,8 @@ class OperatorPage:
         self._tell({"part": name, "before": before, **what})
 
     def follow(self, log: ProcessLog) -> None:
-        columns = [[column.name, list(column.words)] for column in log.columns]
-        told = {"columns": columns, "slots": log.slots, "events": str(events_of(log.path))}
-        self._tell({"log": told}, log.shared)
+        columns = [column.name for column in log.columns]
+        self._tell({"log": {"columns": columns, "slots": log.slots, "events": str(events_of(log.path))}}, log.shared)
 
     def end(self, how: str) -> None:
         """Announce that the run ended and why, once the rotor is at rest: STOP has no effect from now on."""

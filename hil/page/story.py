@@ -5,7 +5,7 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from hil.loop.columns import LEARNED
+from hil.loop.columns import LEARNED, STATES
 from hil.loop.cycle import PERIOD
 from hil.loop.log import Reader, read_events
 
@@ -37,9 +37,8 @@ class Story:
             self._begin(message)
         if "log" in message:
             log = message["log"]
-            self._names = [name for name, _ in log["columns"]]
-            self._states = dict(log["columns"])["state"]
-            self._reader, self._events = Reader(descriptors[0], log["slots"], len(self._names)), Path(log["events"])
+            self._names, self._events = log["columns"], Path(log["events"])
+            self._reader = Reader(descriptors[0], log["slots"], len(self._names))
         if "ended" in message:
             self.look()
             self.ended = message["ended"]
@@ -103,7 +102,7 @@ class Story:
         if self._reader is None or not self._row:
             return {"age": None, "done": self._reader and self._reader.done}
         now = {name: _known(value) for name, value in self._row.items()}
-        now |= {"state": self._states[int(self._row["state"])], "alarm": bool(self._row["alarm"])}
+        now |= {"state": STATES[int(self._row["state"])], "alarm": bool(self._row["alarm"])}
         now["twin"] = {k.removeprefix(LEARNED): _known(v) for k, v in self._twin.items() if k.startswith(LEARNED)}
         return now | {"age": time.monotonic() - self._heard, "done": self._reader.done}
 
