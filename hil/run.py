@@ -46,15 +46,17 @@ class Run:
         """Every tick from tare to idle pulse."""
         return self.session.log
 
-    def judge(self) -> None:
-        """Raise TwinAlarm, RunEnded or LogLost if the run did not go as requested."""
+    @property
+    def failure(self) -> VppError | None:
+        """TwinAlarm, RunEnded or LogLost if the run did not go as requested."""
         if (twin := self.session.rig.twin) and twin.alarms:
             ended = f"; the run ended: {self.ended}" if self.ended else ""
-            raise TwinAlarm(f"twin: {twin.alarms[0].cause}{ended}")
+            return TwinAlarm(f"twin: {twin.alarms[0].cause}{ended}")
         if self.ended:
-            raise RunEnded(self.ended)
+            return RunEnded(self.ended)
         if (logged := self.session.logged).failure:
-            raise LogLost(f"log: {logged.lost} of {logged.rows + logged.lost} rows lost: {logged.failure}")
+            return LogLost(f"log: {logged.lost} of {logged.rows + logged.lost} rows lost: {logged.failure}")
+        return None
 
 
 class TwinAlarm(VppError):

@@ -45,10 +45,11 @@ class SelfTest:
         """The content of hil.json."""
         return self.session.summary() | {"load": self.load, "checks": [asdict(check) for check in self.checks]}
 
-    def judge(self) -> None:
-        """Raise SelfTestFailed if a check was not passed."""
-        if bad := [check.what for check in self.checks if not check.good]:
-            raise SelfTestFailed(f"not good: {', '.join(bad)}")
+    @property
+    def failure(self) -> SelfTestFailed | None:
+        """SelfTestFailed if a check was not passed."""
+        bad = [check.what for check in self.checks if not check.good]
+        return SelfTestFailed(f"not good: {', '.join(bad)}") if bad else None
 
 
 def selftest(setup: Setup, seconds: float, folder: Path, load: int = 0) -> SelfTest:

@@ -1,10 +1,10 @@
 """The full-rate log: the loop puts rows into memory, another process writes them to a file. Standard library only.
 
 The loop never touches a file: a row costs it two microseconds, a write to disk sometimes 24 ms. The writer is a separate
-process with shared memory, so that they share no interpreter lock; one byte on a pipe announces each row. In the same memory
-the writer keeps the number of rows on the disk, so that the loop notices a late one. The writer ends when the pipe closes: if
-the loop is killed, its log is still complete. If the loop ended without a goodbye, the writer then executes the command that it
-was given for this case.
+process with shared memory, so that they share no interpreter lock. Lines on a pipe tell it of each row (an empty line) and each
+event (a JSON object). In the same memory the writer keeps the number of rows on the disk, so that the loop notices a late one.
+The writer ends when the pipe closes: if the loop is killed, its log is still complete. If the loop ended without a goodbye, the
+writer then executes the command that it was given for this case.
 
 The events (`events_of`) have a second file, one JSON object a line: single occurrences that must survive the loop.
 """
@@ -25,22 +25,20 @@ from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import Protocol
 
 from vpp_fmu.errors import BadInput
 
 LATE = 1.0
 """Time, s, after which a row that is due on the disk is late: the log is then broken."""
 
-_BATCH = 4096  # rows the writer takes at once
+_BATCH = 4096  # bytes of the pipe, rows at most, that the writer takes at once
 _PAUSE = 0.05  # s between two batches
 _GET_PIPE_SIZE = 1032  # F_GETPIPE_SZ; Python names it from 3.10 on only where the system's headers do
 _SYNC_EVERY = 1.0  # s; a power cut may lose the rows of this time, and gzip holds them back
 _HANGS = 5.0  # s without a row on the disk after which the writer is ended
-_GOODBYE = b'"goodbye"\n'
+_ROW, _GOODBYE = b"\n", b'"goodbye"'
 _SAVED, _ERROR, _BYTES, _FREE, _DONE = range(5)
 """Numbers in the memory after the rows: rows saved, the writer's error, bytes saved and free; and the loop's share done."""
-_NUMBER = struct.Struct("d")
 _PACKED = 0.45  # of the size of random decimal digits that gzip leaves: log2(10) = 3.3 of 8 bits, Huffman's code needs 3.4
 
 
@@ -64,26 +62,6 @@ class Logged:
     warning: str = ""
 
 
-class Log(Protocol):
-    """Takes rows of numbers, one float per column; the file is complete when `close` returns."""
-
-    broken: str
-    """Why rows no longer reach the file; empty while they do."""
-    warning: str
-    """Why the disk may not hold the rest of the rows; empty while it has room."""
-    done: float
-    """Share of the measurement that is done, for the operator."""
-
-    def put(self, *row: float) -> None:
-        """Keep a row."""
-
-    def note(self, event: Mapping) -> None:
-        """Keep an event, a JSON object, beside the rows."""
-
-    def close(self) -> Logged:
-        """Finish the file."""
-
-
 def events_of(path: Path) -> Path:
     """The file of a log's events: log.events.jsonl for log.csv, log.csv.gz and their unfinished forms."""
     return path.with_name(f"{path.name.removeprefix('.').partition('.')[0]}.events.jsonl")
@@ -100,19 +78,26 @@ def read_events(path: Path) -> list[dict]:
 
 
 class MemoryLog:
-    """A log for virtual time: kept in memory, written by `close`."""
+    """A log for virtual time: kept in memory, written by `close`.
+
+    It takes rows of numbers, one float per column. `broken`: why rows no longer reach the file; `warning`: why the disk may not
+    hold the rest of the rows; both are empty while all is well. `done`: share of the measurement that is done.
+    """
 
     def __init__(self, path: str | os.PathLike, columns: Sequence[Column]):
         self._path, self._columns, self._numbers = Path(path), tuple(columns), array("d")
         self._events, self.broken, self.warning, self.done = _Events(events_of(self._path)), "", "", 0.0
 
-    def put(self, *row):
+    def put(self, *row: float) -> None:
+        """Keep a row."""
         self._numbers.extend(row)
 
-    def note(self, event):
+    def note(self, event: Mapping) -> None:
+        """Keep an event, a JSON object, beside the rows."""
         self._events.add(_line(event))
 
-    def close(self):
+    def close(self) -> Logged:
+        """Finish the file."""
         self._events.close()
         width, file = len(self._columns), _File(self._path, self._columns)
         for first in range(0, len(self._numbers), _BATCH * width):
@@ -122,7 +107,7 @@ class MemoryLog:
 
 
 class ProcessLog:
-    """A log for real time. The memory holds as many rows as a pipe holds bytes, 65536 as a rule: four minutes at 250 Hz.
+    """A MemoryLog for real time. The memory holds as many rows as a pipe holds bytes, 65536 as a rule: four minutes at 250 Hz.
 
     `after`: the command that the writer executes if the loop ends without `close`. `rows`: their expected number, for the
     warning. The first column is the time [s]. A process with the descriptor `shared` can read the rows (`Reader`) at no cost to
@@ -133,25 +118,22 @@ class ProcessLog:
         self._row, self._head, self._lost, self._expected = struct.Struct(f"{len(columns)}d"), 0, 0, rows
         self._broken = self._warning = ""
         read, self._pipe = os.pipe()
-        hear, self._notes = os.pipe()
         # The writer takes a batch from the pipe before it reads the rows from memory: room for one batch more.
         self.slots = fcntl.fcntl(self._pipe, _GET_PIPE_SIZE) + _BATCH
         shared = os.memfd_create("hil-log")
         self._memory, self._status = _shared(shared, self.slots * self._row.size)
         os.set_blocking(self._pipe, False)
-        os.set_blocking(self._notes, False)
         self.path, self.columns, self.shared = Path(path), tuple(columns), shared
         self._due = LATE + _SYNC_EVERY * (self.path.suffix == ".gz")
-        task = json.dumps([str(path), [astuple(c) for c in columns], list(after), self.slots, shared, read, hear])
+        task = json.dumps([str(path), [astuple(c) for c in columns], list(after), self.slots, shared, read])
         self._writer = subprocess.Popen(
             [sys.executable, "-m", "hil.loop.log", task],
-            pass_fds=(shared, read, hear),
+            pass_fds=(shared, read),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             start_new_session=True,  # so that Ctrl-C does not reach it
         )
-        for descriptor in (read, hear):
-            os.close(descriptor)
+        os.close(read)
         if refused := json.loads(self._writer.stdout.readline() or '"the writer of the log has died"'):
             self.close()
             raise BadInput(path, "log", f"not writable ({refused})", "a file that can be written")
@@ -164,7 +146,7 @@ class ProcessLog:
     def put(self, *row):
         self._row.pack_into(self._memory, self._head % self.slots * self._row.size, *row)
         try:
-            os.write(self._pipe, b"x")
+            os.write(self._pipe, _ROW)
         except (BlockingIOError, BrokenPipeError) as error:
             self._lost += 1
             gone = isinstance(error, BrokenPipeError)
@@ -201,13 +183,12 @@ class ProcessLog:
 
     def note(self, event):
         with contextlib.suppress(BlockingIOError, BrokenPipeError):  # `put` reports it
-            os.write(self._notes, _line(event))
+            os.write(self._pipe, _line(event))
 
     def close(self):
         with contextlib.suppress(BlockingIOError, BrokenPipeError):
-            os.write(self._notes, _GOODBYE)
+            os.write(self._pipe, _GOODBYE + b"\n")
         os.close(self._pipe)
-        os.close(self._notes)
         data, saved = self._finished(), int(self._status[_SAVED])
         self._status.release()
         self._memory.close()
@@ -232,7 +213,10 @@ class ProcessLog:
         return b""
 
     def _time(self, row: int) -> float:
-        return _NUMBER.unpack_from(self._memory, row % self.slots * self._row.size)[0]
+        return self._row.unpack_from(self._memory, row % self.slots * self._row.size)[0]
+
+
+Log = MemoryLog | ProcessLog
 
 
 class Reader:
@@ -256,7 +240,7 @@ class Reader:
     @property
     def done(self) -> float:
         """Share of the measurement that is done."""
-        return _NUMBER.unpack_from(self._memory, self._slots * self._row.size + _DONE * _NUMBER.size)[0]
+        return struct.unpack_from("d", self._memory, self._slots * self._row.size + _DONE * struct.calcsize("d"))[0]
 
     def close(self) -> None:
         self._memory.close()
@@ -266,7 +250,7 @@ class Reader:
 
 
 class _Events:
-    """The file of events, created with the first of them. Lines that a full disk refuses are written with the next event."""
+    """The file of events, created with the first of them. Lines that a full disk refuses are written later."""
 
     def __init__(self, path: Path):
         self._path, self._file, self._waiting = path, None, bytearray()
@@ -274,6 +258,8 @@ class _Events:
     def add(self, lines: bytes) -> None:
         """Write complete lines."""
         self._waiting += lines
+        if not self._waiting:
+            return
         with contextlib.suppress(OSError):
             if self._file is None:
                 self._file = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
@@ -282,8 +268,7 @@ class _Events:
             os.fsync(self._file)
 
     def close(self) -> None:
-        if self._waiting:
-            self.add(b"")
+        self.add(b"")
         if self._file is not None:
             os.close(self._file)
 
@@ -298,7 +283,7 @@ class _File:
         self._path, self._part = path, path.with_name(f".{path.name}.part")
         self._cells: list[Callable[[float], str]] = [cell(column) for column in columns]
         self._pack = zlib.compressobj(1, wbits=31) if path.suffix == ".gz" else None
-        self._waiting, self._rows, self.saved, self.written, self.failure, self.error = bytearray(), 0, 0, 0, "", 0
+        self._waiting, self._rows, self.saved, self.written, self.error = bytearray(), 0, 0, 0, 0
         self._synced = time.monotonic()
         self._file = os.open(self._part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
         fcntl.flock(self._file, fcntl.LOCK_EX)  # else `found_log` would take it for an abandoned one
@@ -324,7 +309,7 @@ class _File:
         os.close(self._file)
         if not (lost and self._pack):
             os.replace(self._part, self._path)
-        return Logged(self._rows - lost, lost, self.failure if lost else "")
+        return Logged(self._rows - lost, lost, f"{self._path}: {os.strerror(self.error).lower()}" if lost else "")
 
     def _queue(self, text: str) -> None:
         self._waiting += self._pack.compress(text.encode()) if self._pack else text.encode()
@@ -342,7 +327,7 @@ class _File:
                 os.fsync(self._file)
                 self._synced = time.monotonic()
         except OSError as error:
-            self.failure, self.error = f"{self._path}: {(error.strerror or str(error)).lower()}", error.errno
+            self.error = error.errno
         else:
             self.error = 0
             if due or not self._pack:
@@ -376,7 +361,7 @@ def largest(path: Path, columns: Sequence[Column], rows: int) -> int:
 
 def _shared(descriptor: int, size: int) -> tuple[mmap.mmap, memoryview]:
     """(memory of the rows, `size` bytes, and of the numbers after them; a view of these numbers)."""
-    numbers = (_DONE + 1) * _NUMBER.size
+    numbers = (_DONE + 1) * struct.calcsize("d")
     os.ftruncate(descriptor, size + numbers)
     memory = mmap.mmap(descriptor, size + numbers)
     return memory, memoryview(memory)[size:].cast("d")  # a view stores a number at once, other than struct
@@ -386,26 +371,24 @@ def _line(event: Mapping) -> bytes:
     return json.dumps(event).encode() + b"\n"
 
 
-def write_rows(path: Path, columns: Sequence[Column], slots: int, shared: int, pipe: int, notes: int) -> tuple[Logged, bool]:
-    """The writer's loop: for each byte on `pipe` write a row from the memory `shared` to the file, and write the events from
-    `notes`. Returns the log's result and whether the loop said goodbye."""
+def write_rows(path: Path, columns: Sequence[Column], slots: int, shared: int, pipe: int) -> tuple[Logged, bool]:
+    """The writer's loop: for each empty line on `pipe` write a row from the memory `shared` to the file, and write the other
+    lines as events. Returns the log's result and whether the loop said goodbye."""
     row = struct.Struct(f"{len(columns)}d")
     memory, status = _shared(shared, slots * row.size)
-    file, events, taken, goodbye = _File(path, columns), _Events(events_of(path)), 0, False
+    file, events, taken, goodbye, rest = _File(path, columns), _Events(events_of(path)), 0, False, b""
     print("null", flush=True)  # it takes rows
-    os.set_blocking(notes, False)
     while data := os.read(pipe, _BATCH):
-        file.add([row.unpack_from(memory, k % slots * row.size) for k in range(taken, taken + len(data))])
-        taken += len(data)
-        status[_SAVED], status[_ERROR], status[_BYTES], status[_FREE] = (
-            file.saved,
-            file.error,
-            file.written,
-            free_bytes(path.parent),
-        )
-        goodbye |= _heard(notes, events)
-        time.sleep(_PAUSE)
-    goodbye |= _heard(notes, events)
+        *lines, rest = (rest + data).split(b"\n")
+        told, rows = [line for line in lines if line], lines.count(b"")
+        file.add([row.unpack_from(memory, k % slots * row.size) for k in range(taken, taken + rows)])
+        taken += rows
+        status[_SAVED], status[_ERROR], status[_BYTES] = file.saved, file.error, file.written
+        status[_FREE] = free_bytes(path.parent)
+        goodbye |= _GOODBYE in told
+        events.add(b"".join(line + b"\n" for line in told if line != _GOODBYE))
+        if len(data) < _BATCH:  # else more is waiting
+            time.sleep(_PAUSE)
     events.close()
     return file.close(), goodbye
 
@@ -414,19 +397,6 @@ def free_bytes(folder: Path) -> int:
     """Free space [bytes] of a folder's disk for an ordinary user."""
     disk = os.statvfs(folder)
     return disk.f_bavail * disk.f_frsize
-
-
-def _heard(notes: int, events: _Events) -> bool:
-    """Write the waiting events; returns whether a goodbye is among them. A line fits into a pipe's atomic write, or nearly."""
-    lines = bytearray()
-    with contextlib.suppress(BlockingIOError):
-        while data := os.read(notes, 1 << 16):
-            lines += data
-    goodbye = _GOODBYE in lines
-    kept = bytes(lines).replace(_GOODBYE, b"")
-    if kept:
-        events.add(kept)
-    return goodbye
 
 
 if __name__ == "__main__":

@@ -127,6 +127,7 @@ class RigPlant:
         cycle.twin = twin.update(self.ticks.time, omega_ref, beta_ref, self.last.thrust, self.last.omega)
         cycle.residual, cycle.alarm = twin.residual, twin.alarmed
         for alarm in twin.alarms[known:]:
+            cycle.keep(alarm=alarm._asdict())
             if twin.on_alarm is None:
                 cycle.note(f"twin: alarm: {alarm.cause}")
             else:

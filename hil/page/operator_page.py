@@ -10,7 +10,7 @@ import os
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -30,7 +30,8 @@ LOOKS = 64
 class OperatorPage:
     """A page on the loopback address; `address` contains a random token. `told`: content of hil.json at the start.
 
-    `broken`: why the page has ended, empty while it runs. BadInput if the extra is missing or the port is taken.
+    `broken`: why the page has ended, empty while it runs. BadInput if the extra is missing or the port is taken. As a context
+    it is closed at the end.
     """
 
     def __init__(self, told: Mapping, port: int = 0):
@@ -88,9 +89,8 @@ class OperatorPage:
         self._tell({"part": name, "before": before, **what})
 
     def follow(self, log: ProcessLog) -> None:
-        columns = [[column.name, list(column.words)] for column in log.columns]
-        told = {"columns": columns, "slots": log.slots, "events": str(events_of(log.path))}
-        self._tell({"log": told}, log.shared)
+        columns = [column.name for column in log.columns]
+        self._tell({"log": {"columns": columns, "slots": log.slots, "events": str(events_of(log.path))}}, log.shared)
 
     def end(self, how: str) -> None:
         """Announce that the run ended and why, once the rotor is at rest: STOP has no effect from now on."""
@@ -108,6 +108,16 @@ class OperatorPage:
             self._process.kill()
             self._process.wait()
 
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, error, _trace) -> None:
+        """Show how the context ended. A failure of the page is one line on standard error."""
+        foreseen = isinstance(error, VppError | Stopped)
+        self.close("ended as planned" if error is None else " ".join(str(error).split()) if foreseen else kind.__name__)
+        if self.broken:
+            print(f"vpp hil: page: {self.broken}; the rig went on without it", file=sys.stderr)
+
     def _tell(self, message: dict, *descriptors: int) -> None:
         if self._broken:
             return
@@ -115,21 +125,3 @@ class OperatorPage:
             socket.send_fds(self._socket, [json.dumps(message).encode()], descriptors)
         except OSError as error:
             self._broken = f"its process {self.pid} takes nothing ({(error.strerror or str(error)).lower()})"
-
-
-@contextlib.contextmanager
-def served(told: Mapping, port: int) -> Iterator[OperatorPage]:
-    """The page within the context; it shows how the context ended. Its failure is one line on standard error. BadInput."""
-    page, ended = OperatorPage(told, port), "ended as planned"
-    try:
-        yield page
-    except (VppError, Stopped) as error:
-        ended = " ".join(str(error).split())
-        raise
-    except BaseException as error:
-        ended = type(error).__name__
-        raise
-    finally:
-        page.close(ended)
-        if page.broken:
-            print(f"vpp hil: page: {page.broken}; the rig went on without it", file=sys.stderr)

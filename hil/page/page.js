@@ -2,10 +2,16 @@
 "use strict";
 const at = (id) => document.getElementById(id);
 const SHOWN = 60; // s of the curves
-const LEARNED = 180; // s of the twin's curves: it adapts within minutes
 const SUPPLY = [["voltage", 1, "V"], ["current", 1, "A"], ["temperature", 0, "°C"], ["torque", 3, "N·m"]];
+const LIMITS = [ // name, unit, the supply's sensors that it needs, keys in hil.json
+  ["speed command", "rpm", [], "omega_min", "omega_max"], ["pitch command", "deg", [], "beta_min", "beta_max"],
+  ["over-speed", "rpm", [], "omega_trip"], ["over-thrust", "N", [], "thrust_trip"], ["run time", "s", [], "run_time"],
+  ["lowest voltage", "V", ["voltage"], "voltage_min"], ["highest voltage", "V", ["voltage"], "voltage_max"],
+  ["current", "A", ["current"], "current_max"], ["power", "W", ["voltage", "current"], "power_max"],
+  ["temperature", "°C", ["temperature"], "temperature_max"],
+];
 const dark = matchMedia("(prefers-color-scheme: dark)");
-let told = {}, part = {}, number = -1, columns = [], curves = {time: []}, alarms = [], now = {}, map = [], heard = performance.now(), ended = "", presses = 0, failed = "", drawn = 0, news = false, learns = false;
+let told = {}, part = {}, number = -1, columns = [], curves = {time: []}, now = {}, map = [], heard = performance.now(), ended = "", failed = "", drawn = 0, news = false;
 
 function text(value, digits, unit) {
   return value === null || value === undefined ? "–" : `${value.toFixed(digits)} ${unit}`.trim();
@@ -33,7 +39,6 @@ async function stop() {
     const answer = await fetch("stop", {method: "POST", keepalive: true});
     if (answer.status === 409) return;
     if (!answer.ok) throw new Error(`refused (${answer.status})`);
-    presses += 1;
     at("stop").querySelector("b").textContent = "STOP AT ONCE";
     at("stop-does").textContent = "asked to ramp down; again: idle at once";
   } catch (error) {
@@ -54,14 +59,12 @@ stream.onmessage = (event) => {
   heard = performance.now();
   if (message.number !== number) begin(message);
   for (const point of message.curves) point.forEach((value, k) => curves[columns[k]].push(value));
-  const old = firstOf((told.twin ? LEARNED : SHOWN) + 5);
-  if (old > 200) for (const name of columns) curves[name].splice(0, old);
+  const old = curves.time.findIndex((t) => t > curves.time[curves.time.length - 1] - SHOWN - 5);
+  if (old > 0) for (const name of columns) curves[name].splice(0, old);
   now = message.now;
   news ||= message.curves.length > 0;
-  learns ||= message.curves.length > 0;
   for (const one of message.events) {
     const alarm = /alarm/.test(one.why) || one.state === "fault" || /^page:/.test(one.why);
-    if (/^twin: alarm/.test(one.why)) alarms.push(one.time);
     at("events").prepend(row([text(one.time, 2, ""), one.state, one.why], alarm ? "alarm" : ""));
   }
   map.push(...message.map);
@@ -73,14 +76,10 @@ stream.onmessage = (event) => {
   banner();
 };
 
-function firstOf(seconds) {
-  return curves.time.findIndex((t) => t > curves.time[curves.time.length - 1] - seconds);
-}
-
 function begin(message) {
   ({number, told, part, columns} = message);
   curves = Object.fromEntries(columns.map((name) => [name, []]));
-  [map, alarms] = [[], []];
+  map = [];
   at("events").replaceChildren();
   const who = [told.operator, told.host].filter(Boolean).join(" on ");
   const over = told.profile ? `, ${told.profile.file}` : "";
@@ -92,24 +91,14 @@ function begin(message) {
   at("parts").replaceChildren(...(part.parts || []).map((name, k) =>
     element("li", `${k < current ? "✓ " : ""}${name.replaceAll("_", " ")}`, k === current ? "now" : "")));
   at("twin").hidden = !told.twin;
-  if (told.twin) captions();
   at("map-figure").hidden = !part.grid;
   if (part.grid) drawMap();
-  if (told.twin) at("caption").textContent =
-    "The last minute, means over 0.1 s. Pitch is commanded, not measured. The twin's band: where 19 of 20 readings lie while nothing new happens.";
 }
 
 function limits() {
-  const known = told.limits || {};
-  const shown = [["speed command", "omega_min", "omega_max", "rpm"], ["pitch command", "beta_min", "beta_max", "deg"]];
-  const rows = shown.filter(([, low]) => low in known).map(([name, low, high, unit]) => row([name, `${known[low]} to ${known[high]} ${unit}`], "", []));
-  const single = [["over-speed", "omega_trip", "rpm"], ["over-thrust", "thrust_trip", "N"], ["run time", "run_time", "s"]];
-  const read = told.supply || [];
-  if (read.includes("voltage")) single.push(["lowest voltage", "voltage_min", "V"], ["highest voltage", "voltage_max", "V"]);
-  if (read.includes("current")) single.push(["current", "current_max", "A"]);
-  if (read.includes("voltage") && read.includes("current")) single.push(["power", "power_max", "W"]);
-  if (read.includes("temperature")) single.push(["temperature", "temperature_max", "°C"]);
-  return rows.concat(single.filter(([, name]) => name in known).map(([name, key, unit]) => row([name, `${known[key]} ${unit}`], "", [])));
+  const known = told.limits || {}, read = told.supply || [];
+  const shown = LIMITS.filter(([,, sensors, low]) => low in known && sensors.every((name) => read.includes(name)));
+  return shown.map(([name, unit,, ...keys]) => row([name, `${keys.map((key) => known[key]).join(" to ")} ${unit}`], "", []));
 }
 
 function healed(counters) {
@@ -157,33 +146,19 @@ function cause(twin) {
   return ["no parameter", ...Object.keys(told.twin.adapted)][twin.direction];
 }
 
-function unitOf(one) {
-  return one.unit === "1" ? "" : one.unit;
-}
-
 function digits(uncertainty) { // decimals of two digits of a standard deviation
   return uncertainty > 0 ? Math.min(Math.max(1 - Math.floor(Math.log10(uncertainty)), 0), 9) : 4;
-}
-
-function captions() {
-  const adapted = Object.entries(told.twin.adapted);
-  const sizes = adapted.map(([name, one]) => `${name} ${text(one.change, digits(one.change), unitOf(one))}`);
-  at("learned-caption").textContent = `The last three minutes. Above: measured thrust less the adapted model's, in the band that holds 95 % of it while nothing new happens. `
-    + `Below: each parameter's distance from its start, in plausible changes: ${sizes.join(", ")}.`;
-  at("adapted-caption").textContent = `Arrow: moved by more than ${told.twin.certain} standard deviations since the start. `
-    + "Lags do so on a sound rig, too: motor and actuator are none.";
 }
 
 function twinSays() {
   if (!told.twin) return;
   const {adapted, certain} = told.twin, twin = now.twin || {}, known = twin.band !== undefined;
   const followed = twin.changes ? ` Changes followed: ${twin.changes}, the last most like ${cause(twin)}.` : " No change followed yet.";
-  const points = twin.direction ? `Most like a change of ${cause(twin)} (${adapted[cause(twin)]?.description})` : "It is like no change of one parameter";
+  const like = twin.direction ? `Most like a change of ${cause(twin)} (${adapted[cause(twin)]?.description})` : "It is like no change of one parameter";
   at("twin-says").className = twin.alarm ? "alarm" : "";
   const learns = twin.learning ? "It follows the rig, to see whether its parameters explain it." : "No parameter explains it: it has stopped learning, for vpp diagnose to look at.";
   at("twin-says").textContent = !known ? "It begins when the loop is closed." : twin.alarm
-    ? `ALARM: the rig does not do what the adapted model says. ${points}. ${learns}`
-    : `No alarm.${followed}`;
+    ? `ALARM: the rig does not do what the adapted model says. ${like}. ${learns}` : `No alarm.${followed}`;
   at("adapted").replaceChildren(...Object.entries(adapted).map(([name, one]) => {
     const [value, std] = [twin[`adapted.${name}`], twin[`std.${name}`]], places = digits(std ?? one.change);
     const moved = known && Math.abs(value - one.start) > certain * std;
@@ -211,10 +186,8 @@ setInterval(banner, 500);
 
 function colours() {
   return dark.matches
-    ? {ink: "#e4e9ee", grid: "#2a333b", axis: "#6b7885", measured: "#d7dde3", set: "#f0a94e", twin: "#56b4e9", band: "rgba(86,180,233,0.18)", back: "#14191e", alarm: "#ffb4ab",
-      others: ["#4fb0ea", "#33c79d", "#e09cc4", "#f0a24d", "#d8689f", "#a3d5f5"]}
-    : {ink: "#1f2933", grid: "#e8ecef", axis: "#9aa5b1", measured: "#4d4d4d", set: "#e08214", twin: "#0072b2", band: "rgba(0,114,178,0.14)", back: "#ffffff", alarm: "#b3261e",
-      others: ["#0072b2", "#009e73", "#cc79a7", "#e08214", "#882255", "#56b4e9"]};
+    ? {ink: "#e4e9ee", grid: "#2a333b", axis: "#6b7885", measured: "#d7dde3", set: "#f0a94e", twin: "#56b4e9", band: "rgba(86,180,233,0.18)", back: "#14191e"}
+    : {ink: "#1f2933", grid: "#e8ecef", axis: "#9aa5b1", measured: "#4d4d4d", set: "#e08214", twin: "#0072b2", band: "rgba(0,114,178,0.14)", back: "#ffffff"};
 }
 
 function axis(own, c) {
@@ -233,37 +206,28 @@ function line(x, y, name, color, axes, more) {
   return {x, y, name, type: "scatter", mode: "lines", line: {color, width: 1.8}, yaxis: axes, hoverinfo: "name+y", ...more};
 }
 
-function envelope(x, low, high, name, axes, c) {
-  return [line(x, low, "", c.band, axes, {line: {width: 0}, showlegend: false, hoverinfo: "skip"}),
-    line(x, high, name, c.band, axes, {line: {width: 0}, fill: "tonexty", fillcolor: c.band, hoverinfo: "skip"})];
-}
-
-function lastOf(x, seconds) {
-  const last = x[x.length - 1];
-  return [Math.max(last - seconds, x[0]), Math.max(last, x[0] + 10)];
-}
-
 function draw() {
   if (document.hidden || !news) return;
   news = false;
-  const c = colours(), from = firstOf(SHOWN + 5), of = (name) => curves[name].slice(from);
-  const [x, thrust, residual] = ["time", "thrust", "residual"].map(of);
+  const c = colours(), {time: x, thrust, residual} = curves, last = x[x.length - 1];
   const twin = residual.map((off, k) => (off === null ? null : thrust[k] - off));
   const dashed = (color) => ({line: {color, width: 1.6, dash: "dash", shape: "hv"}});
   const traces = [];
   if (told.twin) {
-    const band = of("twin.band"), edge = (side) => twin.map((value, k) => (value === null ? null : value + side * band[k]));
-    traces.push(...envelope(x, edge(-1), edge(1), "twin's band", "y", c));
+    const edge = (side) => twin.map((value, k) => (value === null ? null : value + side * curves["twin.band"][k]));
+    const unseen = {line: {width: 0}, hoverinfo: "skip"};
+    traces.push(line(x, edge(-1), "", c.band, "y", {...unseen, showlegend: false}));
+    traces.push(line(x, edge(1), "twin's band", c.band, "y", {...unseen, fill: "tonexty", fillcolor: c.band}));
     traces.push(line(x, twin, "twin", c.twin, "y", {line: {color: c.twin, width: 1.4}}));
   }
-  traces.push(line(x, thrust, "measured", c.measured, "y"), line(x, of("thrust_set"), "set-point, command", c.set, "y", dashed(c.set)));
-  traces.push(line(x, of("omega"), "speed", c.measured, "y2", {showlegend: false}), line(x, of("omega_ref"), "command", c.set, "y2", {...dashed(c.set), showlegend: false}));
-  traces.push(line(x, of("beta_wanted"), "wanted by the controller", c.axis, "y3", {line: {color: c.axis, width: 1.2, dash: "dot", shape: "hv"}}));
-  traces.push(line(x, of("beta_ref"), "command", c.set, "y3", {showlegend: false, line: {color: c.set, width: 1.8, shape: "hv"}}));
+  traces.push(line(x, thrust, "measured", c.measured, "y"), line(x, curves.thrust_set, "set-point, command", c.set, "y", dashed(c.set)));
+  traces.push(line(x, curves.omega, "speed", c.measured, "y2", {showlegend: false}), line(x, curves.omega_ref, "command", c.set, "y2", {...dashed(c.set), showlegend: false}));
+  traces.push(line(x, curves.beta_wanted, "wanted by the controller", c.axis, "y3", {line: {color: c.axis, width: 1.2, dash: "dot", shape: "hv"}}));
+  traces.push(line(x, curves.beta_ref, "command", c.set, "y3", {showlegend: false, line: {color: c.set, width: 1.8, shape: "hv"}}));
   drawn += 1;
   Plotly.react("curves", traces, layout({
     datarevision: drawn,
-    xaxis: axis({title: {text: "time [s]"}, range: lastOf(x, SHOWN), anchor: "y3"}, c),
+    xaxis: axis({title: {text: "time [s]"}, range: [Math.max(last - SHOWN, x[0]), Math.max(last, x[0] + 10)], anchor: "y3"}, c),
     yaxis: axis({title: {text: "thrust [N]"}, domain: [0.56, 1.0]}, c),
     yaxis2: axis({title: {text: "speed [rpm]"}, domain: [0.28, 0.52]}, c),
     yaxis3: axis({title: {text: "pitch [deg]"}, domain: [0.0, 0.24]}, c),
@@ -271,33 +235,11 @@ function draw() {
 }
 setInterval(draw, 250);
 
-function drawLearned() {
-  if (document.hidden || !learns || !told.twin) return;
-  learns = false;
-  const c = colours(), x = curves.time, band = curves["twin.band"];
-  const below = band.map((half) => (half === null ? null : -half));
-  const traces = [...envelope(x, below, band, "95 % expected", "y", c), line(x, curves.residual, "rig − twin", c.measured, "y", {line: {color: c.measured, width: 1.2}})];
-  Object.entries(told.twin.adapted).forEach(([name, one], k) => {
-    const moved = curves[`twin.adapted.${name}`].map((value) => (value === null ? null : (value - one.start) / one.change));
-    const dash = k < c.others.length ? "solid" : "dash";
-    traces.push(line(x, moved, name, c.others[k % c.others.length], "y2", {line: {color: c.others[k % c.others.length], width: 1.8, dash}}));
-  });
-  drawn += 1;
-  Plotly.react("learned", traces, layout({
-    datarevision: drawn,
-    xaxis: axis({title: {text: "time [s]"}, range: lastOf(x, LEARNED), anchor: "y2"}, c),
-    yaxis: axis({title: {text: "residual [N]"}, domain: [0.56, 1.0]}, c),
-    yaxis2: axis({title: {text: "moved [plausible<br>changes]"}, domain: [0.0, 0.5], zeroline: true, zerolinecolor: c.axis}, c),
-    legend: {orientation: "h", x: 0, y: 1.0, yanchor: "bottom", traceorder: "normal"},
-    shapes: alarms.map((time) => ({type: "line", x0: time, x1: time, yref: "paper", y0: 0, y1: 1, line: {color: c.alarm, width: 1.6, dash: "dash"}})),
-  }, c), settings);
-}
-setInterval(drawLearned, 1000);
-function drawAnew() { news = learns = curves.time.length > 0; draw(); drawLearned(); drawMap(); }
+function drawAnew() { news = curves.time.length > 0; draw(); drawMap(); }
 dark.addEventListener("change", drawAnew);
 document.addEventListener("visibilitychange", drawAnew);
 new ResizeObserver(() => {
-  for (const name of ["curves", "learned", "map"]) if (at(name).layout && at(name).clientWidth) Plotly.Plots.resize(name);
+  for (const name of ["curves", "map"]) if (at(name).layout && at(name).clientWidth) Plotly.Plots.resize(name);
 }).observe(at("curves"));
 
 function drawMap() {
@@ -305,15 +247,12 @@ function drawMap() {
   const c = colours(), {speeds, pitches} = part.grid;
   const planned = speeds.flatMap((w) => pitches.map((b) => [w, b]));
   const column = (points, k) => points.map((point) => point[k]);
-  const latest = map.length ? [map[map.length - 1]] : [];
   const shared = {type: "scatter", mode: "markers"};
   Plotly.react("map", [
     {...shared, x: column(planned, 0), y: column(planned, 1), hoverinfo: "skip", showlegend: false,
       marker: {symbol: "square-open", size: 15, color: c.axis, line: {width: 1}}},
     {...shared, x: column(map, 0), y: column(map, 1), text: column(map, 3).map((t) => `${t.toFixed(2)} N`), hoverinfo: "text+x+y", showlegend: false,
       marker: {symbol: "square", size: 15, color: column(map, 3), colorscale: "Viridis", showscale: true, colorbar: {title: {text: "thrust [N]"}, thickness: 14, exponentformat: "none"}}},
-    {...shared, x: column(latest, 0), y: column(latest, 1), hoverinfo: "skip", showlegend: false,
-      marker: {symbol: "square-open", size: 19, color: c.set, line: {width: 2}}},
   ], layout({
     xaxis: axis({title: {text: "speed [rpm]"}}, c), yaxis: axis({title: {text: "pitch [deg]"}}, c), margin: {l: 62, r: 14, t: 14, b: 44},
   }, c), settings);

@@ -75,9 +75,9 @@ class Files(Guarded):
     """The page and its files."""
 
     def get(self, _token, name):
-        if (name or "page.html") not in self.texts:
-            raise HTTPError(404)
         name = name or "page.html"
+        if name not in self.texts:
+            raise HTTPError(404)
         self.set_header("Content-Type", f"{KINDS[name.rpartition('.')[2]]}; charset=utf-8")
         self.write(self.texts[name])
 
@@ -123,51 +123,43 @@ def application(story: Story, token: str, press) -> Application:
     return Application(routes, log_function=lambda handler: None)
 
 
-class Ear:
-    """Connection to the loop's process: receives its messages and its end, and sends STOP."""
-
-    def __init__(self, end: socket.socket, story: Story):
-        self._end, self._story, self.gone = end, story, False
-        self._loop = os.pidfd_open(os.getppid())
-
-    def hear(self) -> None:
-        with contextlib.suppress(BlockingIOError):
-            while not self.gone:
-                data, descriptors, _, _ = socket.recv_fds(self._end, 1 << 20, 1)
-                if not data:
-                    self.gone = True
-                    self._story.ended = self._story.ended or "the loop's process is gone without a word"
-                    return
-                self._story.tell(json.loads(data), descriptors)
-                for descriptor in descriptors:
-                    os.close(descriptor)  # the memory stays mapped
-
-    def press(self) -> None:
-        """Send the byte before the signal, since the signal's handler looks for it."""
-        with contextlib.suppress(OSError):
-            self._end.send(STOP)
-        with contextlib.suppress(ProcessLookupError):
-            signal.pidfd_send_signal(self._loop, signal.SIGINT)
+def heard(end: socket.socket, story: Story) -> bool:
+    """Take the messages of the loop's process; False once its end is closed."""
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            data, descriptors, _, _ = socket.recv_fds(end, 1 << 20, 1)
+            if not data:
+                story.ended = story.ended or "the loop's process is gone without a word"
+                return False
+            story.tell(json.loads(data), descriptors)
+            for descriptor in descriptors:
+                os.close(descriptor)  # the memory stays mapped
+    return True
 
 
 async def serve(end: socket.socket, port: int) -> None:
     """Wait until the loop's process has said goodbye, or has ended."""
-    story, token = Story(), secrets.token_urlsafe(24)
-    ear = Ear(end, story)
+    story, token, loop = Story(), secrets.token_urlsafe(24), os.pidfd_open(os.getppid())
+
+    def press() -> None:
+        """Send the byte before the signal, since the signal's handler looks for it."""
+        with contextlib.suppress(OSError):
+            end.send(STOP)
+        with contextlib.suppress(ProcessLookupError):
+            signal.pidfd_send_signal(loop, signal.SIGINT)
+
     try:
         listening = bind_sockets(port, "127.0.0.1")
     except OSError as error:
         end.send(json.dumps({"refused": f"port {port}, {os.strerror(error.errno).lower()}"}).encode())
         return
-    server = HTTPServer(application(story, token, ear.press), max_header_size=1 << 14, max_body_size=1 << 10)
+    server = HTTPServer(application(story, token, press), max_header_size=1 << 14, max_body_size=1 << 10)
     server.add_sockets(listening)
     end.setblocking(False)
     end.send(json.dumps({"address": f"http://127.0.0.1:{listening[0].getsockname()[1]}/{token}/"}).encode())
-    asyncio.get_running_loop().add_reader(end, ear.hear)
-    while not ear.gone:
+    while heard(end, story):
         story.look()
         await asyncio.sleep(EVERY)
-    asyncio.get_running_loop().remove_reader(end)
     await asyncio.sleep(LINGER)
 
 

@@ -1,62 +1,44 @@
-"""Content of the page, from the log's memory and events: averaged curves of the last minutes, events and progress."""
+"""Content of the page, from the log's memory and events: averaged curves of the last minute, events and progress."""
 
-import json
 import math
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from hil.loop.columns import LEARNED
+from hil.loop.columns import LEARNED, STATES
 from hil.loop.cycle import PERIOD
-from hil.loop.log import Reader
+from hil.loop.log import Reader, read_events
 
 BIN = 25
 """Ticks per point of a curve, the mean over 0.1 s."""
-KEPT = 1800
-"""Points that are kept for a browser that connects late: three minutes."""
+KEPT = 650
+"""Points for a browser that connects late: those that it shows."""
 
-MEANS = ("thrust", "omega", "residual")
-LATEST = ("thrust_set", "omega_ref", "beta_ref", "omega_wanted", "beta_wanted")
-"""Values of a point after its time [s]: MEANS in N, rpm and N (rig minus twin); LATEST set-point and commands in N, rpm, deg.
-A twin adds its band [N] and parameters, each in its unit, to the latest."""
-SUPPLY = ("voltage", "current", "temperature", "torque")
 BAND = f"{LEARNED}band"
-VALUES = ("time", *MEANS, *LATEST, BAND, "throttle", "thrust_age", "omega_age", "late", *SUPPLY)
+MEANS = ("thrust", "omega", "residual")
+LATEST = ("thrust_set", "omega_ref", "beta_ref", "omega_wanted", "beta_wanted", BAND)
+"""Values of a point after its time [s]: MEANS in N, rpm and N (rig minus twin); LATEST set-point and commands in N, rpm, deg,
+and the twin's band [N]."""
 
 
 class Story:
-    """Content for one command, part by part. `told`: content of hil.json at the start; `now`: the newest values."""
+    """Content for one command, part by part. `told`: content of hil.json at the start."""
 
     def __init__(self):
         self.told: dict = {}
-        self.part: dict = {}
-        self.number = 0
-        self.now: dict = {}
-        self.points: list[list] = []  # of the curves
-        self.first = 0  # number of the oldest of them
-        self.events: list[dict] = []
-        self.map: list[list[float]] = []
-        self.counters: dict = {}
-        self.ended = ""
-        self._latest = LATEST
-        self._reader: Reader | None = None
-        self._events: _Tail | None = None
+        self.number, self.ended = 0, ""
+        self._begin({})
 
     def tell(self, message: Mapping, descriptors: Sequence[int]) -> None:
         """Take a message of the loop's process, between the runs."""
-        if "told" in message:
-            self.told = message["told"]
-            if adapted := self.told.get("twin", {}).get("adapted"):
-                self._latest = (*LATEST, BAND, *(f"{LEARNED}adapted.{name}" for name in adapted))
+        self.told = message.get("told", self.told)
         if "part" in message:
+            self.look()
             self._begin(message)
         if "log" in message:
             log = message["log"]
-            self._names = [name for name, _ in log["columns"]]
-            self._words = {name: words for name, words in log["columns"] if words}
+            self._names, self._events = log["columns"], Path(log["events"])
             self._reader = Reader(descriptors[0], log["slots"], len(self._names))
-            self._events = _Tail(Path(log["events"]))
-            self._bin: list[Sequence[float]] = []
         if "ended" in message:
             self.look()
             self.ended = message["ended"]
@@ -65,92 +47,64 @@ class Story:
         """Take new data since the last call."""
         if self._reader is None:
             return
-        rows = self._reader.rows()
-        for row in rows:
-            self._take(row)
-        for event in self._events.new():
-            self._hear(event)
-        if rows:
-            self._show(dict(zip(self._names, rows[-1], strict=True)))
+        for row in self._reader.rows():
+            self._take(dict(zip(self._names, row, strict=True)))
+        size = self._events.stat().st_size if self._events.exists() else 0  # it is created with the first event
+        if size > self._size:
+            new = read_events(self._events)[self._read :]
+            self._size, self._read = size, self._read + len(new)
+            for event in new:
+                self._hear(event)
 
     def since(self, number: int, point: int, event: int, mapped: int) -> dict:
         """New data for a browser that has those up to these counts; the whole part if it has another part `number`."""
-        told: dict = {
-            "now": {**self.now, "age": self._age(), "done": self._reader and self._reader.done},
-            "counters": self.counters,
-        }
+        told: dict = {"now": self._now(), "counters": self._counters}
         if number != self.number:
             point = event = mapped = 0
-            told |= {"told": self.told, "part": self.part, "columns": ["time", *MEANS, *self._latest]}
-        told |= {"number": self.number, "curves": self.points[max(0, point - self.first) :], "events": self.events[event:]}
-        told |= {"map": self.map[mapped:], "seen": [self.first + len(self.points), len(self.events), len(self.map)]}
+            told |= {"told": self.told, "part": self._part, "columns": ["time", *MEANS, *LATEST]}
+        told |= {"number": self.number, "curves": self._points[max(point, len(self._points) - KEPT) :]}
+        told |= {"events": self._said[event:], "map": self._map[mapped:]}
+        told |= {"seen": [len(self._points), len(self._said), len(self._map)]}
         return told | ({"ended": self.ended} if self.ended else {})
 
     def _begin(self, message: Mapping) -> None:
-        self.look()
-        self.part, self.number = {k: v for k, v in message.items() if k != "before"}, self.number + 1
-        self.points, self.first, self.events, self.map, self.counters = [], 0, [], [], {}
-        self._reader, self._heard = None, time.monotonic()
-        self._twin: dict[str, float | None] = {}
-        for path in message["before"]:
-            for event in _Tail(Path(path)).new():
-                if "point" in event:
-                    self._hear(event)
+        self._part, self.number = {k: v for k, v in message.items() if k != "before"}, self.number + 1
+        self._points, self._said, self._map, self._counters = [], [], [], {}
+        self._bin: list[Mapping[str, float]] = []
+        self._row: Mapping[str, float] = {}
+        self._twin: Mapping[str, float] = {}
+        self._reader: Reader | None = None
+        self._size, self._read, self._heard = 0, 0, time.monotonic()
+        for path in message.get("before", ()):
+            self._map += [event["point"][:4] for event in read_events(Path(path)) if "point" in event]
 
-    def _take(self, row: Sequence[float]) -> None:
+    def _take(self, row: Mapping[str, float]) -> None:
+        self._row, self._heard = row, time.monotonic()
         self._bin.append(row)
-        slot = round(row[0] / PERIOD)
-        if slot // BIN == (slot + 1) // BIN:
-            return
-        columns = dict(zip(self._names, zip(*self._bin, strict=True), strict=True))
-        point = [_known(row[0])]
-        point += [_known(sum(columns[name]) / len(self._bin)) for name in MEANS]
-        self.points.append(point + [_known(columns[name][-1]) for name in self._latest])
-        band = columns.get(BAND)
-        if band and math.isfinite(band[-1]):  # else the loop is open, and the last values stay
-            self._twin = {k.removeprefix(LEARNED): _known(values[-1]) for k, values in columns.items() if k.startswith(LEARNED)}
-        self._bin = []
-        if len(self.points) > 2 * KEPT:
-            self.first += len(self.points) - KEPT
-            del self.points[:-KEPT]
+        if math.isfinite(row.get(BAND, math.nan)):  # else the loop is open, and the last values stay
+            self._twin = row
+        slot = round(row["time"] / PERIOD)
+        if slot // BIN != (slot + 1) // BIN:
+            means = [sum(one[name] for one in self._bin) / len(self._bin) for name in MEANS]
+            self._points.append([*map(_known, (row["time"], *means, *(row.get(name, math.nan) for name in LATEST)))])
+            self._bin = []
 
     def _hear(self, event: Mapping) -> None:
         if "point" in event:
-            self.map.append(event["point"][:4])
+            self._map.append(event["point"][:4])
         elif "counters" in event:
-            self.counters = event["counters"]
+            self._counters = event["counters"]
         elif "state" in event:
-            self.events.append(dict(event))
+            self._said.append(event)
 
-    def _show(self, row: Mapping[str, float]) -> None:
-        self._heard = time.monotonic()
-        self.now = {name: _known(row.get(name, math.nan)) for name in VALUES}
-        self.now["state"] = self._words["state"][int(row["state"])]
-        self.now["alarm"] = bool(row["alarm"])
-        self.now["twin"] = self._twin
-
-    def _age(self) -> float | None:
-        """s since the last tick."""
-        return time.monotonic() - self._heard if self.now and self._reader else None
-
-
-class _Tail:
-    """The whole lines of a file that grows."""
-
-    def __init__(self, path: Path):
-        self._path, self._read = path, 0
-
-    def new(self) -> list[dict]:
-        """Those that came since the last call."""
-        try:
-            with open(self._path, "rb") as file:
-                file.seek(self._read)
-                data = file.read()
-        except OSError:  # it is created with the first event
-            return []
-        whole = data[: data.rfind(b"\n") + 1]
-        self._read += len(whole)
-        return [json.loads(line) for line in whole.splitlines()]
+    def _now(self) -> dict:
+        """The newest values by the log's names, the twin's last ones, the time since the last tick [s], and the progress."""
+        if self._reader is None or not self._row:
+            return {"age": None, "done": self._reader and self._reader.done}
+        now = {name: _known(value) for name, value in self._row.items()}
+        now |= {"state": STATES[int(self._row["state"])], "alarm": bool(self._row["alarm"])}
+        now["twin"] = {k.removeprefix(LEARNED): _known(v) for k, v in self._twin.items() if k.startswith(LEARNED)}
+        return now | {"age": time.monotonic() - self._heard, "done": self._reader.done}
 
 
 def _known(value: float) -> float | None:

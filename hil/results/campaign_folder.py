@@ -6,6 +6,7 @@ import json
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import count, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -100,8 +101,8 @@ class Measuring:
             if page:
                 page.part(part, **self._grid(part), parts=parts, before=attempts(folder.path, part))
             one, ended = self._measured(folder.path, part, page)
-            tried = len(attempts(folder.path, part))
-            content["parts"][part] = one.summary() | {"ended": str(ended or ""), "whole": not ended, "attempts": tried}
+            own = {"ended": str(ended or ""), "whole": not ended, "attempts": len(attempts(folder.path, part))}
+            content["parts"][part] = one.summary() | own
             if ended:
                 content |= {"status": ENDED_EARLY, "completed": now()}
             folder.write("hil.json", as_json(content))
@@ -117,7 +118,8 @@ class Measuring:
         """One part on the rig: (session, why it ended early, if it did)."""
         setup, ended = self._again(part), None
         done = len(measured_so_far(folder, part)) if part in ("static", "steps") else 0
-        with session(setup, new_log(folder, part), self._seconds(part), page=page) as one:
+        log = _log(folder, part, 1 + len(attempts(folder, part)))
+        with session(setup, log, self._seconds(part), page=page) as one:
             try:
                 if self.commands:
                     follow(one.rig, self.commands, self.plan.settle)
@@ -185,19 +187,13 @@ def commands_of(path: str, limits: Limits) -> Record:
     return resampled(record, PERIOD)
 
 
-def _logs(folder: Path, part: str) -> list[Path]:
-    """Paths for the logs of a part's attempts; a used one has events beside it."""
-    return [folder / (f"log_{part}.csv.gz" if k == 1 else f"log_{part}-{k}.csv.gz") for k in range(1, 1000)]
-
-
-def new_log(folder: Path, part: str) -> Path:
-    """The log of a part's next attempt: each has its own."""
-    return next(log for log in _logs(folder, part) if not events_of(log).exists())
-
-
 def attempts(folder: Path, part: str) -> list[Path]:
-    """The logs of a part's attempts so far, in order."""
-    return [log for log in _logs(folder, part) if events_of(log).exists()]
+    """The logs of a part's attempts so far, in order; each has events beside it."""
+    return list(takewhile(lambda log: events_of(log).exists(), (_log(folder, part, k) for k in count(1))))
+
+
+def _log(folder: Path, part: str, attempt: int) -> Path:
+    return folder / (f"log_{part}.csv.gz" if attempt == 1 else f"log_{part}-{attempt}.csv.gz")
 
 
 def forget(folder: Path) -> None:

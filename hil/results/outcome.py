@@ -2,29 +2,25 @@
 
 import contextlib
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from hil.loop.columns import LEARNED
 from hil.loop.log import events_of
 from hil.loop.rig import RunEnded
-from hil.loop.session import LOG, Setup, read_log
+from hil.loop.session import LOG, read_log
 from hil.loop.timing import Timing, timing
 from hil.page.operator_page import OperatorPage
-from hil.results.runs import ENDED, ENDED_EARLY, NAMES, RUNNING, run_folder, summary_of_files
-from hil.run import LimitedPlant, Run, loop_part, run_on_rig, write_run
-from hil.safety.limits import Limits
-from hil.twin.twin import Twin, alarm_of
+from hil.results.runs import ENDED, ENDED_EARLY, NAMES, RUNNING, run_folder, summary_of_files, twin_entry
+from hil.run import Run, loop_part, write_run
 from vpp_fmu.comparison import compare
 from vpp_fmu.date import now
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
-from vpp_fmu.loop import run as run_loop
-from vpp_fmu.plants import Controller, FmuPlant
 from vpp_fmu.record import Record
 from vpp_fmu.response import UNITS, Step, smoothed, steps
 from vpp_fmu.structured import as_json, check_kinds, read_object
@@ -68,40 +64,24 @@ BAND, SPAN = 0.05, 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class RunSetup:
-    """A run: the rig, its controller, profile and initial commands `start` [rpm, deg], and models to compare it with.
-
-    `beside`: a plant FMU's name and its loop. `inject` as in `run_on_rig`.
-    """
-
-    setup: Setup
-    controller: Controller
-    profile: Record
-    start: tuple[float, float]
-    twin: Twin | None = None
-    beside: tuple[str, Record] | None = None
-    inject: tuple[str, float] | None = None
-
-    def summary(self) -> dict:
-        """Entries of hil.json about the twin and the injected fault, before the run."""
-        injected = {"injected": dict(zip(("fault", "after"), self.inject, strict=True))} if self.inject else {}
-        return injected | ({"twin": self.twin.summary()} if self.twin else {})
-
-
-@dataclass(frozen=True, eq=False)
 class Outcome:
     """The results of a run: the content of hil.json, the `log` (None if it has no row), the loops over the profile by name, the
-    rig's first, and the timing of its ticks in real time."""
+    rig's first, the timing of its ticks in real time, and (least, greatest) of each command by name, if known."""
 
     content: dict
     log: Record | None
     loops: dict[str, Record]
     timing: Timing | None
+    limits: Mapping[str, tuple[float, float]]
 
-    @property
-    def reach(self) -> dict[str, tuple[float, float]]:
-        """The ranges of the commands, as from `reach`, by the limits in hil.json."""
-        return reach(self.content.get("limits", {}), self.content.get("controller", {}).get("limits", {}))
+    @cached_property
+    def steps(self) -> dict[str, list[Step]]:
+        """The changes of the set-point in each loop."""
+        return {name: judged_steps(loop, self.limits) for name, loop in self.loops.items()}
+
+    def judged(self) -> dict:
+        """Entries of hil.json about these changes."""
+        return {"units": UNITS, "steps": {name: [asdict(one) for one in found] for name, found in self.steps.items()}}
 
 
 Report = Callable[[Outcome], str]
@@ -109,47 +89,42 @@ Report = Callable[[Outcome], str]
 
 
 def carry_out(
-    task: RunSetup, begun: dict, parent: OutputFolder, page: OperatorPage | None, say: Say, report: Report
+    run: Callable[[Path, Sequence[str]], Run],
+    begun: dict,
+    parent: OutputFolder,
+    page: OperatorPage | None,
+    say: Say,
+    report: Report,
+    beside: tuple[str, Record] | None = None,
 ) -> tuple[Run, OutputFolder, Outcome]:
-    """Carry out the run; returns it, the folder of its files below `parent`, and the outcome. `begun`: content of hil.json
-    before the run. An unforeseen error is raised after the files are written from the log, as far as possible."""
+    """Carry out a run; returns it, the folder of its files below `parent`, and the outcome. `run` makes it, with the log in a
+    folder and the command `after` of `session`. `begun`: content of hil.json before it. `beside`: a plant FMU's name and its
+    loop. An unforeseen error is raised after the files are written from the log, as far as possible."""
     if page:
         page.part("run")
     folder = OutputFolder(run_folder(parent.path, begun["begun"]))
     folder.write("hil.json", as_json(begun))
     say(f"this run's files: {folder.path}")
-    command = [sys.executable, "-m", "vpp_fmu", "hil", "report", str(folder.path.absolute())]
     try:
-        own = task.setup, task.controller, task.profile, folder.path, task.start, task.twin
-        done = run_on_rig(*own, command, page, task.inject)
+        done = run(folder.path, [sys.executable, "-m", "vpp_fmu", "hil", "report", str(folder.path.absolute())])
     except BaseException as error:
-        _cut_short(folder, begun, error, say, report)
+        record, content = summary_of_files(folder.path / LOG, begun)
+        content["ended"] = " ".join(str(error).split()) or type(error).__name__
+        with contextlib.suppress(BadInput):  # the first error is the one to report
+            found = finish(folder, content, record, report)
+            for line in lines_of(found) if record else ():
+                say(line)
         raise
     if page:
         page.end(done.ended or "as planned")
-    task.controller.close()
     content = done.session.summary() | begun | {"ended": done.ended}
-    if task.twin:
-        content["twin"] |= {"alarms": [one._asdict() for one in task.twin.alarms]}
+    content |= twin_entry(begun, done.session.rig.events)
     try:
-        found = finish(folder, content, done.log, report, task.beside)
+        return done, folder, finish(folder, content, done.log, report, beside)
     except BadInput as refused:
         if not done.ended:
             raise
         raise RunEnded(f"{done.ended}; {refused}") from refused
-    return done, folder, found
-
-
-def _cut_short(folder: OutputFolder, begun: dict, error: BaseException, say: Say, report: Report) -> None:
-    """Write the files of a run that an unforeseen error ended, from its log if there is one."""
-    record, content = summary_of_files(folder.path / LOG, begun)
-    content["ended"] = " ".join(str(error).split()) or type(error).__name__
-    with contextlib.suppress(BadInput):  # the first error is the one to report
-        if record is None:
-            folder.write("hil.json", as_json(content | {"status": ENDED_EARLY, "completed": now()}))
-        else:
-            for line in lines_of(finish(folder, content, record, report)):
-                say(line)
 
 
 def of_log(log: Path) -> tuple[Record | None, dict, bool]:
@@ -167,30 +142,17 @@ def of_log(log: Path) -> tuple[Record | None, dict, bool]:
     return record, content, True
 
 
-def fmu_loop(plant: str, controller: Controller, profile: Record, start: tuple[float, float], limits: Limits) -> Record:
-    """The same loop with a plant FMU behind the same limits."""
-    limited = LimitedPlant(FmuPlant(plant), limits)
-    record = run_loop(limited, controller, profile, start)
-    limited.close()
-    controller.close()
-    return record
-
-
-def finish_fmu(folder: OutputFolder, plant: str, record: Record, limits: Mapping[str, tuple[float, float]]) -> dict:
-    """Write the files of a run with a plant FMU instead of the rig, except its page; returns the content of hil.json. `limits`:
-    as of `judged_steps`."""
+def finish_fmu(folder: OutputFolder, plant: str, record: Record, limits: Mapping[str, tuple[float, float]]) -> Outcome:
+    """Write the files of a run with a plant FMU instead of the rig, except its page. `limits` of its commands."""
     write_run(folder.path / "run.csv", record)
-    content = {"format": "vpp-hil/1", "rig": "fmu", "plant": Path(plant).name, **_settling({"plant FMU": record}, limits)}
-    folder.write("hil.json", as_json(content))
-    return content
+    found = Outcome({"format": "vpp-hil/1", "rig": "fmu", "plant": Path(plant).name}, None, {"plant FMU": record}, None, limits)
+    found.content.update(found.judged())
+    folder.write("hil.json", as_json(found.content))
+    return found
 
 
 def finish(
-    folder: OutputFolder,
-    content: dict,
-    log: Record | None,
-    report: Report,
-    beside: tuple[str, Record] | None = None,
+    folder: OutputFolder, content: dict, log: Record | None, report: Report, beside: tuple[str, Record] | None = None
 ) -> Outcome:
     """Write the files of a run. `content`: of hil.json, with `ended`: why the run ended early, or "".
 
@@ -202,45 +164,33 @@ def finish(
     if loops and (taken := energy(record)):
         content["energy"] = taken
     if "twin" in content:
-        content["twin"] = _with_residual(content["twin"], log)
+        content["twin"] = {"alarms": [], **content["twin"], "residual_rms": None if log is None else _rms(log["residual"])}
     real_time = log is not None and content.get("timing")
     if loops and beside is not None:
         loops["plant FMU"] = beside[1]
-        rms = float(np.sqrt(np.mean(difference(*reversed(loops.values()))["thrust"] ** 2)))
-        content["beside"] = {"plant": beside[0], "rms_thrust": rms}
-    found = Outcome(content, log, loops, timing(log) if real_time else None)
-    content |= _settling(loops, found.reach)
+        content["beside"] = {"plant": beside[0], "rms_thrust": _rms(difference(*reversed(loops.values()))["thrust"])}
+    limits = reach(content.get("limits", {}), content.get("controller", {}).get("limits", {}))
+    found = Outcome(content, log, loops, timing(log) if real_time else None, limits)
+    content |= found.judged()
     refusals: list[BadInput] = []
-    with _collected(refusals):
-        folder.write("hil.json", as_json(content))  # first: on a full disk the reason of the end is worth most
-    if loops:
-        with _collected(refusals):
-            write_run(folder.path / "run.csv", record)
-    with _collected(refusals):
-        folder.write("report.html", report(found))
+    for write in (  # hil.json first: on a full disk the reason of the end is worth most
+        lambda: folder.write("hil.json", as_json(content)),
+        lambda: write_run(folder.path / "run.csv", record) if loops else None,
+        lambda: folder.write("report.html", report(found)),
+    ):
+        try:
+            write()
+        except BadInput as refused:
+            refusals.append(refused)
     if refusals:
         raise refusals[0]
     return found
 
 
-@contextlib.contextmanager
-def _collected(refusals: list[BadInput]) -> Iterator[None]:
-    try:
-        yield
-    except BadInput as refused:
-        refusals.append(refused)
-
-
-def _with_residual(twin: dict, log: Record | None) -> dict:
-    """The twin's entries with its residual, and its alarms from the log if the run could not report them."""
-    if log is None or LEARNED + "direction" not in log:
-        return {"alarms": [], **twin, "residual_rms": None}
-    rows = log.part(np.isfinite(log["residual"]))
-    begins = np.flatnonzero(np.diff(rows["alarm"], prepend=0.0) > 0.5)
-    at = zip(*(column[begins].tolist() for column in (rows.time, rows["residual"], rows[LEARNED + "direction"])), strict=True)
-    found = [alarm_of(*values, twin["adapted"])._asdict() for values in at]
-    rms = float(np.sqrt(np.mean(rows["residual"] ** 2))) if len(rows) else None
-    return {"alarms": found, **twin, "residual_rms": rms}
+def _rms(values: np.ndarray) -> float | None:
+    """Root mean square of the known ones of (n,) values."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else None
 
 
 def energy(run: Record) -> dict | None:
@@ -288,27 +238,21 @@ def judged_steps(run: Record, limits: Mapping[str, tuple[float, float]]) -> list
     return steps(smoothed(run, SPAN), BAND, limits)
 
 
-def _settling(loops: Mapping[str, Record], limits: Mapping[str, tuple[float, float]]) -> dict:
-    """Entries of hil.json about the changes of the set-point in each loop."""
-    judged = {name: [asdict(step) for step in judged_steps(loop, limits)] for name, loop in loops.items()}
-    return {"units": UNITS, "steps": judged}
-
-
 def said(step: Step, name: str) -> str:
     never = f"is out of reach, {step.reached}" if step.stuck else "does not settle"
     when = never if step.settling is None else f"settles within {number(step.settling, 3)} s"
     return f"{name}: the step from {number(step.before)} to {number(step.after)} N at {number(step.time)} s {when}"
 
 
-def step_lines(loops: dict[str, Record], limits: Mapping[str, tuple[float, float]]) -> list[str]:
+def step_lines(found: Outcome) -> list[str]:
     """The steps of the set-point, one a line."""
-    judged = [(name, step) for name, loop in loops.items() for step in judged_steps(loop, limits)]
-    return [f"{said(step, name)}, overshoot {step.overshoot:.1f} %" for name, step in judged]
+    steps = [(name, step) for name, steps in found.steps.items() for step in steps]
+    return [f"{said(step, name)}, overshoot {step.overshoot:.1f} %" for name, step in steps]
 
 
 def lines_of(found: Outcome) -> list[str]:
     """The results of a run in words."""
-    content, lines = found.content, step_lines(found.loops, found.reach)
+    content, lines = found.content, step_lines(found)
     if "energy" in content:
         lines.append("energy from the supply: {}, {}".format(*energy_words(content["energy"])))
     if "beside" in content:

@@ -5,7 +5,7 @@ import hashlib
 import os
 import platform
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from hil.loop.log import events_of, read_events
@@ -84,6 +84,11 @@ def begun(setup: Setup, calibration: str | os.PathLike, operator: str, given: Ma
     }
 
 
+def twin_entry(begun: Mapping, events: Iterable[Mapping]) -> dict:
+    """The entry of hil.json for the twin, with the alarms of the events; empty without a twin."""
+    return {"twin": {**begun["twin"], "alarms": [e["alarm"] for e in events if "alarm" in e]}} if "twin" in begun else {}
+
+
 def summary_of_files(log: Path, begun: Mapping) -> tuple[Record | None, dict]:
     """(the log, None if it holds no row; content of `hil.json` for a run whose loop could not write it)."""
     try:
@@ -100,6 +105,7 @@ def summary_of_files(log: Path, begun: Mapping) -> tuple[Record | None, dict]:
     ended = "; ".join([*faults[:1], *acted]) or "the loop was gone without a word"
     summary = {
         **begun,
+        **twin_entry(begun, events),
         **told,
         "counters": next((event["counters"] for event in reversed(events) if "counters" in event), {}),
         "log": {"ticks": rows, "rows": rows, "lost": 0, "failure": ""},

@@ -1,6 +1,6 @@
 """The twin of an identified rig: its priors, residual band and adapted parameters, and one update per tick beside the rig."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -81,13 +81,6 @@ class Alarm(NamedTuple):
     cause: str
 
 
-def alarm_of(t: float, residual: float, direction: float, adapted: Mapping[str, Mapping]) -> Alarm:
-    """The alarm at t [s] for a twin's outputs; `adapted` as in `Twin`."""
-    name = [None, *adapted][round(direction)]
-    like = f"most like a change of {name}, {adapted[name]['description']}" if name else "like no change of one parameter"
-    return Alarm(t, name, f"the rig is not its model, {residual:+.2f} N now, {like}")
-
-
 class Twin:
     """The twin of `twin_of`, in this process; `outputs`: names of the values that `update` returns.
 
@@ -105,8 +98,7 @@ class Twin:
             n: {"start": values[n], "change": values[f"change.{n}"], "unit": parts[n].unit, "description": parts[n].description}
             for n in names
         }
-        self._inputs = [u.start for u in own.model.inputs]
-        self._at = [[u.name for u in own.model.inputs].index(name) for name in ("omega_ref", "beta_ref", "thrust", "omega")]
+        self._inputs = {u.name: u.start for u in own.model.inputs}
         self._shown = [self.outputs.index(name) for name in ("residual", "alarm", "direction")]
         self._stepper, self._dt, self._time = Stepper(own.model, own.values), dt, 0.0
         self.alarms: list[Alarm] = []
@@ -127,7 +119,11 @@ class Twin:
         outputs = self._stepper.step(self._before, self._dt)
         self.residual, alarm, direction = (outputs[k] for k in self._shown)
         if alarm > 0.5 and not self.alarmed:
-            self.alarms.append(alarm_of(t, self.residual, direction, self.adapted))
+            name = [None, *self.adapted][round(direction)]
+            like = "like no change of one parameter"
+            if name:
+                like = f"most like a change of {name}, {self.adapted[name]['description']}"
+            self.alarms.append(Alarm(t, name, f"the rig is not its model, {self.residual:+.2f} N now, {like}"))
         self.alarmed = alarm > 0.5
         return outputs
 
@@ -136,8 +132,6 @@ class Twin:
         known = {"false_alarms_per_hour": FALSE_ALARMS, "certain": CERTAIN}
         return known | {"units": self.units, "adapted": self.adapted}
 
-    def _given(self, *values: float) -> list[float]:
-        given = list(self._inputs)
-        for place, value in zip(self._at, values, strict=True):
-            given[place] = value
-        return given
+    def _given(self, omega_ref: float, beta_ref: float, thrust: float, omega: float) -> list[float]:
+        read = {"omega_ref": omega_ref, "beta_ref": beta_ref, "thrust": thrust, "omega": omega}
+        return [*(self._inputs | read).values()]

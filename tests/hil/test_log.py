@@ -12,7 +12,7 @@ import time
 import numpy as np
 import pytest
 
-from hil.loop.log import Column, Logged, MemoryLog, ProcessLog, Reader, largest
+from hil.loop.log import Column, Logged, MemoryLog, ProcessLog, Reader, events_of, largest, read_events
 
 COLUMNS = (Column("time"), Column("exact", exact=True), Column("short"), Column("state", words=("safe", "run")))
 ROWS = [(0.004 * k, math.pi / (k + 1), math.e * k if k % 3 else math.nan, float(k % 2)) for k in range(5000)]
@@ -69,6 +69,18 @@ def test_a_row_that_finds_no_room_is_counted_and_the_loop_does_not_wait(tmp_path
     times = np.array([float(c["time"]) for c in read(tmp_path / "run.csv")])
     assert len(times) == done.rows
     assert (np.diff(times) == 1.0).all()  # the newest rows are lost, the older ones are intact
+
+
+def test_events_and_rows_on_one_pipe_do_not_disturb_each_other(tmp_path):
+    log, noted = ProcessLog(tmp_path / "run.csv", COLUMNS), []
+    for k, row in enumerate(ROWS):
+        log.put(*row)
+        if k % 10 == 0:  # in all, ten times what the writer reads at once
+            noted.append({"time": row[0], "why": "x" * (k % 70)})
+            log.note(noted[-1])
+    assert log.close() == Logged(len(ROWS), 0)
+    assert [float(c["exact"]) for c in read(tmp_path / "run.csv")] == [row[1] for row in ROWS]
+    assert read_events(events_of(tmp_path / "run.csv")) == noted
 
 
 def test_a_killed_loop_leaves_a_complete_log(tmp_path):

@@ -1,4 +1,4 @@
-"""A rig's day: rounds of runs, diagnosis and tuning. A flight is a run of the rig under a control law over a profile, a mission
+"""A rig's day: rounds of runs, diagnosis and tuning. A flight is a run of the rig with a controller over a profile, a mission
 a flight over random thrust levels beside the twin."""
 
 from collections.abc import Mapping
@@ -9,25 +9,24 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import ttest_ind
 
-from hil.loop.columns import LEARNED
 from hil.loop.cycle import PERIOD
+from hil.loop.rig import RunEnded
 from hil.loop.session import Setup
-from hil.run import profile_start, run_on_rig, write_run
+from hil.run import Run, run_on_rig, write_run
 from hil.twin.twin import Alarm, Twin
 from identification.tune.objective import ALPHA
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import DUAL
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.plants import KernelController
-from vpp_fmu.policy import Policy
 from vpp_fmu.record import Record
 
 GAINS = tuple(DUAL)
 """Names of a controller's gains, which the paper's cost counts."""
 
 BETTER = 0.1
-"""Level of the t test that a new law is better than the present one. A lower level would reject more of the better laws, which
-may return in the next round."""
+"""Level of the t test that new gains are better than the present ones. A lower level would reject more of the better gains,
+which may return in the next round."""
 
 HOLDS = 1.5, 6.0
 """Range of the hold time [s] of a mission's levels on a rig of the paper's time scale: transients settle in the shorter ones,
@@ -37,50 +36,23 @@ MISSION = 90.0
 """Duration of a mission there, s: some 25 levels, as in a campaign's open loop."""
 
 PRESENT = "what flew"
-"""Name of the present law among those that are compared."""
-
-
-@dataclass(frozen=True, eq=False)
-class Law:
-    """A control law: the controller's `settings`, or a learned `policy` that falls back on them."""
-
-    settings: Mapping[str, float]
-    policy: Policy | None = None
-
-    def controller(self, setup: Setup) -> KernelController:
-        """The law for a flight on a rig."""
-        if self.policy is None:
-            return KernelController(self.settings, PERIOD)
-        own = self.policy.parameters(self.settings, setup.allowed.scales)
-        return KernelController(own.values, PERIOD, own.model)
-
-
-@dataclass(frozen=True, eq=False)
-class Flight:
-    """`record`: as in run.csv; `twin`: outputs of the twin (rows,) by name, empty without one; `units`: of its
-    parameters; `alarms`: the twin's, in s from the record's start; `costs`: the paper's cost (eq. 21) of the measured thrust,
-    for each repetition of the profile, empty if the flight ended early; `ended`: the reason for that, else ""."""
-
-    record: Record
-    twin: Mapping[str, np.ndarray]
-    units: Mapping[str, str]
-    alarms: tuple[Alarm, ...]
-    costs: tuple[float, ...]
-    ended: str
+"""Name of the present gains among those that are compared."""
 
 
 @dataclass(frozen=True, eq=False)
 class Round:
     """A round, its `number` from 1, with the effects `hidden` in the rig.
 
-    `mission`: its first flight; `verdict` of the diagnosis of the mission, and the effects that it `named`. `parameters`: the
-    next model; `before`, `after`: rms thrust errors [N] in the mission of the present model, which has not seen it, and of the
-    next one. `costs`: by law, measured costs of the profile's repetitions; `winner`: the next `law`.
+    `mission`: its first flight, and the twin's `alarms` in it, in s from its record's start; `verdict` of the diagnosis of the
+    mission, and the effects that it `named`. `parameters`: the next model; `before`, `after`: rms thrust errors [N] in the
+    mission of the present model, which has not seen it, and of the next one. `costs`: by gains, measured costs of the profile's
+    repetitions; `winner`: the next `settings` of the controller.
     """
 
     number: int
     hidden: tuple[str, ...]
-    mission: Flight
+    mission: Run
+    alarms: tuple[Alarm, ...]
     verdict: str
     named: tuple[str, ...]
     parameters: ParameterSet
@@ -88,20 +60,20 @@ class Round:
     after: float
     costs: Mapping[str, tuple[float, ...]]
     winner: str
-    law: Law
+    settings: Mapping[str, float]
 
     @property
     def cost(self) -> float:
-        """Mean measured cost of the next law."""
+        """Mean measured cost of the next settings."""
         return float(np.mean(self.costs[self.winner]))
 
 
 @dataclass(eq=False)
 class Day:
-    """A day's rounds, its initial model and controller, and the profile over which laws are compared."""
+    """A day's rounds, its initial model and controller, and the profile over which gains are compared."""
 
     begun: ParameterSet
-    settings: Mapping[str, float]
+    first: Mapping[str, float]
     profile: Record
     rounds: list[Round] = field(default_factory=list)
 
@@ -110,24 +82,34 @@ class Day:
         return self.rounds[-1].parameters if self.rounds else self.begun
 
     @property
-    def law(self) -> Law:
-        return self.rounds[-1].law if self.rounds else Law(self.settings)
+    def settings(self) -> Mapping[str, float]:
+        return self.rounds[-1].settings if self.rounds else self.first
+
+    @property
+    def alarms(self) -> int:
+        """Rounds with an alarm."""
+        return sum(bool(one.alarms) for one in self.rounds)
+
+    @property
+    def added(self) -> list[str]:
+        """Effects that were added to the model."""
+        return [name for one in self.rounds for name in one.named]
+
+    @property
+    def cost(self) -> tuple[float, float]:
+        """Mean measured cost of the initial settings, and of those that fly next."""
+        return float(np.mean(self.rounds[0].costs[PRESENT])), self.rounds[-1].cost
 
 
-def fly(setup: Setup, law: Law, profile: Record, folder: Path, twin: Twin | None = None, times: int = 1) -> Flight:
-    """Close the loop on the rig over a profile, repeated `times` times, under a law; log and run.csv go to `folder`.
-    BadInput."""
+def fly(setup: Setup, settings: Mapping[str, float], profile: Record, folder: Path, twin: Twin | None = None) -> Run:
+    """Close the loop on the rig over a profile by a controller of these settings; log and run.csv go to `folder`. BadInput;
+    RunEnded if it ended early."""
     OutputFolder(folder)
-    done = run_on_rig(setup, law.controller(setup), repeated(profile, times), folder, twin=twin)
+    done = run_on_rig(setup, KernelController(settings, PERIOD), profile, folder, twin=twin)
     write_run(folder / "run.csv", done.record)
-    rows = np.flatnonzero(np.isfinite(done.log["omega_wanted"]))
-    shown = {name: done.log[LEARNED + name][rows] for name in twin.outputs} if twin else {}
-    units = {name: one["unit"] for name, one in twin.adapted.items()} if twin else {}
-    began = profile_start(done.log)
-    alarms = tuple(one._replace(time=one.time - began) for one in twin.alarms) if twin else ()
-    went = [] if done.ended else passes(done.record, profile, times)
-    costs = tuple(measured_cost(done.record.part(rows), law.settings) for rows in went)
-    return Flight(done.record, shown, units, alarms, costs, done.ended)
+    if done.ended:
+        raise RunEnded(done.ended)
+    return done
 
 
 def repeated(profile: Record, times: int) -> Record:
@@ -138,22 +120,23 @@ def repeated(profile: Record, times: int) -> Record:
     return Record(rows | {"time": rows["time"] + length * np.repeat(np.arange(times), counts)}, profile.source)
 
 
-def passes(record: Record, profile: Record, times: int) -> list[slice]:
-    """Rows of each repetition of a run over a profile `repeated` `times` times."""
+def costs_of(record: Record, profile: Record, times: int, settings: Mapping[str, float]) -> tuple[float, ...]:
+    """The cost of each repetition of a run over a profile `repeated` `times` times."""
     length = float(profile.time[-1] - profile.time[0])
     edges = np.searchsorted(record.time - record.time[0], length * np.arange(1, times) - 0.5 * PERIOD)
-    return [slice(a, b) for a, b in pairwise([0, *edges.tolist(), len(record)])]
+    rows = [slice(a, b) for a, b in pairwise([0, *edges.tolist(), len(record)])]
+    return tuple(measured_cost(record.part(each), settings) for each in rows)
 
 
 def measured_cost(record: Record, settings: Mapping[str, float]) -> float:
-    """Integral of the squared error over the thrust's scale [s], and the cost of the gains."""
+    """The paper's cost (eq. 21) of the measured thrust: integral of the squared error over its scale [s], and the gains'."""
     error = (record["thrust_set"] - record["thrust"]) / settings["thrust_scale"]
     gains = np.array([settings[name] for name in GAINS])
     return float(np.sum(error**2) * PERIOD + ALPHA * gains @ gains)
 
 
 def best_of(costs: Mapping[str, tuple[float, ...]]) -> str:
-    """The law with the lowest mean cost; the first, the present one, if the test does not find the other better."""
+    """The gains with the lowest mean cost; the first, the present ones, if the test does not find the others better."""
     flew, best = next(iter(costs)), min(costs, key=lambda name: float(np.mean(costs[name])))
     return best if best == flew or ttest_ind(costs[best], costs[flew], alternative="less").pvalue < BETTER else flew
 

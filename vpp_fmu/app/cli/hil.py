@@ -12,7 +12,7 @@ import math
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -27,17 +27,14 @@ from hil.emulator.rig import CALIBRATION, POWERED, calibrated_for, effects_to_hi
 from hil.loop.bench import Wiring, check_limits
 from hil.loop.cycle import PERIOD
 from hil.loop.session import REPORT, Setup, found_log
-from hil.page.operator_page import OperatorPage, served
+from hil.page.operator_page import OperatorPage
 from hil.replay import other_settings, replay
 from hil.results.campaign_folder import Measuring, commands_of, records_of
 from hil.results.outcome import (
     Outcome,
-    RunSetup,
     carry_out,
     finish,
     finish_fmu,
-    fmu_loop,
-    judged_steps,
     kept_of,
     limits_by_end,
     lines_of,
@@ -46,7 +43,7 @@ from hil.results.outcome import (
     step_lines,
 )
 from hil.results.runs import begun, file_entry
-from hil.run import ON_ALARM, check_profile, start_of
+from hil.run import ON_ALARM, LimitedPlant, Run, check_profile, run_on_rig, start_of
 from hil.safety.limits import Limits
 from hil.selftest import selftest
 from hil.twin.band import read_band
@@ -76,6 +73,7 @@ from vpp_fmu.date import now
 from vpp_fmu.errors import BadInput, RecordWarning, VppError
 from vpp_fmu.files import OutputFolder, read_text
 from vpp_fmu.kernel.signals import BETA_REF, OMEGA_REF
+from vpp_fmu.loop import run as run_loop
 from vpp_fmu.parameters import ParameterSet, beside, check_same_model, knowledge_file, parameters_file
 from vpp_fmu.plants import COMMANDS, Controller, FmuController, FmuPlant, KernelController, KernelPlant
 from vpp_fmu.reach import warn_beyond_reach
@@ -240,10 +238,10 @@ def _run(options) -> Answer:
             raise BadInput("command line", "--watch", "--rig fmu", "an emulated or real rig: a loop of FMUs ends in seconds")
         folder = OutputFolder(options.output)
         record, limits = _fmu_loop(rig.plant, options, profile)
-        content = finish_fmu(folder, rig.plant, record, limits)
-        folder.write("report.html", fmu_page(rig.plant, record, options.profile, limits).html())
-        lines += step_lines({"plant FMU": record}, limits)
-        return Answer(headline(judged_steps(record, limits)), content, lines, written=written(options, folder))
+        found = finish_fmu(folder, rig.plant, record, limits)
+        folder.write("report.html", fmu_page(rig.plant, options.profile, found).html())
+        (steps,) = found.steps.values()
+        return Answer(headline(steps), found.content, [*lines, *step_lines(found)], written=written(options, folder))
     setup, controller = setup_of(options), controller_of(options)
     check_profile(profile, setup.limits)
     start = start_of(options.start, setup.limits, setup.allowed)
@@ -256,34 +254,28 @@ def _run(options) -> Answer:
     twin = _twin(options)
     other = (Path(options.beside).name, _fmu_loop(options.beside, options, profile)[0]) if options.beside else None
     inject = _injected(options, setup, float(profile.time[-1] - profile.time[0]))
-    task = RunSetup(setup, controller, profile, start, twin, other, inject)
     parent = OutputFolder(options.output)
     lines.append(allowed_words(setup.allowed))
-    content = _begun(options, setup) | task.summary()
+    content = _begun(options, setup) | ({"injected": dict(zip(("fault", "after"), inject, strict=True))} if inject else {})
+    content |= {"twin": twin.summary()} if twin else {}
     content["controller"]["limits"] = limits_by_end(controller.limits)
-    with watched(options, content) as page, Lines(options) as shown:
+    with contextlib.closing(controller), watched(options, content) as page, Lines(options) as shown:
         confirm(setup, lines)
-        done, folder, found = carry_out(
-            task, content | {"begun": now()}, parent, page, shown, lambda found: run_page(found).html()
-        )
-        return _answer(found, [*lines, *shown], written(options, folder), done.judge)
+
+        def run(folder: Path, after: Sequence[str]) -> Run:
+            return run_on_rig(setup, controller, profile, folder, start, twin, after, page, inject)
+
+        begun_now, report = content | {"begun": now()}, lambda found: run_page(found).html()
+        done, folder, found = carry_out(run, begun_now, parent, page, shown, report, other)
+    return _answer(found, [*lines, *shown], written(options, folder), done.failure)
 
 
-def _answer(found: Outcome, lines: list[str], place: list[str], judge: Callable[[], None] = lambda: None) -> Answer:
-    """The answer of a run. `judge` raises the failure that the run found, if any."""
+def _answer(found: Outcome, lines: list[str], place: list[str], failure: VppError | None = None) -> Answer:
+    """The answer of a run; `failure`: what went wrong in it."""
     content = found.content
-    judged = [judged_steps(loop, found.reach) for loop in found.loops.values()]
-    text = headline(judged[0]) if judged else "No row of the loop was measured."
+    text = headline(next(iter(found.steps.values()))) if found.steps else "No row of the loop was measured."
     early = f"The run ended early: {content['ended']}. " if content["ended"] else ""
-    return Answer(f"{early}{text}", content, [*lines, *lines_of(found)], written=place, failure=_failure(judge))
-
-
-def _failure(judge: Callable[[], None]) -> VppError | None:
-    """What `judge` raises, if anything."""
-    try:
-        return judge()
-    except VppError as failure:
-        return failure
+    return Answer(f"{early}{text}", content, [*lines, *lines_of(found)], written=place, failure=failure)
 
 
 def _campaign(options) -> Answer:
@@ -349,7 +341,7 @@ def _selftest(options) -> Answer:
         lines.insert(0, f"loop: {content['real_time']}; {busy}\n{timing.text()}")
     good = sum(one.good for one in found.checks)
     text = f"{good} of {len(found.checks)} checks of the rig are good."
-    return Answer(text, content, lines, written=written(options, folder), failure=_failure(found.judge))
+    return Answer(text, content, lines, written=written(options, folder), failure=found.failure)
 
 
 def _report(options) -> Answer:
@@ -501,9 +493,9 @@ def _fmu_loop(path: str, options, profile: Record) -> tuple[Record, dict[str, tu
     check_profile(profile, limits)
     start, controller = start_of(options.start, limits, allowed), controller_of(options)
     reached = reach(asdict(limits), limits_by_end(controller.limits))
-    with contextlib.closing(FmuPlant(path)) as plant:
+    with contextlib.closing(controller), contextlib.closing(LimitedPlant(FmuPlant(path), limits)) as plant:
         warn_beyond_reach(profile, plant, reached)
-    return fmu_loop(path, controller, profile, start, limits), reached
+        return run_loop(plant, controller, profile, start), reached
 
 
 def _twin(options) -> Twin | None:
@@ -575,18 +567,16 @@ def confirm(setup: Setup, lines: Sequence[str]) -> None:
         raise BadInput("confirmation", "typed word", repr(typed), WORD)
 
 
-@contextlib.contextmanager
-def watched(options, content: Mapping) -> Iterator[OperatorPage | None]:
+def watched(options, content: Mapping) -> contextlib.AbstractContextManager[OperatorPage | None]:
     """A context with the operator's page, if --watch is given; its address is printed. BadInput."""
     if options.watch is None:
-        yield None
-        return
+        return contextlib.nullcontext()
     if options.virtual:
         allowed = "a run in real time: a virtual one ends in seconds"
         raise BadInput("command line", "--watch", "--watch and --virtual", allowed)
-    with served(content, options.watch) as page:
-        print(f"operator's page: {page.address}", flush=True)  # at once, with --quiet too, because the page has STOP
-        yield page
+    page = OperatorPage(content, options.watch)
+    print(f"operator's page: {page.address}", flush=True)  # at once, with --quiet too, because the page has STOP
+    return page
 
 
 VERBS = {

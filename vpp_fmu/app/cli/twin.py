@@ -1,9 +1,9 @@
 """A rig's day: model and controller improve each other round by round, during operation.
 
 Each round runs the rig over random thrust levels, a mission, beside the twin, and diagnoses the mission's record from the
-present model on: its parameters are fitted anew, and missing effects are added. A new law is made for this model, and compared
-with the present one by the measured cost on the rig; it is used next if it is better. On the real rig each flight waits for the
-operator's consent."""
+present model on: its parameters are fitted anew, and missing effects are added. The gains are tuned on this model, and compared
+with the present ones by the measured cost on the rig; they are used next if they are better. On the real rig each flight waits
+for the operator's consent."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -13,20 +13,19 @@ from hil.loop.session import Setup
 from hil.twin.band import Band, read_band
 from identification.tune.controllers import controllers
 from vpp_fmu.app.api.objects import as_gains, as_parameters
-from vpp_fmu.app.api.rounds import MODEL_BASED, POLICIES, Rig, new_day, next_round
+from vpp_fmu.app.api.rounds import MODEL_BASED, POLICIES, Rig, gains_of, new_day, next_round
 from vpp_fmu.app.cli import hil
 from vpp_fmu.app.cli.answer import Answer, Lines
 from vpp_fmu.app.cli.hil import allowed_words
 from vpp_fmu.app.cli.options import WORKERS, add_gains, whole
 from vpp_fmu.app.cli.output import stages, written
-from vpp_fmu.app.day import GAINS, PRESENT, Day, Round
+from vpp_fmu.app.day import GAINS, Day, Round
 from vpp_fmu.app.report.pages.day import day_page
 from vpp_fmu.app.report.result import dated
 from vpp_fmu.app.report.sentences import change
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
-from vpp_fmu.kernel.controller import CONTROLLER
-from vpp_fmu.parameters import POLICY, ParameterSet, beside, check_same_model, parameters_file, to_json
+from vpp_fmu.parameters import beside, check_same_model, parameters_file, to_json
 from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp twin monday --virtual --rounds 4 --parameters out/parameters.json --hide load_cell_gain=0.85"
@@ -39,8 +38,7 @@ def configure(parser):
     parser.add_argument("--parameters", type=parameters_file, metavar="F", required=True, help=text)
     text = "the controller's that fly first (default: the published ones, at the pace of the parameters' rig)"
     add_gains(parser, text)
-    text = "source of new laws (default: %(default)s, gains tuned on the model; fixed: none; learned: a network that is "
-    text += "learned on plants of the model)"
+    text = "source of new gains (default: %(default)s, tuned on the model; fixed: none)"
     parser.add_argument("--policy", choices=POLICIES, default=MODEL_BASED, help=text)
     text = "of the emulated rig: first round with the effects of --hide (default: %(default)s)"
     parser.add_argument("--hidden-from", type=whole(1, 50), default=2, metavar="K", help=text)
@@ -73,11 +71,7 @@ def _round(options, day: Day, rig: Rig, band: Band, number: int, folder: OutputF
     """Fly a round and write its files; returns the content of day.json so far."""
     own = OutputFolder(folder.path / f"round_{number}")
     with stages("vpp twin", options.quiet) as stage:
-
-        def of_round(text: str) -> None:
-            stage(f"round {number}: {text}")
-
-        done = next_round(day, rig, band, options.policy, own.path, options.seed, options.workers, of_round)
+        done = next_round(day, rig, band, options.policy, own.path, options.seed, options.workers, stage)
     day.rounds.append(done)
     for line in said(done):
         shown(line)
@@ -86,12 +80,10 @@ def _round(options, day: Day, rig: Rig, band: Band, number: int, folder: OutputF
 
 def headline(day: Day) -> str:
     """The day in a sentence: error and cost at its begin and end."""
-    first, last = day.rounds[0], day.rounds[-1]
-    alarms = sum(bool(one.mission.alarms) for one in day.rounds)
-    added = [name for one in day.rounds for name in one.named]
+    error = change(day.rounds[0].before, day.rounds[-1].after, "N")
     return (
-        f"{len(day.rounds)} rounds, {alarms} with an alarm: thrust error {change(first.before, last.after, 'N')}, cost on the "
-        f"rig {change(mean(first.costs[PRESENT]), last.cost, '1')}; effects added: {', '.join(added) or 'none'}."
+        f"{len(day.rounds)} rounds, {day.alarms} with an alarm: thrust error {error}, cost on the "
+        f"rig {change(*day.cost, '1')}; effects added: {', '.join(day.added) or 'none'}."
     )
 
 
@@ -116,7 +108,7 @@ def _rig(options, setup: Setup) -> Rig:
 
 
 def said(done: Round) -> list[str]:
-    alarms = [f"alarm after {one.time:.0f} s, {one.cause}" for one in done.mission.alarms]
+    alarms = [f"alarm after {one.time:.0f} s, {one.cause}" for one in done.alarms]
     lines = [f"round {done.number}: {'; '.join(alarms) or 'no alarm'}"]
     lines.append(f"  diagnosis of the mission: {done.verdict}{''.join(f' {name}' for name in done.named)}")
     lines.append(f"  error of the thrust in the mission: {done.before:.4f} N before, {done.after:.4f} N fitted anew")
@@ -129,15 +121,12 @@ def said(done: Round) -> list[str]:
 
 def _write(folder: OutputFolder, own: OutputFolder, day: Day, done: Round) -> dict:
     """Files after a round: its model and gains, and the day so far; returns the content of day.json."""
-    gains = ParameterSet(CONTROLLER, source={"made_by": "vpp twin", "round": done.number})
-    gains = gains.replaced({n: v for n, v in done.law.settings.items() if n in {p.name for p in CONTROLLER.parameters}})
-    source = {**done.parameters.source, "made_by": "vpp twin", "round": done.number}
-    model = replace(done.parameters, source=source)
+    source = {"made_by": "vpp twin", "round": done.number}
+    gains = replace(gains_of(done.settings), source=source)
+    model = replace(done.parameters, source=done.parameters.source | source)
     for where in (own, folder):
         where.write("parameters.json", to_json(dated(model)))
         where.write("gains.json", to_json(dated(gains)))
-        if done.law.policy:
-            where.write(POLICY, as_json(done.law.policy.to_dict()))
     content = {"format": "vpp-day/2", "rounds": [summary(one) for one in day.rounds]}
     folder.write("day.json", as_json(content))
     folder.write("report.html", day_page(day).html())
@@ -149,11 +138,11 @@ def summary(done: Round) -> dict:
     return {
         "round": done.number,
         "hidden": list(done.hidden),
-        "alarms": [one._asdict() for one in done.mission.alarms],
+        "alarms": [one._asdict() for one in done.alarms],
         "verdict": done.verdict,
         "named": list(done.named),
         "error": {"before": done.before, "after": done.after, "unit": "N"},
         "costs": {name: list(each) for name, each in done.costs.items()},
         "flies_next": done.winner,
-        "gains": {name: done.law.settings[name] for name in GAINS},
+        "gains": {name: done.settings[name] for name in GAINS},
     }

@@ -9,7 +9,7 @@ from hil.devices.calibration import Calibration
 from hil.loop.columns import LEARNED
 from hil.loop.timing import PERCENTILES, Timing
 from hil.replay import Replay
-from hil.results.outcome import SPAN, Outcome, difference, energy_words, judged_steps, said
+from hil.results.outcome import SPAN, Outcome, difference, energy_words, said
 from hil.run import profile_start
 from hil.selftest import SelfTest
 from vpp_fmu.app.report import style
@@ -31,27 +31,27 @@ def run_page(found: Outcome) -> Page:
     if log is not None:
         begin = profile_start(log)
         log = log.with_columns(time=np.round(log.time - begin, 9))
-    result = headline(judged_steps(next(iter(loops.values())), found.reach)) if loops else "There is no closed loop to judge."
+    result = headline(next(iter(found.steps.values()))) if loops else "There is no closed loop to judge."
     page = Page("Hardware in the loop", result, _summary(content))
     _tiles(page, found)
     if content["ended"]:
         page.note(f"The run ended early. {content['ended']}.")
     if loops:
-        _add_loops(page, loops, found.reach)
+        _add_loops(page, found)
     if len(loops) > 1:
         _add_difference(page, *reversed(loops.items()))
     if log is not None and content.get("twin"):
-        _add_twin(page, log, content["twin"], begin)
+        add_twin(page, log, content["twin"], begin)
     if found.timing:
         _add_timing(page, found.timing, content.get("real_time", "not known"))
     _add_counts(page, content, begin)
     return page
 
 
-def fmu_page(plant: str, record: Record, profile: str, limits: Mapping[str, tuple[float, float]]) -> Page:
-    """The page of a run with a plant FMU in the rig's place; `plant`, `profile`: their files; `limits` of the commands."""
+def fmu_page(plant: str, profile: str, found: Outcome) -> Page:
+    """The page of a run with a plant FMU in the rig's place; `plant`, `profile`: their files."""
     page = Page("Hardware in the loop, with a plant FMU", f"{plant} over {profile}.")
-    _add_loops(page, {"plant FMU": record}, limits)
+    _add_loops(page, found)
     return page
 
 
@@ -78,10 +78,9 @@ def replay_page(found: Replay, text: str) -> Page:
     return page
 
 
-def _add_loops(page: Page, loops: Mapping[str, Record], limits: Mapping[str, tuple[float, float]]) -> None:
-    judged = {name: judged_steps(loop, limits) for name, loop in loops.items()}
-    name, found = next(iter(judged.items()))
-    add_loops(page, loops, judged, limits, said(found[0], name) if found else "", WITHIN)
+def _add_loops(page: Page, found: Outcome) -> None:
+    name, steps = next(iter(found.steps.items()))
+    add_loops(page, found.loops, found.steps, found.limits, said(steps[0], name) if steps else "", WITHIN)
 
 
 def _add_difference(page: Page, first: tuple[str, Record], second: tuple[str, Record]) -> None:
@@ -116,8 +115,8 @@ def _add_counts(page: Page, content: Mapping, begin: float = 0.0) -> None:
     page.table(("device", "what", "times"), rows, "What the devices counted.")
 
 
-def _add_twin(page: Page, log: Record, twin: Mapping, begin: float) -> None:
-    """Residual and parameters of the twin, if the log has them; `begin`: time [s] of the profile's first row."""
+def add_twin(page: Page, log: Record, twin: Mapping, begin: float = 0.0) -> None:
+    """Residual and parameters of the twin, if the log has them; `begin`: time [s] of the profile's first row by its alarms."""
     units = {name: unit for name, unit in twin["units"].items() if LEARNED + name in log}
     if not units or not np.isfinite(log[LEARNED + "band"]).any():
         return
@@ -144,8 +143,8 @@ def _summary(content: dict) -> str:
 def _tiles(page: Page, run: Outcome) -> None:
     """Key figures of the control, then of the timing and the devices."""
     content, found = run.content, run.timing
-    for name, loop in run.loops.items():
-        page.tiles(step_tiles(judged_steps(loop, run.reach), f", {name}"))
+    for name, steps in run.steps.items():
+        page.tiles(step_tiles(steps, f", {name}"))
     if "energy" in content:
         page.tiles([("energy from the supply", *energy_words(content["energy"]))])
     if "beside" in content:
