@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from identification.fit.uncertainty import NORMAL_95
-from identification.power.allocation import COLUMNS, Allocation, allocated_controller, table
+from identification.power.allocation import Allocation, allocated_controller
 from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import panels
 from vpp_fmu.app.report.page import Page
@@ -29,7 +29,7 @@ class AllocateResult(Result):
     @property
     def pairs(self) -> dict[str, np.ndarray]:
         """Columns of allocation.csv, (thrusts,) each: `thrust` [N], `omega` [rpm], `beta` [deg], `power` [W], 95 % limits."""
-        return dict(zip(COLUMNS, np.array(table(self.found)).T, strict=True))
+        return self.found.columns
 
     @property
     def gains(self) -> ParameterSet:
@@ -63,21 +63,19 @@ class AllocateResult(Result):
         ]
 
     def to_dict(self) -> dict[str, Any]:
-        found, (slowest, fastest), (low, high) = self.found, self.found.surface.speed, self.found.surface.pitch
+        found, rig = self.found, self._parameters.rig
+        limits = {"speed": (rig.speed, "rpm"), "pitch": (rig.pitch, "deg")}
         return {
             "format": FORMAT,
             "weight": found.weight,
-            "limits": {
-                "speed": {"min": slowest, "max": fastest, "unit": "rpm"},
-                "pitch": {"min": low, "max": high, "unit": "deg"},
-            },
+            "limits": {name: {"min": low, "max": high, "unit": unit} for name, ((low, high), unit) in limits.items()},
             "kind": found.model.kind,
             "best_fixed_pitch": {"value": found.fixed_beta, "unit": "deg"},
             "saving": found.saving,
         }
 
     def write(self, folder: OutputFolder) -> None:
-        rows = [",".join(COLUMNS), *(",".join(f"{v:.7g}" for v in row) for row in table(self.found))]
+        rows = [",".join(self.pairs), *(",".join(f"{v:.7g}" for v in row) for row in zip(*self.pairs.values(), strict=True))]
         folder.write("allocation.csv", "\n".join(rows) + "\n")
         folder.write("allocation.h", as_c(self.found))
         folder.write("gains.json", to_json(self._dated(self.gains)))
