@@ -1,6 +1,7 @@
 """Power over speed and pitch of an identified plant, with its standard deviation."""
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
@@ -75,25 +76,9 @@ class PowerModel:
         """ELECTRICAL or SHAFT."""
         return ELECTRICAL if any(y.name == "power" for y in self.parameters.model.outputs) else SHAFT
 
-    def at(self, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
-        """Power [W] at speed [rpm] and pitch [deg], which have the same shape."""
-        return self._at(omega, beta, self.parameters.values)
-
-    def gradient(self, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
-        """(..., k) derivatives of the power [W] with respect to the named parameters."""
-        values, columns = self.parameters.values, []
-        for name in self.names:
-            step = STEP * max(abs(values[name]), 1e-9)
-            ends = (self._at(omega, beta, {**values, name: values[name] + s * step}) for s in (1.0, -1.0))
-            columns.append((next(ends) - next(ends)) / (2.0 * step))
-        return np.stack(columns, axis=-1) if columns else np.zeros((*np.shape(omega), 0))
-
-    def std(self, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
-        """Standard error [W] at these points, sqrt(g.T C g) with g the gradient."""
-        g = self.gradient(omega, beta)
-        return np.sqrt(np.einsum("...i,ij,...j->...", g, self.covariance, g))
-
-    def _at(self, omega, beta, values) -> np.ndarray:
+    def at(self, omega: np.ndarray, beta: np.ndarray, changed: Mapping[str, float] | None = None) -> np.ndarray:
+        """Power [W] at speed [rpm] and pitch [deg], which have the same shape; `changed`: parameters of other values."""
+        values = {**self.parameters.values, **(changed or {})}
         w = np.asarray(omega) / values["omega_scale"]
         b = (np.asarray(beta) + values["beta_offset"]) / values["beta_scale"]
         s = SimpleNamespace(w=w, b=b, omega_scale=values["omega_scale"])
@@ -102,3 +87,17 @@ class PowerModel:
                 p = SimpleNamespace(**{q.name: values[effect.full(q.name)] for q in effect.parameters})
                 s.__dict__.update(effect.step(_Arrays(), s, None, p, 0.0)[0])
         return s.power if self.kind == ELECTRICAL else s.torque * np.asarray(omega) * RAD_PER_S
+
+    def gradient(self, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
+        """(..., k) derivatives of the power [W] with respect to the named parameters."""
+        values, found = self.parameters.values, np.empty((*np.shape(omega), len(self.names)))
+        for k, name in enumerate(self.names):
+            step = STEP * max(abs(values[name]), 1e-9)
+            high, low = (self.at(omega, beta, {name: values[name] + way * step}) for way in (1.0, -1.0))
+            found[..., k] = (high - low) / (2.0 * step)
+        return found
+
+    def std(self, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
+        """Standard error [W] at these points, sqrt(g.T C g) with g the gradient."""
+        g = self.gradient(omega, beta)
+        return np.sqrt(np.einsum("...i,ij,...j->...", g, self.covariance, g))

@@ -19,7 +19,7 @@ from identification.power.effects import Signals
 from identification.power.fit import electrical
 from identification.power.model import PowerModel
 from identification.power.regression import STEP, Part, RegressionFit
-from vpp_fmu.kernel.power import MOTOR, POWER_TERMS, RAD_PER_S, polynomial
+from vpp_fmu.kernel.power import MOTOR, POWER_TERMS, RAD_PER_S
 from vpp_fmu.native import Simulator
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
@@ -82,8 +82,8 @@ def power_part(name: str, r: Response, model: PowerModel, block: float, largest:
     to_speed = (model.at(p.omega + near, p.beta) - model.at(p.omega - near, p.beta)) / (2.0 * near)
     to_pitch = (model.at(p.omega, p.beta + by) - model.at(p.omega, p.beta - by)) / (2.0 * by)
     w, b = p.omega / values["omega_scale"], p.beta / values["beta_scale"]
-    static = [polynomial((term,), (1.0,), w, b) + 0.0 * w for term in STATIC]
-    driven = [faster * term for term in (1.0 + 0.0 * w, w, w**2, w**2 * b, w**2 * b**2, faster)]
+    static = [w**i * b**j for i, j in STATIC]
+    driven = [faster * term for term in (1.0, w, w**2, w**2 * b, w**2 * b**2, faster)]
     base = [*static, load, *driven, *r.lags.T, *(w * turn for turn in r.turns.T)]
     step, loss = float(np.median(p.record.steps)), values.get(MOTOR.full("loss"), 0.0)
     feedback = 1.0 / (loss * largest) if loss > 0.0 else 0.0
@@ -97,19 +97,16 @@ def power_part(name: str, r: Response, model: PowerModel, block: float, largest:
 
 
 def supply_parts(power: RegressionFit) -> list[Part]:
-    """The voltages of the records of a fit of power that have voltage and current."""
+    """The voltages of the records of a fit of power that have voltage and current. The current is regressed on the power that
+    the fit predicts. Each record has its own line in time as base."""
     parts = [p for p in power.problem.parts if {"voltage", "current"} <= set(p.record.columns)]
-    return [_supply(part, power, np.eye(len(parts))[k]) for k, part in enumerate(parts)]
-
-
-def _supply(part: Part, power: RegressionFit, own: np.ndarray) -> Part:
-    """The voltage of a record; its current is regressed on the power that the final fit predicts. `own` (records,): 1 for this
-    record, whose line in time no other has."""
-    time, measured = part.record.time, part.record["current"]
-    predicted = part.signals.power + part.base @ power.coefficients + part.response(power.effects, power.x)
-    seen, terms = np.isfinite(measured), np.vander(predicted / np.max(np.abs(predicted)), 3)
-    current = terms @ np.linalg.lstsq(terms[seen], measured[seen], rcond=None)[0]
-    since = time / time[-1]
-    shapes, signals = partial(iter, (since**2, current)), replace(part.signals, current=current)
-    base, volts = np.kron(own, np.vander(since, 2)), part.record["voltage"]
-    return replace(part, measured=volts, base=base, signals=signals, shapes=shapes, largest=float(np.nanmax(np.abs(volts))))
+    found = []
+    for part, own in zip(parts, np.eye(len(parts)), strict=True):
+        volts, measured, since = part.record["voltage"], part.record["current"], part.record.time / part.record.time[-1]
+        predicted = part.signals.power + part.base @ power.coefficients + part.response(power.effects, power.x)
+        seen, terms = np.isfinite(measured), np.vander(predicted / np.max(np.abs(predicted)), 3)
+        current = terms @ np.linalg.lstsq(terms[seen], measured[seen], rcond=None)[0]
+        shapes, signals = partial(iter, (since**2, current)), replace(part.signals, current=current)
+        base, largest = np.kron(own, np.vander(since, 2)), float(np.nanmax(np.abs(volts)))
+        found.append(replace(part, measured=volts, base=base, signals=signals, shapes=shapes, largest=largest))
+    return found

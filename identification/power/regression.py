@@ -15,7 +15,8 @@ from scipy.optimize import least_squares
 from identification.diagnose.command_shapes import regress_out
 from identification.diagnose.crossval import ESTIMABLE, folds, predicted, rms
 from identification.diagnose.judgement import ACCURACY
-from identification.diagnose.score_test import ScoreTest, tested
+from identification.diagnose.lack_of_fit import LackOfFit
+from identification.diagnose.score_test import tested
 from identification.fit.noise import Blocks, Colour, colour_of
 from identification.fit.uncertainty import NORMAL_95
 from identification.power.effects import PowerEffect, Signals
@@ -30,9 +31,6 @@ STEP = 1e-4
 
 RANK = 1e-6
 """Relative singular value below which columns of the base count as collinear."""
-
-LARGEST = 50.0
-"""Largest logarithm of a ratio of an interval's end to the value."""
 
 NONE = np.zeros(0)
 
@@ -68,15 +66,20 @@ class Part:
         """Block means (blocks,) of `response`."""
         return self.at.mean(self.response(effects, x))
 
+    def noise(self, effects: Sequence[PowerEffect], x: np.ndarray) -> Colour:
+        """Noise of the residual beside effects, after a regression on base and shapes."""
+        residual, fitted = self.measured - self.response(effects, x), np.zeros((len(self.at.time), 0))
+        rest, removed = regress_out(lambda: (*self.shapes(), *self.base.T), self.at.mean, residual, fitted)
+        colour = colour_of([self.at.mean(rest)], removed)
+        return replace(colour, innovation=max(colour.innovation, EXACT * self.largest))  # readings without noise
+
 
 class Regression:
-    """A reading of all records, whitened by the colour of the noise of each."""
+    """A reading of all records, whitened by the noise of each beside `effects` with parameters `x`."""
 
-    def __init__(self, parts: Sequence[Part], colours: Sequence[Colour]):
-        self.parts, self.colours = parts, colours
-        self._seen = [np.isfinite(c.whiten(p.means[0])) for p, c in zip(parts, colours, strict=True)]
-        ends = np.cumsum([seen.sum() for seen in self._seen]).tolist()
-        self.slices = [slice(first, end) for first, end in zip([0, *ends], ends, strict=False)]
+    def __init__(self, parts: Sequence[Part], effects: Sequence[PowerEffect] = (), x: np.ndarray = NONE):
+        self.parts, self.colours = parts, [p.noise(effects, x) for p in parts]
+        self.seen = [np.isfinite(c.whiten(p.means[0])) for p, c in zip(parts, self.colours, strict=True)]
         base = self.whitened([p.means[1] for p in parts])
         self.size = np.linalg.norm(base, axis=0)
         self.size[self.size == 0.0] = 1.0
@@ -85,25 +88,10 @@ class Regression:
         self.basis = turned[:, power > RANK * power[0]]
         self.least = ACCURACY * max(p.largest for p in parts)
 
-    @classmethod
-    def of(cls, parts: Sequence[Part], effects: Sequence[PowerEffect] = (), x: np.ndarray = NONE) -> "Regression":
-        """With the noise of the residual beside `effects`, after a regression on base and shapes."""
-        found = []
-        for p in parts:
-            residual, fitted = p.measured - p.response(effects, x), np.zeros((len(p.at.time), 0))
-            rest, removed = regress_out(lambda p=p: (*p.shapes(), *p.base.T), p.at.mean, residual, fitted)
-            colour = colour_of([p.at.mean(rest)], removed)
-            found.append(replace(colour, innovation=max(colour.innovation, EXACT * p.largest)))  # readings without noise
-        return cls(parts, found)
-
     def whitened(self, columns: Sequence[np.ndarray]) -> np.ndarray:
         """(n, ...) of block means of each record, where the reading exists."""
         white = [c.whiten(column) for column, c in zip(columns, self.colours, strict=True)]
-        return np.concatenate([w[seen] for w, seen in zip(white, self._seen, strict=True)])
-
-    def rows_of(self, values: Sequence[np.ndarray]) -> np.ndarray:
-        """(n,) of the blocks of each record, at the whitened rows."""
-        return np.concatenate([v[len(v) - len(seen) :][seen] for v, seen in zip(values, self._seen, strict=True)])
+        return np.concatenate([w[seen] for w, seen in zip(white, self.seen, strict=True)])
 
     def orthogonal(self, columns: np.ndarray) -> np.ndarray:
         """Part of columns (n, ...) that the base does not span."""
@@ -115,13 +103,14 @@ class Regression:
 
     def fit(self, effects: Sequence[PowerEffect] = (), start: np.ndarray = NONE) -> "RegressionFit":
         """Least squares of effects beside the base, from a `start` of their parameters."""
-        declared, measured = [p for e in effects for p in e.parameters], self.orthogonal(self.measured)
-        if not declared:
-            return RegressionFit(self, (), start)
-        bounds = np.array([(p.minimum, p.maximum) for p in declared]).T
-        start, scale = np.clip(start, *bounds), np.abs(start)
-        found = least_squares(lambda x: measured - self.response(effects, x), start, bounds=bounds, x_scale=scale)
-        return RegressionFit(self, tuple(effects), found.x)
+        first = RegressionFit(self, tuple(effects), start)
+        if not effects:
+            return first
+        measured, bounds, scale = self.orthogonal(self.measured), first.bounds, np.abs(start)
+        found = least_squares(
+            lambda x: measured - self.response(effects, x), np.clip(start, *bounds), bounds=bounds, x_scale=scale
+        )
+        return replace(first, x=found.x)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +120,11 @@ class RegressionFit:
     problem: Regression
     effects: tuple[PowerEffect, ...]
     x: np.ndarray
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """(2, k) of the parameters."""
+        return np.array([(p.minimum, p.maximum) for e in self.effects for p in e.parameters]).T
 
     @cached_property
     def residual(self) -> np.ndarray:
@@ -145,22 +139,19 @@ class RegressionFit:
             column -= self.basis @ (self.basis.T @ column)
             power, along = float(column @ column), float(column @ self.residual)
             if power > 0.0 and declared.minimum < along / power < declared.maximum:
-                starts.append((along**2 / power, along / power, shape))
-        if not starts:
-            return None
-        _, size, shape = max(starts)
-        return self.problem.fit((*self.effects, effect), np.array([*self.x, size, *shape]))
+                starts.append((along**2 / power, along / power, *shape))
+        return self.problem.fit((*self.effects, effect), np.append(self.x, max(starts)[1:])) if starts else None
 
     @cached_property
     def slopes(self) -> list[np.ndarray]:
         """Derivatives (blocks, k) of the effects' block means by their parameters, for each record."""
-        found = [np.zeros((len(p.at.time), len(self.x))) for p in self.problem.parts]
-        for k, step in enumerate(STEP * np.maximum(np.abs(self.x), STEP)):
-            move = step * (np.arange(len(self.x)) == k)
-            for p, columns in zip(self.problem.parts, found, strict=True):
-                low, high = (p.mean_response(self.effects, self.x + way) for way in (-move, move))
-                columns[:, k] = (high - low) / (2.0 * step)
-        return found
+
+        def slope(part: Part, step: np.ndarray) -> np.ndarray:
+            low, high = (part.mean_response(self.effects, self.x + way * step) for way in (-1.0, 1.0))
+            return (high - low) / (2.0 * step.sum())
+
+        steps = np.diag(STEP * np.maximum(np.abs(self.x), STEP))
+        return [np.array([slope(p, step) for step in steps]).reshape(len(steps), len(p.at.time)).T for p in self.problem.parts]
 
     @cached_property
     def jacobian(self) -> np.ndarray:
@@ -200,12 +191,10 @@ class RegressionFit:
     def intervals(self) -> np.ndarray:
         """(k, 2) 95 % intervals, by the standard errors. Those of an effect with a time constant are of the logarithms: its
         parameters are positive, and their likelihood is skewed."""
-        declared = [(p, len(e.parameters) > 1) for e in self.effects for p in e.parameters]
-        half, found = NORMAL_95 * self.std, []
-        for (p, skewed), x, reach in zip(declared, self.x.tolist(), half.tolist(), strict=True):
-            share = float(np.exp(min(reach / x, LARGEST))) if skewed else 1.0
-            found.append((max(x / share, p.minimum), min(x * share, p.maximum)) if skewed else (x - reach, x + reach))
-        return np.array(found)
+        reach, skewed = NORMAL_95 * self.std, [len(e.parameters) > 1 for e in self.effects for _ in e.parameters]
+        share = np.exp(np.minimum(reach / np.abs(self.x), 50.0))  # must not overflow
+        ends = np.where(skewed, [self.x / share, self.x * share], [self.x - reach, self.x + reach])
+        return np.clip(ends, *self.bounds).T
 
     @cached_property
     def coefficients(self) -> np.ndarray:
@@ -224,16 +213,23 @@ class RegressionFit:
         """(sum of squares of the whitened residual, rms error of the block means) of folds predicted from the others."""
         p = self.problem
         own = [folds(part.at.time, float(part.record.time[-1])) for part in p.parts]
+        rows = np.concatenate([fold[-len(seen) :][seen] for fold, seen in zip(own, p.seen, strict=True)])
         jacobian = np.hstack([p.base, p.whitened(self.slopes)])
-        held, moves = predicted([self.residual], -jacobian, p.rows_of(own), ESTIMABLE)
+        held, moves = predicted([self.residual], -jacobian, rows, ESTIMABLE)
         errors = []
         for part, slopes, fold in zip(p.parts, self.slopes, own, strict=True):
             columns = np.hstack([part.means[1] / p.size, slopes])
             errors.append(self.error(part) - np.einsum("bk,bk->b", columns, moves[fold]))
         return float(held @ held), rms(errors)
 
-    def score_test(self) -> ScoreTest:
-        """Score test of the shapes, as of the thrust."""
+    @cached_property
+    def lack(self) -> LackOfFit:
+        """Score test of the shapes, as of the thrust; `size`: rms that they explain, in the unit of the reading."""
         p = self.problem
         each = [np.stack([part.at.mean(shape) for shape in part.shapes()], axis=1) for part in p.parts]
-        return tested(self, np.ascontiguousarray(p.whitened(each).T), p.slices, [None] * len(p.parts))
+        ends = np.cumsum([seen.sum() for seen in p.seen]).tolist()
+        slices = [slice(first, end) for first, end in zip([0, *ends], ends, strict=False)]
+        test = tested(self, np.ascontiguousarray(p.whitened(each).T), slices, [None] * len(p.parts))
+        explained = max(2.0 * test.gain, 0.0) / len(self.residual)
+        size = float(np.sqrt(explained)) * rms([self.error(part) for part in p.parts])
+        return LackOfFit((), test, test.p, size, p.least, bool(self.effects))
