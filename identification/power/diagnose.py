@@ -70,7 +70,7 @@ def judged(beside: RegressionFit, fit: RegressionFit | None, effect: PowerEffect
         return Judgement(effect.name, 0.0, needed, 0.0, {effect.reading: 0.0}, 0.0, problem.least, False, wrong)
     likelihood, evidence = 0.5 * (beside.squares - fit.squares), fit.evidence - beside.evidence
     size = rms([beside.error(p) - fit.error(p) for p in problem.parts])
-    gain = {effect.reading: 0.5 * len(problem.measured) * float(np.log(beside.held_out[0] / fit.held_out[0]))}
+    gain = {effect.reading: 0.5 * len(fit.residual) * float(np.log(beside.held_out[0] / fit.held_out[0]))}
     material = size > problem.least
     refused = refusals(likelihood, needed, evidence, gain, k, material)
     return Judgement(effect.name, likelihood, needed, evidence, gain, size, problem.least, material, tuple(refused))

@@ -81,9 +81,9 @@ class Regression:
         self.parts, self.colours = parts, [p.noise(effects, x) for p in parts]
         self.seen = [np.isfinite(c.whiten(p.means[0])) for p, c in zip(parts, self.colours, strict=True)]
         base = self.whitened([p.means[1] for p in parts])
-        self.size = np.linalg.norm(base, axis=0)
-        self.size[self.size == 0.0] = 1.0
-        self.base, self.measured = base / self.size, self.whitened([p.means[0] for p in parts])
+        size = np.linalg.norm(base, axis=0)
+        self.size = np.where(size > 0.0, size, 1.0)
+        self.base = base / self.size
         turned, power, _ = np.linalg.svd(self.base, full_matrices=False)
         self.basis = turned[:, power > RANK * power[0]]
         self.least = ACCURACY * max(p.largest for p in parts)
@@ -97,18 +97,18 @@ class Regression:
         """Part of columns (n, ...) that the base does not span."""
         return columns - self.basis @ (self.basis.T @ columns)
 
-    def response(self, effects: Sequence[PowerEffect], x: np.ndarray) -> np.ndarray:
-        """Whitened response (n,) to effects, orthogonal to the base."""
-        return self.orthogonal(self.whitened([p.mean_response(effects, x) for p in self.parts]))
+    def residual(self, effects: Sequence[PowerEffect], x: np.ndarray) -> np.ndarray:
+        """Whitened reading (n,) minus the response to effects."""
+        return self.whitened([p.means[0] - p.mean_response(effects, x) for p in self.parts])
 
     def fit(self, effects: Sequence[PowerEffect] = (), start: np.ndarray = NONE) -> "RegressionFit":
         """Least squares of effects beside the base, from a `start` of their parameters."""
         first = RegressionFit(self, tuple(effects), start)
         if not effects:
             return first
-        measured, bounds, scale = self.orthogonal(self.measured), first.bounds, np.abs(start)
+        bounds, scale = first.bounds, np.abs(start)
         found = least_squares(
-            lambda x: measured - self.response(effects, x), np.clip(start, *bounds), bounds=bounds, x_scale=scale
+            lambda x: self.orthogonal(self.residual(effects, x)), np.clip(start, *bounds), bounds=bounds, x_scale=scale
         )
         return replace(first, x=found.x)
 
@@ -129,13 +129,13 @@ class RegressionFit:
     @cached_property
     def residual(self) -> np.ndarray:
         """Whitened (n,), orthogonal to the base."""
-        return self.problem.orthogonal(self.problem.measured) - self.problem.response(self.effects, self.x)
+        return self.problem.orthogonal(self.problem.residual(self.effects, self.x))
 
     def with_effect(self, effect: PowerEffect) -> "RegressionFit | None":
         """One more effect, fitted beside the others; None if its best size is not a possible one."""
-        tiny, declared, starts = STEP * self.problem.least, effect.parameters[0], []
+        parts, tiny, declared, starts = self.problem.parts, STEP * self.problem.least, effect.parameters[0], []
         for shape in product(*(np.geomspace(p.minimum, p.maximum, STARTS).tolist() for p in effect.parameters[1:])):
-            column = self.problem.response([effect], np.array([tiny, *shape])) / tiny
+            column = self.problem.whitened([p.mean_response([effect], np.array([tiny, *shape])) for p in parts]) / tiny
             column -= self.basis @ (self.basis.T @ column)
             power, along = float(column @ column), float(column @ self.residual)
             if power > 0.0 and declared.minimum < along / power < declared.maximum:
@@ -200,8 +200,7 @@ class RegressionFit:
     def coefficients(self) -> np.ndarray:
         """(k,) of the base."""
         p = self.problem
-        rest = p.measured - p.whitened([part.mean_response(self.effects, self.x) for part in p.parts])
-        return np.linalg.lstsq(p.base, rest, rcond=RANK)[0] / p.size
+        return np.linalg.lstsq(p.base, p.residual(self.effects, self.x), rcond=RANK)[0] / p.size
 
     def error(self, part: Part) -> np.ndarray:
         """Block means (blocks,) measured minus model, of any record."""
