@@ -29,10 +29,11 @@ COMPARISONS = sum(STARTS ** (len(e.parameters) - 1) for e in EFFECTS)
 
 @dataclass(frozen=True)
 class Tried:
-    """An effect that was tried `beside` others."""
+    """An effect that was tried `beside` others. `fit`: None if its best size is impossible."""
 
     effect: PowerEffect
     beside: tuple[str, ...]
+    fit: RegressionFit | None
     judged: Judgement
 
     def summary(self) -> dict:
@@ -44,45 +45,38 @@ def select(parts: Sequence[Part], effects: Sequence[PowerEffect]) -> tuple[Regre
     """(fit without effects, with the accepted ones, all that were tried): forward selection by evidence."""
     base = fit = Regression(parts).fit()
     tried: list[Tried] = []
-    while others := [e for e in effects if e.name not in names_of(fit)]:
-        fits = {e: fit.with_effect(e) for e in others}
-        judgements = {e: judged(fit, f, e) for e, f in fits.items()}
-        tried += [Tried(e, names_of(fit), j) for e, j in judgements.items()]
-        best = max(others, key=lambda e: -np.inf if judgements[e].refused else judgements[e].evidence)
-        if judgements[best].refused or not (found := fits[best]):
+    while now := [judged(fit, e) for e in effects if e.name not in fit.names]:
+        tried += now
+        best = max(now, key=lambda t: -np.inf if t.judged.refused else t.judged.evidence)
+        if best.judged.refused or not best.fit:
             break
         # A missing effect looks like slow noise: the colour is estimated again beside the accepted effects.
-        fit = Regression(parts, found.effects, found.x).fit(found.effects, found.x)
+        fit = Regression(parts, best.fit.effects, best.fit.x).fit(best.fit.effects, best.fit.x)
     return base, fit, tried
 
 
-def names_of(fit: RegressionFit) -> tuple[str, ...]:
-    """Of the effects of a fit."""
-    return tuple(e.name for e in fit.effects)
-
-
-def judged(beside: RegressionFit, fit: RegressionFit | None, effect: PowerEffect) -> Judgement:
-    """Judge an effect against the fit without it; None: its best size is impossible."""
-    problem, k = beside.problem, len(effect.parameters)
+def judged(beside: RegressionFit, effect: PowerEffect) -> Tried:
+    """Fit one more effect, and judge it against the fit without it."""
+    problem, fit, k = beside.problem, beside.with_effect(effect), len(effect.parameters)
     needed = chance_threshold(k, COMPARISONS) + FORM * max(problem.fit().squares - beside.squares, 0.0) / 2.0
-    if fit is None:
-        wrong = ("its best size has the wrong sign",)
-        return Judgement(effect.name, 0.0, needed, 0.0, {effect.reading: 0.0}, 0.0, problem.least, False, wrong)
-    likelihood, evidence = 0.5 * (beside.squares - fit.squares), fit.evidence - beside.evidence
-    size = rms([beside.error(p) - fit.error(p) for p in problem.parts])
-    gain = {effect.reading: 0.5 * len(fit.residual) * float(np.log(beside.held_out[0] / fit.held_out[0]))}
-    material = size > problem.least
-    refused = refusals(likelihood, needed, evidence, gain, k, material)
-    return Judgement(effect.name, likelihood, needed, evidence, gain, size, problem.least, material, tuple(refused))
+    likelihood, evidence, gain, size, refused = 0.0, 0.0, 0.0, 0.0, ["its best size has the wrong sign"]
+    if fit:
+        likelihood, evidence = 0.5 * (beside.squares - fit.squares), fit.evidence - beside.evidence
+        gain = 0.5 * len(fit.residual) * float(np.log(beside.held_out[0] / fit.held_out[0]))
+        size = rms([beside.errors - fit.errors])
+        refused = refusals(likelihood, needed, evidence, {effect.reading: gain}, k, size > problem.least)
+    gains, least = {effect.reading: gain}, problem.least
+    found = Judgement(effect.name, likelihood, needed, evidence, gains, size, least, size > least, tuple(refused))
+    return Tried(effect, beside.names, fit, found)
 
 
 def rivals(fit: RegressionFit, effects: Sequence[PowerEffect]) -> dict[str, list[str]]:
     """By accepted effect: others that in its place have an evidence within ALTERNATIVE_WINDOW."""
     found, own = {}, [e.name for e in fit.effects for _ in e.parameters]
-    for name in names_of(fit):
+    for name in fit.names:
         rest = fit.problem.fit([e for e in fit.effects if e.name != name], fit.x[[n != name for n in own]])
         least = max(rest.evidence + MIN_EVIDENCE, fit.evidence - ALTERNATIVE_WINDOW)
-        others = [e for e in effects if e.name not in names_of(fit)]
+        others = [e for e in effects if e.name not in fit.names]
         if names := {e.name for e in others if (f := rest.with_effect(e)) and f.evidence > least}:
             found[name] = sorted(names)
     return found
@@ -197,9 +191,9 @@ def diagnose_power(
     measured = {name: plant(record) for name, record in records.items() if electrical(record.columns) is not None}
     if not measured:
         return None
-    largest = max(float(squared_torque(model, r.shown).max()) for r in measured.values())
+    largest = max(float(squared_torque(model, shown).max()) for shown, *_ in measured.values())
     parts = [power_part(name, r, model, block, largest) for name, r in measured.items()]
-    if sum(int(np.isfinite(p.means[0]).sum()) for p in parts) < TIMES * (parts[0].base.shape[1] + len(list(parts[0].shapes()))):
+    if sum(int(np.isfinite(p.means[0]).sum()) for p in parts) < TIMES * (parts[0].base.shape[1] + parts[0].shapes.shape[1]):
         return None
     of_power = [e for e in EFFECTS if e.reading == POWER]
     before, after, tried = select(parts, of_power)

@@ -4,7 +4,7 @@ Steady points are used if they have torque or power, else the rows of the record
 plant's simulation. Acceleration takes power, too: in a record the rotor's inertia is fitted beside the map and not reported.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -160,16 +160,15 @@ def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _map(r: Readings, effect: Effect, terms: Sequence[tuple[int, int]], measured: np.ndarray) -> PowerFit:
+def _map(r: Readings, effect: Effect, terms: Mapping[str, tuple[int, int]], measured: np.ndarray) -> PowerFit:
     """The map of torque or power. If speed changes, every subset has the inertia's term; the result does not.
 
     The variance of rows in time is multiplied by the ratio of nominal to effective information, (1 + c) / (1 - c) with the
     correlation c of neighbours."""
-    names, powers = [effect.full(p.name) for p in effect.parameters], np.array(terms)
     speeds, pitches = (len(np.unique(np.round(values, 3))) for values in (r.w, r.b))
-    free = np.flatnonzero((powers[:, 0] - powers[:, 0].min() < speeds) & (powers[:, 1] < pitches))
+    free = {effect.full(n): r.w**i * r.b**j for n, (i, j) in terms.items() if i <= speeds and j < pitches}
     inertia = [] if r.rate is None else [r.rate if effect is TORQUE_MAP else r.rate * r.omega]
-    every = np.column_stack([*(r.w**i * r.b**j for i, j in powers[free]), *inertia])
+    every = np.column_stack([*free.values(), *inertia])
     n, size = every.shape
     rank = int(np.linalg.matrix_rank(every))
     if n < TIMES * size or rank < size:
@@ -192,7 +191,7 @@ def _map(r: Readings, effect: Effect, terms: Sequence[tuple[int, int]], measured
     if inertia and residual.any():
         shared = float(np.clip(residual[1:] @ residual[:-1] / (residual @ residual), 0.0, 0.999))
         covariance *= (1.0 + shared) / (1.0 - shared)
-    chosen = tuple(names[free[i]] for i in best[:k])
+    chosen = tuple(list(free)[i] for i in best[:k])
     return PowerFit((effect.name,), chosen, c[:k], covariance[:k, :k], {effect.outputs[0].name: _rms(residual)}, n)
 
 
@@ -200,8 +199,8 @@ def _with_motor(r: Readings, torque: PowerFit) -> PowerFit:
     """Fit the torque's map, and friction, copper loss and idle power of the motor, none below 0, together to both readings,
     each weighted by its noise. The fit starts from the map of torque alone."""
     assert r.power is not None
-    terms = {TORQUE_MAP.full(p.name): r.w**i * r.b**j for p, (i, j) in zip(TORQUE_MAP.parameters, TORQUE_TERMS, strict=True)}
-    columns = np.column_stack([terms[name] for name in torque.names])
+    powers = {TORQUE_MAP.full(name): ij for name, ij in TORQUE_TERMS.items()}
+    columns = np.column_stack([r.w**i * r.b**j for i, j in map(powers.__getitem__, torque.names)])
     k, n, mean, load = len(torque.values), len(r.power), float(np.mean(r.power)), columns @ torque.values
     scale = np.append(np.abs(torque.values), mean / np.array([np.mean(r.omega), np.mean(load**2), 1.0]))
     x, lower = np.append(np.sign(torque.values), [0.05, 0.1, 0.01]), np.append(np.full(k, -np.inf), np.zeros(3))

@@ -3,28 +3,17 @@
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from types import SimpleNamespace
 
 import numpy as np
 
 from vpp_fmu.errors import BadInput
-from vpp_fmu.kernel.ops import Ops
 from vpp_fmu.kernel.power import EFFECTS, FIGURE, RAD_PER_S
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.structured import read_object
 
-ELECTRICAL, SHAFT = "electrical", "shaft"
-
 STEP = 1e-6
 """Step of a derivative as a share of a parameter: exact to rounding for maps, which are linear in their parameters."""
-
-
-class _Arrays(Ops):
-    """The operations that the effects of power use, on arrays."""
-
-    def where(self, condition, yes, no):
-        return np.where(condition, yes, no)
 
 
 def _covariance(path: str | os.PathLike, names: tuple[str, ...]) -> np.ndarray | None:
@@ -71,10 +60,10 @@ class PowerModel:
         known = _covariance(knowledge, names) if knowledge is not None and os.path.exists(knowledge) else None
         return cls(parameters, names, covariance if known is None else known)
 
-    @cached_property
+    @property
     def kind(self) -> str:
-        """ELECTRICAL or SHAFT."""
-        return ELECTRICAL if any(y.name == "power" for y in self.parameters.model.outputs) else SHAFT
+        """ "electrical" or "shaft"."""
+        return "electrical" if any(y.name == "power" for y in self.parameters.model.outputs) else "shaft"
 
     def at(self, omega: np.ndarray, beta: np.ndarray, changed: Mapping[str, float] | None = None) -> np.ndarray:
         """Power [W] at speed [rpm] and pitch [deg], which have the same shape; `changed`: parameters of other values."""
@@ -85,8 +74,8 @@ class PowerModel:
         for effect in self.parameters.model.effects:
             if effect.outputs and effect.name != FIGURE.name:
                 p = SimpleNamespace(**{q.name: values[effect.full(q.name)] for q in effect.parameters})
-                s.__dict__.update(effect.step(_Arrays(), s, None, p, 0.0)[0])
-        return s.power if self.kind == ELECTRICAL else s.torque * np.asarray(omega) * RAD_PER_S
+                s.__dict__.update(effect.step(np, s, None, p, 0.0)[0])  # of the operations it needs `where`
+        return s.power if self.kind == "electrical" else s.torque * np.asarray(omega) * RAD_PER_S
 
     def gradient(self, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
         """(..., k) derivatives of the power [W] with respect to the named parameters."""

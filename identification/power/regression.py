@@ -4,7 +4,7 @@ Block means are whitened by an autoregression, and the base is projected out. Th
 in the few parameters of the effects.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -17,7 +17,7 @@ from identification.diagnose.crossval import ESTIMABLE, folds, predicted, rms
 from identification.diagnose.judgement import ACCURACY
 from identification.diagnose.lack_of_fit import LackOfFit
 from identification.diagnose.score_test import tested
-from identification.fit.noise import Blocks, Colour, colour_of
+from identification.fit.noise import Blocks, colour_of
 from identification.fit.uncertainty import NORMAL_95
 from identification.power.effects import PowerEffect, Signals
 from identification.power.fit import EXACT
@@ -37,9 +37,9 @@ NONE = np.zeros(0)
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One reading of one record: `measured` (rows,) and `base` (rows, k), whose coefficients are free; `shapes` that span the
-    residual of a missing effect, for the noise and the lack of fit; `largest`: the sensor's largest reading. Block means are
-    compared."""
+    """One reading of one record: `measured` (rows,) and `base` (rows, k), whose coefficients are free; block means `shapes`
+    (blocks, m) that span the residual of a missing effect, for the noise and the lack of fit; `largest`: the sensor's largest
+    reading. Block means are compared."""
 
     name: str
     record: Record
@@ -47,7 +47,7 @@ class Part:
     measured: np.ndarray
     base: np.ndarray
     signals: Signals
-    shapes: Callable[[], Iterator[np.ndarray]]
+    shapes: np.ndarray
     largest: float
 
     @cached_property
@@ -62,55 +62,54 @@ class Part:
             total = total + effect.response(self.signals, {p.name: next(values) for p in effect.parameters})
         return total
 
-    def mean_response(self, effects: Sequence[PowerEffect], x: np.ndarray) -> np.ndarray:
-        """Block means (blocks,) of `response`."""
-        return self.at.mean(self.response(effects, x))
 
-    def noise(self, effects: Sequence[PowerEffect], x: np.ndarray) -> Colour:
-        """Noise of the residual beside effects, after a regression on base and shapes."""
-        residual, fitted = self.measured - self.response(effects, x), np.zeros((len(self.at.time), 0))
-        rest, removed = regress_out(lambda: (*self.shapes(), *self.base.T), self.at.mean, residual, fitted)
-        colour = colour_of([self.at.mean(rest)], removed)
-        return replace(colour, innovation=max(colour.innovation, EXACT * self.largest))  # readings without noise
+def joined(records: Iterable[np.ndarray]) -> np.ndarray:
+    """Block means (blocks, ...) of all records, with a row of NaN between two: no filter reaches from one into the next."""
+    first, *others = records
+    return np.concatenate([first, *(np.insert(own.astype(float), 0, np.nan, axis=0) for own in others)])
 
 
 class Regression:
-    """A reading of all records, whitened by the noise of each beside `effects` with parameters `x`."""
+    """A reading of all records, whitened by its noise beside `effects` with parameters `x`."""
 
     def __init__(self, parts: Sequence[Part], effects: Sequence[PowerEffect] = (), x: np.ndarray = NONE):
-        self.parts, self.colours = parts, [p.noise(effects, x) for p in parts]
-        self.seen = [np.isfinite(c.whiten(p.means[0])) for p, c in zip(parts, self.colours, strict=True)]
-        base = self.whitened([p.means[1] for p in parts])
-        size = np.linalg.norm(base, axis=0)
+        self.parts, largest = parts, max(p.largest for p in parts)
+        self.measured, base, self.shapes = (joined(c) for c in zip(*((*p.means, p.shapes) for p in parts), strict=True))
+        columns, none = np.hstack([self.shapes, base]).T, np.zeros((len(base), 0))
+        rest, removed = regress_out(lambda: iter(columns), lambda c: c, self.measured - self.response(effects, x), none)
+        colour = colour_of([rest], removed)
+        self.colour = replace(colour, innovation=max(colour.innovation, EXACT * largest))  # readings without noise
+        self.seen = np.isfinite(self.colour.whiten(self.measured))
+        size = np.linalg.norm(self.whitened(base), axis=0)
         self.size = np.where(size > 0.0, size, 1.0)
-        self.base = base / self.size
+        self.columns, self.base = base / self.size, self.whitened(base / self.size)
         turned, power, _ = np.linalg.svd(self.base, full_matrices=False)
         self.basis = turned[:, power > RANK * power[0]]
-        self.least = ACCURACY * max(p.largest for p in parts)
+        self.least = ACCURACY * largest
 
-    def whitened(self, columns: Sequence[np.ndarray]) -> np.ndarray:
-        """(n, ...) of block means of each record, where the reading exists."""
-        white = [c.whiten(column) for column, c in zip(columns, self.colours, strict=True)]
-        return np.concatenate([w[seen] for w, seen in zip(white, self.seen, strict=True)])
+    def response(self, effects: Sequence[PowerEffect], x: np.ndarray) -> np.ndarray:
+        """Block means (blocks,) of the response to effects."""
+        return joined(p.at.mean(p.response(effects, x)) for p in self.parts)
+
+    def whitened(self, columns: np.ndarray) -> np.ndarray:
+        """(n, ...) of block means (blocks, ...), where the reading exists."""
+        return self.colour.whiten(columns)[self.seen]
 
     def orthogonal(self, columns: np.ndarray) -> np.ndarray:
         """Part of columns (n, ...) that the base does not span."""
         return columns - self.basis @ (self.basis.T @ columns)
 
     def residual(self, effects: Sequence[PowerEffect], x: np.ndarray) -> np.ndarray:
-        """Whitened reading (n,) minus the response to effects."""
-        return self.whitened([p.means[0] - p.mean_response(effects, x) for p in self.parts])
+        """Whitened reading (n,) minus the response to effects, orthogonal to the base."""
+        return self.orthogonal(self.whitened(self.measured - self.response(effects, x)))
 
     def fit(self, effects: Sequence[PowerEffect] = (), start: np.ndarray = NONE) -> "RegressionFit":
         """Least squares of effects beside the base, from a `start` of their parameters."""
         first = RegressionFit(self, tuple(effects), start)
         if not effects:
             return first
-        bounds, scale = first.bounds, np.abs(start)
-        found = least_squares(
-            lambda x: self.orthogonal(self.residual(effects, x)), np.clip(start, *bounds), bounds=bounds, x_scale=scale
-        )
-        return replace(first, x=found.x)
+        limits = {"bounds": first.bounds, "x_scale": np.abs(start)}
+        return replace(first, x=least_squares(lambda x: self.residual(effects, x), np.clip(start, *first.bounds), **limits).x)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +121,11 @@ class RegressionFit:
     x: np.ndarray
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Of the effects."""
+        return tuple(e.name for e in self.effects)
+
+    @property
     def bounds(self) -> np.ndarray:
         """(2, k) of the parameters."""
         return np.array([(p.minimum, p.maximum) for e in self.effects for p in e.parameters]).T
@@ -129,13 +133,13 @@ class RegressionFit:
     @cached_property
     def residual(self) -> np.ndarray:
         """Whitened (n,), orthogonal to the base."""
-        return self.problem.orthogonal(self.problem.residual(self.effects, self.x))
+        return self.problem.residual(self.effects, self.x)
 
     def with_effect(self, effect: PowerEffect) -> "RegressionFit | None":
         """One more effect, fitted beside the others; None if its best size is not a possible one."""
-        parts, tiny, declared, starts = self.problem.parts, STEP * self.problem.least, effect.parameters[0], []
+        tiny, declared, starts = STEP * self.problem.least, effect.parameters[0], []
         for shape in product(*(np.geomspace(p.minimum, p.maximum, STARTS).tolist() for p in effect.parameters[1:])):
-            column = self.problem.whitened([p.mean_response([effect], np.array([tiny, *shape])) for p in parts]) / tiny
+            column = self.problem.whitened(self.problem.response([effect], np.array([tiny, *shape]))) / tiny
             column -= self.basis @ (self.basis.T @ column)
             power, along = float(column @ column), float(column @ self.residual)
             if power > 0.0 and declared.minimum < along / power < declared.maximum:
@@ -143,15 +147,12 @@ class RegressionFit:
         return self.problem.fit((*self.effects, effect), np.append(self.x, max(starts)[1:])) if starts else None
 
     @cached_property
-    def slopes(self) -> list[np.ndarray]:
-        """Derivatives (blocks, k) of the effects' block means by their parameters, for each record."""
-
-        def slope(part: Part, step: np.ndarray) -> np.ndarray:
-            low, high = (part.mean_response(self.effects, self.x + way * step) for way in (-1.0, 1.0))
-            return (high - low) / (2.0 * step.sum())
-
-        steps = np.diag(STEP * np.maximum(np.abs(self.x), STEP))
-        return [np.array([slope(p, step) for step in steps]).reshape(len(steps), len(p.at.time)).T for p in self.problem.parts]
+    def slopes(self) -> np.ndarray:
+        """Derivatives (blocks, k) of the response by the effects' parameters."""
+        found, response = np.empty((len(self.problem.measured), len(self.x))), self.problem.response
+        for k, step in enumerate(np.diag(STEP * np.maximum(np.abs(self.x), STEP))):
+            found[:, k] = (response(self.effects, self.x + step) - response(self.effects, self.x - step)) / (2.0 * step[k])
+        return found
 
     @cached_property
     def jacobian(self) -> np.ndarray:
@@ -200,35 +201,31 @@ class RegressionFit:
     def coefficients(self) -> np.ndarray:
         """(k,) of the base."""
         p = self.problem
-        return np.linalg.lstsq(p.base, p.residual(self.effects, self.x), rcond=RANK)[0] / p.size
+        rest = p.whitened(p.measured - p.response(self.effects, self.x))
+        return np.linalg.lstsq(p.base, rest, rcond=RANK)[0] / p.size
 
     def error(self, part: Part) -> np.ndarray:
         """Block means (blocks,) measured minus model, of any record."""
         measured, base = part.means
-        return measured - base @ self.coefficients - part.mean_response(self.effects, self.x)
+        return measured - base @ self.coefficients - part.at.mean(part.response(self.effects, self.x))
+
+    @cached_property
+    def errors(self) -> np.ndarray:
+        """(blocks,) of `error` of all records."""
+        return joined(self.error(part) for part in self.problem.parts)
 
     @cached_property
     def held_out(self) -> tuple[float, float]:
         """(sum of squares of the whitened residual, rms error of the block means) of folds predicted from the others."""
-        p = self.problem
-        own = [folds(part.at.time, float(part.record.time[-1])) for part in p.parts]
-        rows = np.concatenate([fold[-len(seen) :][seen] for fold, seen in zip(own, p.seen, strict=True)])
-        jacobian = np.hstack([p.base, p.whitened(self.slopes)])
-        held, moves = predicted([self.residual], -jacobian, rows, ESTIMABLE)
-        errors = []
-        for part, slopes, fold in zip(p.parts, self.slopes, own, strict=True):
-            columns = np.hstack([part.means[1] / p.size, slopes])
-            errors.append(self.error(part) - np.einsum("bk,bk->b", columns, moves[fold]))
-        return float(held @ held), rms(errors)
+        p, columns = self.problem, np.hstack([self.problem.columns, self.slopes])
+        fold = np.nan_to_num(joined(folds(part.at.time, float(part.record.time[-1])) for part in p.parts)).astype(int)
+        held, moves = predicted([self.residual], -p.whitened(columns), fold[-len(p.seen) :][p.seen], ESTIMABLE)
+        return float(held @ held), rms([self.errors - np.einsum("bk,bk->b", columns, moves[fold])])
 
     @cached_property
     def lack(self) -> LackOfFit:
         """Score test of the shapes, as of the thrust; `size`: rms that they explain, in the unit of the reading."""
-        p = self.problem
-        each = [np.stack([part.at.mean(shape) for shape in part.shapes()], axis=1) for part in p.parts]
-        ends = np.cumsum([seen.sum() for seen in p.seen]).tolist()
-        slices = [slice(first, end) for first, end in zip([0, *ends], ends, strict=False)]
-        test = tested(self, np.ascontiguousarray(p.whitened(each).T), slices, [None] * len(p.parts))
-        explained = max(2.0 * test.gain, 0.0) / len(self.residual)
-        size = float(np.sqrt(explained)) * rms([self.error(part) for part in p.parts])
+        p, n = self.problem, len(self.residual)
+        test = tested(self, np.ascontiguousarray(p.whitened(p.shapes).T), [slice(0, n)], [None])
+        size = float(np.sqrt(max(2.0 * test.gain, 0.0) / n)) * rms([self.errors])
         return LackOfFit((), test, test.p, size, p.least, bool(self.effects))
