@@ -7,6 +7,7 @@ plant's simulation. Acceleration takes power, too: in a record the rotor's inert
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
+from types import SimpleNamespace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -21,9 +22,6 @@ from vpp_fmu.parameters import ParameterSet
 
 TOLERANCE = 1.05
 """Maximum ratio of shaft to electrical power: both are measured to some per cent."""
-
-AIR_DENSITY = next(p.default for p in FIGURE.parameters if p.name == "air_density")
-"""kg/m^3, for a rig that does not declare it."""
 
 TIMES = 4
 """Minimum number of rows per coefficient."""
@@ -138,9 +136,9 @@ def _readings(omega, beta, torque, power, source, scales, rate=None) -> Readings
 def figure_of_merit(readings: Readings, thrust: np.ndarray, rotor: Mapping[str, float]) -> float:
     """Mean ratio of a rotor's ideal to its real power over steady points of `thrust` (n,) [N], each weighted by its power."""
     assert readings.torque is not None
-    disc = 0.25 * np.pi * rotor["diameter"] ** 2
-    ideal = np.maximum(thrust, 0.0) ** 1.5 / np.sqrt(2.0 * rotor.get("air_density", AIR_DENSITY) * disc)
-    return float(ideal.sum() / (readings.torque * readings.omega).sum())
+    s = SimpleNamespace(torque=readings.torque, thrust=thrust, w=readings.omega / RAD_PER_S, omega_scale=1.0)
+    p = SimpleNamespace(**{q.name: rotor.get(q.name, q.default) for q in FIGURE.parameters})
+    return float(np.average(FIGURE.step(np, s, None, p, 0.0)[0][FIGURE.name], weights=s.torque * readings.omega))
 
 
 def fit_power(readings: Readings) -> PowerFit:

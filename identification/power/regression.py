@@ -4,9 +4,9 @@ Block means are whitened by an autoregression, and the base is projected out. Th
 in the few parameters of the effects.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 
 import numpy as np
@@ -63,23 +63,23 @@ class Part:
         return total
 
 
-def joined(records: Iterable[np.ndarray]) -> np.ndarray:
-    """Block means (blocks, ...) of all records, with a row of NaN between two: no filter reaches from one into the next."""
-    first, *others = records
-    return np.concatenate([first, *(np.insert(own.astype(float), 0, np.nan, axis=0) for own in others)])
-
-
 class Regression:
-    """A reading of all records, whitened by its noise beside `effects` with parameters `x`."""
+    """A reading of all records, one after the other. Each is whitened by its noise beside `effects` with parameters `x`."""
 
     def __init__(self, parts: Sequence[Part], effects: Sequence[PowerEffect] = (), x: np.ndarray = NONE):
         self.parts, largest = parts, max(p.largest for p in parts)
-        self.measured, base, self.shapes = (joined(c) for c in zip(*((*p.means, p.shapes) for p in parts), strict=True))
-        columns, none = np.hstack([self.shapes, base]).T, np.zeros((len(base), 0))
-        rest, removed = regress_out(lambda: iter(columns), lambda c: c, self.measured - self.response(effects, x), none)
-        colour = colour_of([rest], removed)
-        self.colour = replace(colour, innovation=max(colour.innovation, EXACT * largest))  # readings without noise
-        self.seen = np.isfinite(self.colour.whiten(self.measured))
+        ends = np.cumsum([len(p.at.time) for p in parts]).tolist()
+        self.rows = [slice(first, end) for first, end in zip([0, *ends], ends, strict=False)]
+        self.measured, base = (np.concatenate(means) for means in zip(*(p.means for p in parts), strict=True))
+        self.shapes, residual = np.concatenate([p.shapes for p in parts]), self.measured - self.response(effects, x)
+        columns, self.colours = np.hstack([self.shapes, base]).T, []
+        for rows in self.rows:
+            own, none = columns[:, rows], np.zeros((rows.stop - rows.start, 0))
+            rest, removed = regress_out(partial(iter, own), np.asarray, residual[rows], none)
+            colour = colour_of([rest], removed)
+            self.colours.append(replace(colour, innovation=max(colour.innovation, EXACT * largest)))  # readings without noise
+        self.seen: slice | np.ndarray = slice(None)
+        self.seen = np.isfinite(self.whitened(self.measured))
         size = np.linalg.norm(self.whitened(base), axis=0)
         self.size = np.where(size > 0.0, size, 1.0)
         self.columns, self.base = base / self.size, self.whitened(base / self.size)
@@ -89,11 +89,15 @@ class Regression:
 
     def response(self, effects: Sequence[PowerEffect], x: np.ndarray) -> np.ndarray:
         """Block means (blocks,) of the response to effects."""
-        return joined(p.at.mean(p.response(effects, x)) for p in self.parts)
+        return np.concatenate([p.at.mean(p.response(effects, x)) for p in self.parts])
 
     def whitened(self, columns: np.ndarray) -> np.ndarray:
         """(n, ...) of block means (blocks, ...), where the reading exists."""
-        return self.colour.whiten(columns)[self.seen]
+        found = np.full(columns.shape, np.nan)
+        for colour, rows in zip(self.colours, self.rows, strict=True):
+            white = colour.whiten(columns[rows])
+            found[rows.stop - len(white) : rows.stop] = white
+        return found[self.seen]
 
     def orthogonal(self, columns: np.ndarray) -> np.ndarray:
         """Part of columns (n, ...) that the base does not span."""
@@ -212,20 +216,21 @@ class RegressionFit:
     @cached_property
     def errors(self) -> np.ndarray:
         """(blocks,) of `error` of all records."""
-        return joined(self.error(part) for part in self.problem.parts)
+        return np.concatenate([self.error(part) for part in self.problem.parts])
 
     @cached_property
     def held_out(self) -> tuple[float, float]:
         """(sum of squares of the whitened residual, rms error of the block means) of folds predicted from the others."""
         p, columns = self.problem, np.hstack([self.problem.columns, self.slopes])
-        fold = np.nan_to_num(joined(folds(part.at.time, float(part.record.time[-1])) for part in p.parts)).astype(int)
-        held, moves = predicted([self.residual], -p.whitened(columns), fold[-len(p.seen) :][p.seen], ESTIMABLE)
+        fold = np.concatenate([folds(part.at.time, float(part.record.time[-1])) for part in p.parts])
+        held, moves = predicted([self.residual], -p.whitened(columns), fold[p.seen], ESTIMABLE)
         return float(held @ held), rms([self.errors - np.einsum("bk,bk->b", columns, moves[fold])])
 
     @cached_property
     def lack(self) -> LackOfFit:
         """Score test of the shapes, as of the thrust; `size`: rms that they explain, in the unit of the reading."""
-        p, n = self.problem, len(self.residual)
-        test = tested(self, np.ascontiguousarray(p.whitened(p.shapes).T), [slice(0, n)], [None])
-        size = float(np.sqrt(max(2.0 * test.gain, 0.0) / n)) * rms([self.errors])
+        p, ends = self.problem, np.cumsum([self.problem.seen[rows].sum() for rows in self.problem.rows]).tolist()
+        slices = [slice(first, end) for first, end in zip([0, *ends], ends, strict=False)]
+        test = tested(self, np.ascontiguousarray(p.whitened(p.shapes).T), slices, [None] * len(slices))
+        size = float(np.sqrt(max(2.0 * test.gain, 0.0) / len(self.residual))) * rms([self.errors])
         return LackOfFit((), test, test.p, size, p.least, bool(self.effects))
