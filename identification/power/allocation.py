@@ -4,13 +4,10 @@ Many pairs give the same thrust (paper, section 1). The settled thrust of the pl
 Instead of power alone, a weight also counts the reserve: how much thrust pitch alone, the fast actuator, can add and remove.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
-from scipy.optimize import minimize_scalar
 
 from identification.fit.uncertainty import NORMAL_95
 from identification.power.model import PowerModel
@@ -25,7 +22,10 @@ NODES = 41
 """Speeds, and pitches, at which the plant is settled: the spline between them is exact for the paper's map."""
 
 SPEEDS, PITCHES = 401, 121
-"""Fine grid on which pairs of equal thrust are found before they are refined."""
+"""Fine grid on which pairs of equal thrust are found."""
+
+FINER = 2
+"""Further grids of pitches, each within a step of the best pitch of the grid before."""
 
 DRAWS = 300
 """Draws of the power's parameters for the bands of speed and pitch."""
@@ -36,61 +36,44 @@ BAND = (0.025, 0.975)
 SLOWER = 5.0
 """Ratio of the time in which speed takes over from pitch to the sum of lags of the slower channel."""
 
-UNREACHED = 10.0
-"""Cost of a pitch at which no speed gives the thrust: far above any other, which is about 1 at most."""
-
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Settled thrust [N] of a plant over speed [rpm] and pitch [deg], between the limits `speed` and `pitch`."""
+    """Settled thrust [N] of a plant over speed [rpm] and pitch [deg]. `speeds` (m,), `pitches` (k,): a grid in its limits."""
 
-    speed: tuple[float, float]
-    pitch: tuple[float, float]
+    speeds: np.ndarray
+    pitches: np.ndarray
     spline: RectBivariateSpline
 
     @classmethod
     def of(cls, parameters: ParameterSet) -> "Surface":
         """Of a plant with its effects, on its rig. BadInput for a rig whose speed or pitch is fixed."""
-        rig = parameters.rig
+        rig, model, values = parameters.rig, parameters.model, parameters.values
         for name, (low, high) in (("speed", rig.speed), ("pitch", rig.pitch)):
             if not low < high:
-                raise BadInput(
-                    "parameters", f"range of {name}", f"{low:g}, fixed", "a range: with a fixed one there is no pair to choose"
-                )
-        model, values = parameters.model, parameters.values
+                allowed = "a range: with a fixed one there is no pair to choose"
+                raise BadInput("parameters", f"range of {name}", f"{low:g}, fixed", allowed)
         rest = {u.name: u.start for u in model.inputs} | model.measured_inputs
         speeds, pitches = np.linspace(*rig.speed, NODES), np.linspace(*rig.pitch, NODES)
         thrust = [
             [start(model, NUMBERS, rest | {"omega_ref": float(w), "beta_ref": float(b)}, values)[0]["thrust"] for b in pitches]
             for w in speeds
         ]
-        return cls(rig.speed, rig.pitch, RectBivariateSpline(speeds, pitches, np.array(thrust)))
+        spline = RectBivariateSpline(speeds, pitches, np.array(thrust))
+        return cls(np.linspace(*rig.speed, SPEEDS), np.linspace(*rig.pitch, PITCHES), spline)
 
-    def at(self, omega, beta) -> np.ndarray:
-        """Thrust [N] at pairs, which broadcast."""
-        return self.spline.ev(omega, beta)
+    def pairs(self, thrust: float, pitches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(speeds, pitches) that give a thrust: the lowest speed at each of the pitches (k,), increasing, that reaches it."""
+        reached = self.spline(self.speeds, pitches)
+        k = np.argmax(reached >= thrust, axis=0)
+        at = np.flatnonzero(k)
+        low, high = reached[k[at] - 1, at], reached[k[at], at]
+        return self.speeds[k[at]] - (high - thrust) / (high - low) * (self.speeds[1] - self.speeds[0]), pitches[at]
 
-    @cached_property
-    def grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(speeds (m,), pitches (k,), thrust (m, k)) on the fine grid."""
-        speeds, pitches = np.linspace(*self.speed, SPEEDS), np.linspace(*self.pitch, PITCHES)
-        return speeds, pitches, self.spline(speeds, pitches)
-
-    def speeds_of(self, thrust: np.ndarray, pitches: np.ndarray) -> np.ndarray:
-        """Lowest speed [rpm] (n, k) that gives each thrust (n,) at each pitch (k,); NaN where none does."""
-        speeds, found = self.grid[0], []
-        for column in self.spline(speeds, pitches).T:
-            highest = np.maximum.accumulate(column)
-            kept = np.append(True, np.diff(highest) > 0.0)
-            found.append(np.interp(thrust, highest[kept], speeds[kept], left=np.nan, right=np.nan))
-        return np.array(found).T
-
-    def reserve(self, omega, beta) -> np.ndarray:
-        """Thrust [N] that pitch alone can both add and remove at pairs; negative pitch of more thrust counts, too."""
-        _, pitches, _ = self.grid
-        ends = self.spline.ev(np.asarray(omega)[..., None], pitches)
-        now = self.at(omega, beta)
-        return np.minimum(ends.max(axis=-1) - now, now - ends.min(axis=-1))
+    def reserve(self, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
+        """Thrust [N] that pitch alone can both add and remove at pairs (n,); negative pitch of more thrust counts, too."""
+        ends, now = self.spline.ev(omega[:, None], self.pitches), self.spline.ev(omega, beta)
+        return np.minimum(ends.max(axis=1) - now, now - ends.min(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +100,15 @@ class Allocation:
     fixed: np.ndarray
 
     @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """Columns of allocation.csv, (n,) each: `thrust` [N], `omega` [rpm], `beta` [deg], `power` [W], their 95 % limits."""
+        half = NORMAL_95 * self.power_std
+        found = {"thrust": self.thrust, "omega": self.omega, "beta": self.beta, "power": self.power}
+        found |= {"power_low": self.power - half, "power_high": self.power + half}
+        bands = {"omega": self.omega_band, "beta": self.beta_band}
+        return found | {f"{u}_{end}": band[:, k] for u, band in bands.items() for k, end in enumerate(("low", "high"))}
+
+    @property
     def saving(self) -> float:
         """Mean share of the power that the pairs save against the best fixed pitch, over the thrusts that it reaches."""
         there = np.isfinite(self.fixed)
@@ -131,29 +123,30 @@ def allocate(parameters: ParameterSet, power: PowerModel, weight: float = 0.0, c
     power at a pair.
     """
     surface = Surface.of(parameters)
-    speeds, pitches, grid = surface.grid
-    watts = power.at(*np.meshgrid(speeds, pitches, indexing="ij"))
-    highest, most = float(watts.max()), float(grid.max())
+    pitches, grid = surface.pitches, surface.spline(surface.speeds, surface.pitches)
+    highest, most = float(power.at(*np.meshgrid(surface.speeds, pitches)).max()), float(grid.max())
     if most <= 0.0:
         raise BadInput("parameters", "settled thrust", f"at most {most:.4g} N within the rig's limits", "more than 0 N")
     thrusts = np.linspace(max(float(grid.min()), 0.0), most, count + 1)[1:]
-    none, draws = np.zeros(len(power.names)), np.zeros((DRAWS, len(power.names)))
-    if len(none):
-        draws = np.random.default_rng(seed).multivariate_normal(none, power.covariance, DRAWS, method="eigh")
+    random, none = np.random.default_rng(seed), np.zeros(len(power.names))
+    draws = random.multivariate_normal(none, power.covariance, DRAWS, method="eigh") if len(none) else np.zeros((DRAWS, 0))
 
-    def cost(watts, reserve):
+    def cost(omega: np.ndarray, beta: np.ndarray, further: np.ndarray | float = 0.0) -> np.ndarray:
+        """Of pairs (n,); of `further` power (draws, n)."""
+        watts, reserve = power.at(omega, beta) + further, surface.reserve(omega, beta)
         return (1.0 - weight) * watts / highest - weight * reserve / most
 
-    reached = surface.speeds_of(thrusts, pitches)
-    taken = power.at(reached, np.broadcast_to(pitches, reached.shape))
-    best, low, high = (np.empty((2, count)) for _ in range(3))
-    for k, thrust in enumerate(thrusts):
-        there = np.isfinite(reached[k])
-        omega, beta = reached[k, there], pitches[there]
-        spare = surface.reserve(omega, beta)
-        best[:, k] = _refined(surface, power, cost, thrust, float(beta[np.argmin(cost(taken[k, there], spare))]))
-        drawn = np.argmin(cost(taken[k, there, None] + power.gradient(omega, beta) @ draws.T, spare[:, None]), axis=0)
+    best, low, high, taken = np.empty((2, count)), np.empty((2, count)), np.empty((2, count)), np.full((count, PITCHES), np.nan)
+    for k, thrust in enumerate(thrusts.tolist()):
+        omega, beta = surface.pairs(thrust, pitches)
+        taken[k, np.isin(pitches, beta)] = power.at(omega, beta)
+        drawn = np.argmin(cost(omega, beta, draws @ power.gradient(omega, beta).T), axis=1)
         ends = np.quantile([omega[drawn], beta[drawn]], BAND, axis=1)
+        for step in (pitches[1] - pitches[0]) * (2.0 / (PITCHES - 1)) ** np.arange(FINER):
+            near = beta[np.argmin(cost(omega, beta))] + step * np.linspace(-1.0, 1.0, PITCHES)
+            omega, beta = surface.pairs(thrust, np.clip(near, pitches[0], pitches[-1]))
+        at = np.argmin(cost(omega, beta))
+        best[:, k] = omega[at], beta[at]
         # Drawn pairs are on the grid, the best is between.
         low[:, k], high[:, k] = np.minimum(ends[0], best[:, k]), np.maximum(ends[1], best[:, k])
     omega, beta = best
@@ -163,50 +156,23 @@ def allocate(parameters: ParameterSet, power: PowerModel, weight: float = 0.0, c
         where = f"{least:.4g} W at {omega[k]:.4g} rpm, {beta[k]:.4g} deg"
         raise BadInput("parameters", "power", where, "a positive power", "steady points measured there")
     # The best fixed pitch has the least mean power, among those that reach the most thrusts.
-    counts = np.isfinite(taken).sum(axis=0)
-    fixed = min(np.flatnonzero(counts == counts.max()).tolist(), key=lambda k: float(np.nansum(taken[:, k])))
+    counts, total = np.isfinite(taken).sum(axis=0), np.nansum(taken, axis=0)
+    fixed = int(np.argmin(np.where(counts == counts.max(), total, np.inf)))
     return Allocation(
-        surface,
-        power,
-        weight,
-        thrusts,
-        omega,
-        beta,
-        watts,
-        power.std(omega, beta),
-        np.column_stack([low[0], high[0]]),
-        np.column_stack([low[1], high[1]]),
-        surface.reserve(omega, beta),
-        float(pitches[fixed]),
-        taken[:, fixed],
+        surface=surface,
+        model=power,
+        weight=weight,
+        thrust=thrusts,
+        omega=omega,
+        beta=beta,
+        power=watts,
+        power_std=power.std(omega, beta),
+        omega_band=np.column_stack([low[0], high[0]]),
+        beta_band=np.column_stack([low[1], high[1]]),
+        reserve=surface.reserve(omega, beta),
+        fixed_beta=float(pitches[fixed]),
+        fixed=taken[:, fixed],
     )
-
-
-def _refined(surface: Surface, power: PowerModel, cost, thrust: float, beta: float) -> tuple[float, float]:
-    """The best pair (speed, pitch) of this thrust within a step of the grid from a pitch."""
-    step = (surface.pitch[1] - surface.pitch[0]) / (PITCHES - 1)
-
-    def omega(b: float) -> float:
-        return float(surface.speeds_of(np.array([thrust]), np.array([b]))[0, 0])
-
-    def value(b: float) -> float:
-        w = omega(b)
-        return float(cost(power.at(w, b), surface.reserve(w, b))) if np.isfinite(w) else UNREACHED
-
-    ends = np.clip([beta - step, beta + step], *surface.pitch)
-    found = minimize_scalar(value, bounds=ends, method="bounded", options={"xatol": 1e-3 * step})
-    b = min((float(found.x), beta), key=value)
-    return omega(b), b
-
-
-COLUMNS = ("thrust", "omega", "beta", "power", "power_low", "power_high", "omega_low", "omega_high", "beta_low", "beta_high")
-
-
-def table(found: Allocation) -> list[Sequence[float]]:
-    """Rows of allocation.csv, in the order of COLUMNS."""
-    half = NORMAL_95 * found.power_std
-    columns = (found.thrust, found.omega, found.beta, found.power, found.power - half, found.power + half)
-    return list(zip(*(c.tolist() for c in (*columns, *found.omega_band.T, *found.beta_band.T)), strict=True))
 
 
 def allocated_controller(found: Allocation, parameters: ParameterSet) -> ParameterSet:

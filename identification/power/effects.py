@@ -59,18 +59,22 @@ class PowerEffect:
         return self.name if self.form == "only" else f"{self.name} ({self.form})"
 
 
-def _warmth(s: Signals, heat: np.ndarray, time_constant: float) -> np.ndarray:
-    """h (rows,): the heat is held from row to row."""
-    return lagged(np.append(0.0, heat[:-1]), time_constant, s.step)
-
-
 def _heated(s: Signals, p: Mapping[str, float]) -> np.ndarray:
-    warmth = _warmth(s, s.load, p["time_constant"])
-    for _ in range(FEEDBACK if s.feedback else 0):
-        # Beyond a resistance of ten times its cold value the model is invalid, and the search must not overflow.
+    """The heat is held from row to row. Beyond a resistance of ten times its cold value the model is invalid, and the search
+    must not overflow."""
+    rise = warmth = np.zeros(len(s.load))
+    for _ in range(1 + FEEDBACK if s.feedback else 1):
+        heat = s.load * (1.0 + rise)
+        warmth = lagged(np.append(0.0, heat[:-1]), p["time_constant"], s.step)
         rise = np.minimum(p["gain"] * s.feedback * warmth, 9.0)
-        warmth = _warmth(s, s.load * (1.0 + rise), p["time_constant"])
     return p["gain"] * s.load * warmth
+
+
+def _servo(form: str, unit: str, words: str, driver: Callable[[Signals], np.ndarray]) -> PowerEffect:
+    """Power of the servo, proportional to a `driver` (rows,)."""
+    load = Parameter("load", unit, 0.0, 0.0, 1e6, f"power of the servo over its {form}")
+    says = f"the pitch servo takes {{load}} of its {words}"
+    return PowerEffect("servo_load", POWER, lambda s, p: p["load"] * np.abs(driver(s)), (load,), says, form)
 
 
 HEATING = PowerEffect(
@@ -84,22 +88,12 @@ HEATING = PowerEffect(
     "the winding's resistance grows with its heat: up to {gain} at the largest torque, time constant {time_constant}",
 )
 
-_LOAD = "power of the servo over its rate{}"
-SERVO_RATE = PowerEffect(
-    "servo_load",
-    POWER,
-    lambda s, p: p["load"] * np.abs(s.rate),
-    (Parameter("load", "W.s/deg", 0.0, 0.0, 1e6, _LOAD.format("")),),
-    "the pitch servo takes {load} of its rate",
-    "rate",
-)
-SERVO_THRUST = PowerEffect(
-    "servo_load",
-    POWER,
-    lambda s, p: p["load"] * np.abs(s.thrust * s.rate),
-    (Parameter("load", "W.s/deg/N", 0.0, 0.0, 1e6, _LOAD.format(" and over thrust")),),
-    "the pitch servo takes {load} of its rate times thrust",
-    "rate and thrust",
+SAG = PowerEffect(
+    "supply_sag",
+    VOLTAGE,
+    lambda s, p: -p["resistance"] * s.current,
+    (Parameter("resistance", "Ohm", 0.0, 0.0, 100.0, "internal resistance of the supply"),),
+    "the supply's internal resistance is {resistance}",
 )
 
 DRIFT = PowerEffect(
@@ -110,12 +104,10 @@ DRIFT = PowerEffect(
     "the power drifts by {rate} of itself",
 )
 
-SAG = PowerEffect(
-    "supply_sag",
-    VOLTAGE,
-    lambda s, p: -p["resistance"] * s.current,
-    (Parameter("resistance", "Ohm", 0.0, 0.0, 100.0, "internal resistance of the supply"),),
-    "the supply's internal resistance is {resistance}",
+EFFECTS = (
+    HEATING,
+    _servo("rate", "W.s/deg", "rate", lambda s: s.rate),
+    _servo("rate and thrust", "W.s/deg/N", "rate times thrust", lambda s: s.thrust * s.rate),
+    DRIFT,
+    SAG,
 )
-
-EFFECTS = (HEATING, SERVO_RATE, SERVO_THRUST, DRIFT, SAG)

@@ -1,29 +1,19 @@
 """Power over speed and pitch of an identified plant, with its standard deviation."""
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from types import SimpleNamespace
 
 import numpy as np
 
 from vpp_fmu.errors import BadInput
-from vpp_fmu.kernel.ops import Ops
 from vpp_fmu.kernel.power import EFFECTS, FIGURE, RAD_PER_S
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.structured import read_object
 
-ELECTRICAL, SHAFT = "electrical", "shaft"
-
 STEP = 1e-6
 """Step of a derivative as a share of a parameter: exact to rounding for maps, which are linear in their parameters."""
-
-
-class _Arrays(Ops):
-    """The operations that the effects of power use, on arrays."""
-
-    def where(self, condition, yes, no):
-        return np.where(condition, yes, no)
 
 
 def _covariance(path: str | os.PathLike, names: tuple[str, ...]) -> np.ndarray | None:
@@ -70,35 +60,33 @@ class PowerModel:
         known = _covariance(knowledge, names) if knowledge is not None and os.path.exists(knowledge) else None
         return cls(parameters, names, covariance if known is None else known)
 
-    @cached_property
+    @property
     def kind(self) -> str:
-        """ELECTRICAL or SHAFT."""
-        return ELECTRICAL if any(y.name == "power" for y in self.parameters.model.outputs) else SHAFT
+        """ "electrical" or "shaft"."""
+        return "electrical" if any(y.name == "power" for y in self.parameters.model.outputs) else "shaft"
 
-    def at(self, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
-        """Power [W] at speed [rpm] and pitch [deg], which have the same shape."""
-        return self._at(omega, beta, self.parameters.values)
-
-    def gradient(self, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
-        """(..., k) derivatives of the power [W] with respect to the named parameters."""
-        values, columns = self.parameters.values, []
-        for name in self.names:
-            step = STEP * max(abs(values[name]), 1e-9)
-            ends = (self._at(omega, beta, {**values, name: values[name] + s * step}) for s in (1.0, -1.0))
-            columns.append((next(ends) - next(ends)) / (2.0 * step))
-        return np.stack(columns, axis=-1) if columns else np.zeros((*np.shape(omega), 0))
-
-    def std(self, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
-        """Standard error [W] at these points, sqrt(g.T C g) with g the gradient."""
-        g = self.gradient(omega, beta)
-        return np.sqrt(np.einsum("...i,ij,...j->...", g, self.covariance, g))
-
-    def _at(self, omega, beta, values) -> np.ndarray:
+    def at(self, omega: np.ndarray, beta: np.ndarray, changed: Mapping[str, float] | None = None) -> np.ndarray:
+        """Power [W] at speed [rpm] and pitch [deg], which have the same shape; `changed`: parameters of other values."""
+        values = {**self.parameters.values, **(changed or {})}
         w = np.asarray(omega) / values["omega_scale"]
         b = (np.asarray(beta) + values["beta_offset"]) / values["beta_scale"]
         s = SimpleNamespace(w=w, b=b, omega_scale=values["omega_scale"])
         for effect in self.parameters.model.effects:
             if effect.outputs and effect.name != FIGURE.name:
                 p = SimpleNamespace(**{q.name: values[effect.full(q.name)] for q in effect.parameters})
-                s.__dict__.update(effect.step(_Arrays(), s, None, p, 0.0)[0])
-        return s.power if self.kind == ELECTRICAL else s.torque * np.asarray(omega) * RAD_PER_S
+                s.__dict__.update(effect.step(np, s, None, p, 0.0)[0])  # of the operations it needs `where`
+        return s.power if self.kind == "electrical" else s.torque * np.asarray(omega) * RAD_PER_S
+
+    def gradient(self, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
+        """(..., k) derivatives of the power [W] with respect to the named parameters."""
+        values, found = self.parameters.values, np.empty((*np.shape(omega), len(self.names)))
+        for k, name in enumerate(self.names):
+            step = STEP * max(abs(values[name]), 1e-9)
+            high, low = (self.at(omega, beta, {name: values[name] + way * step}) for way in (1.0, -1.0))
+            found[..., k] = (high - low) / (2.0 * step)
+        return found
+
+    def std(self, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
+        """Standard error [W] at these points, sqrt(g.T C g) with g the gradient."""
+        g = self.gradient(omega, beta)
+        return np.sqrt(np.einsum("...i,ij,...j->...", g, self.covariance, g))

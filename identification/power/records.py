@@ -6,8 +6,7 @@ The voltage has a line in time as its base. The current is predicted from the fi
 bias the resistance (two-stage least squares).
 """
 
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,12 +18,12 @@ from identification.power.effects import Signals
 from identification.power.fit import electrical
 from identification.power.model import PowerModel
 from identification.power.regression import STEP, Part, RegressionFit
-from vpp_fmu.kernel.power import MOTOR, POWER_TERMS, RAD_PER_S, polynomial
+from vpp_fmu.kernel.power import MOTOR, POWER_TERMS, RAD_PER_S
 from vpp_fmu.native import Simulator
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 
-STATIC = ((0, 0), *POWER_TERMS, *((4, j) for j in range(5)))
+STATIC = ((0, 0), *POWER_TERMS.values(), *((4, j) for j in range(5)))
 """Powers (i, j) of the terms w^i b^j of the map that is refined on the records: a constant, the terms of a map of power, and
 those of the copper loss of a torque of degree 2."""
 
@@ -35,19 +34,10 @@ LEAST_SPEED = 0.02
 """Minimum speed, as a share of the speed scale, by which power is divided."""
 
 
-@dataclass(frozen=True, eq=False)
-class Response:
-    """Response of a plant to a record. `rates` (rows, 2): of speed [rpm/s] and pitch [deg/s]. `lags` (rows, k): derivatives of
-    the power by the plant's lags. `turns` (rows, k): derivatives of the rate of speed by the lags of speed."""
-
-    shown: Prediction
-    rates: np.ndarray
-    lags: np.ndarray
-    turns: np.ndarray
-
-
-def respond(parameters: ParameterSet, record: Record) -> Response:
-    """Simulate a record. Rates have kinks where a command steps, so they are forward differences over fractions of a row."""
+def respond(parameters: ParameterSet, record: Record) -> tuple[Prediction, np.ndarray, np.ndarray]:
+    """(response of a plant to a record; rates (rows, 2) of speed [rpm/s] and pitch [deg/s]; derivatives (rows, k) by its
+    lags: of the power, and of the rate of speed times speed). Rates have kinks where a command steps, so they are forward
+    differences over fractions of a row."""
     values, model = parameters.values, parameters.model
     wrt = tuple(f"tau_{u}_{k}" for u in ("omega", "beta") for k in (1, 2))
     parts = max(int(np.ceil(record.period / (FINE * slowest(values, values)))), 3)
@@ -61,7 +51,8 @@ def respond(parameters: ParameterSet, record: Record) -> Response:
     rates = (4.0 * whole[1::parts] - whole[2::parts] - 3.0 * whole[::parts]) / (2.0 * steps[:, None])
     (thrust, omega, beta, *further), count = whole[::parts, : len(names)].T, len(names)
     shown = Prediction(record, thrust, omega, beta, dict(zip(names[3:], further, strict=True)))
-    return Response(shown, rates[:, 1:3], whole[::parts, count + 2 :], rates[:, count : count + 2])
+    turns = omega[:, None] / values["omega_scale"] * rates[:, count : count + 2]
+    return shown, rates[:, 1:3], np.hstack([whole[::parts, count + 2 :], turns])
 
 
 def squared_torque(model: PowerModel, p: Prediction) -> np.ndarray:
@@ -73,43 +64,47 @@ def squared_torque(model: PowerModel, p: Prediction) -> np.ndarray:
     return (p.further["power"] / (speed * RAD_PER_S)) ** 2
 
 
-def power_part(name: str, r: Response, model: PowerModel, block: float, largest: float) -> Part:
-    """The power of a record, minus that of the identified model."""
-    p, (faster, rate) = r.shown, r.rates.T
+def power_part(name: str, response: tuple, model: PowerModel, block: float, largest: float) -> Part:
+    """The power of a record, minus that of the identified model. `response`: of `respond`."""
+    p, (faster, rate), lags = response[0], response[1].T, response[2].T
     values, time = model.parameters.values, p.record.time
     expected, load = p.further["power"], squared_torque(model, p) / largest
     near, by = STEP * values["omega_scale"], STEP * values["beta_scale"]
     to_speed = (model.at(p.omega + near, p.beta) - model.at(p.omega - near, p.beta)) / (2.0 * near)
     to_pitch = (model.at(p.omega, p.beta + by) - model.at(p.omega, p.beta - by)) / (2.0 * by)
     w, b = p.omega / values["omega_scale"], p.beta / values["beta_scale"]
-    static = [polynomial((term,), (1.0,), w, b) + 0.0 * w for term in STATIC]
-    driven = [faster * term for term in (1.0 + 0.0 * w, w, w**2, w**2 * b, w**2 * b**2, faster)]
-    base = [*static, load, *driven, *r.lags.T, *(w * turn for turn in r.turns.T)]
+    static = [w**i * b**j for i, j in STATIC]
+    driven = [faster * term for term in (1.0, w, w**2, w**2 * b, w**2 * b**2, faster)]
+    base = [*static, load, *driven, *lags]
     step, loss = float(np.median(p.record.steps)), values.get(MOTOR.full("loss"), 0.0)
     feedback = 1.0 / (loss * largest) if loss > 0.0 else 0.0
     signals = Signals(time, expected, load, rate, p.thrust, np.zeros(len(time)), step, feedback)
     outputs = np.column_stack([expected, p.omega, p.beta])
-    shapes = partial(output_shapes, p.record, outputs, (to_pitch, to_speed), slowest(values, values))
     reading, at = electrical(p.record.columns), blocks(p.record, block)
+    shapes = output_shapes(p.record, outputs, (to_pitch, to_speed), slowest(values, values))
     return Part(
-        name, p.record, at, reading - expected, np.column_stack(base), signals, shapes, float(np.nanmax(np.abs(reading)))
+        name=name,
+        record=p.record,
+        at=at,
+        measured=reading - expected,
+        base=np.column_stack(base),
+        signals=signals,
+        shapes=np.column_stack([at.mean(shape) for shape in shapes]),
+        largest=float(np.nanmax(np.abs(reading))),
     )
 
 
 def supply_parts(power: RegressionFit) -> list[Part]:
-    """The voltages of the records of a fit of power that have voltage and current."""
+    """The voltages of the records of a fit of power that have voltage and current. The current is regressed on the power that
+    the fit predicts. Each record has its own line in time as base."""
     parts = [p for p in power.problem.parts if {"voltage", "current"} <= set(p.record.columns)]
-    return [_supply(part, power, np.eye(len(parts))[k]) for k, part in enumerate(parts)]
-
-
-def _supply(part: Part, power: RegressionFit, own: np.ndarray) -> Part:
-    """The voltage of a record; its current is regressed on the power that the final fit predicts. `own` (records,): 1 for this
-    record, whose line in time no other has."""
-    time, measured = part.record.time, part.record["current"]
-    predicted = part.signals.power + part.base @ power.coefficients + part.response(power.effects, power.x)
-    seen, terms = np.isfinite(measured), np.vander(predicted / np.max(np.abs(predicted)), 3)
-    current = terms @ np.linalg.lstsq(terms[seen], measured[seen], rcond=None)[0]
-    since = time / time[-1]
-    shapes, signals = partial(iter, (since**2, current)), replace(part.signals, current=current)
-    base, volts = np.kron(own, np.vander(since, 2)), part.record["voltage"]
-    return replace(part, measured=volts, base=base, signals=signals, shapes=shapes, largest=float(np.nanmax(np.abs(volts))))
+    found = []
+    for part, own in zip(parts, np.eye(len(parts)), strict=True):
+        volts, measured, since = part.record["voltage"], part.record["current"], part.record.time / part.record.time[-1]
+        predicted = part.signals.power + part.base @ power.coefficients + part.response(power.effects, power.x)
+        seen, terms = np.isfinite(measured), np.vander(predicted / np.max(np.abs(predicted)), 3)
+        current = terms @ np.linalg.lstsq(terms[seen], measured[seen], rcond=None)[0]
+        shapes, signals = part.at.mean(np.column_stack([since**2, current])), replace(part.signals, current=current)
+        base, largest = np.kron(own, np.vander(since, 2)), float(np.nanmax(np.abs(volts)))
+        found.append(replace(part, measured=volts, base=base, signals=signals, shapes=shapes, largest=largest))
+    return found

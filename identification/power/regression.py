@@ -4,9 +4,9 @@ Block means are whitened by an autoregression, and the base is projected out. Th
 in the few parameters of the effects.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 
 import numpy as np
@@ -15,8 +15,9 @@ from scipy.optimize import least_squares
 from identification.diagnose.command_shapes import regress_out
 from identification.diagnose.crossval import folds, predicted, rms
 from identification.diagnose.judgement import ACCURACY
-from identification.diagnose.score_test import ScoreTest, tested
-from identification.fit.noise import Blocks, Colour, colour_of
+from identification.diagnose.lack_of_fit import LackOfFit
+from identification.diagnose.score_test import tested
+from identification.fit.noise import Blocks, colour_of
 from identification.fit.uncertainty import NORMAL_95
 from identification.power.effects import PowerEffect, Signals
 from identification.power.fit import EXACT
@@ -31,17 +32,14 @@ STEP = 1e-4
 RANK = 1e-6
 """Relative singular value below which columns of the base count as collinear."""
 
-LARGEST = 50.0
-"""Largest logarithm of a ratio of an interval's end to the value."""
-
 NONE = np.zeros(0)
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One reading of one record: `measured` (rows,) and `base` (rows, k), whose coefficients are free; `shapes` that span the
-    residual of a missing effect, for the noise and the lack of fit; `largest`: the sensor's largest reading. Block means are
-    compared."""
+    """One reading of one record: `measured` (rows,) and `base` (rows, k), whose coefficients are free; block means `shapes`
+    (blocks, m) that span the residual of a missing effect, for the noise and the lack of fit; `largest`: the sensor's largest
+    reading. Block means are compared."""
 
     name: str
     record: Record
@@ -49,7 +47,7 @@ class Part:
     measured: np.ndarray
     base: np.ndarray
     signals: Signals
-    shapes: Callable[[], Iterator[np.ndarray]]
+    shapes: np.ndarray
     largest: float
 
     @cached_property
@@ -64,64 +62,58 @@ class Part:
             total = total + effect.response(self.signals, {p.name: next(values) for p in effect.parameters})
         return total
 
-    def mean_response(self, effects: Sequence[PowerEffect], x: np.ndarray) -> np.ndarray:
-        """Block means (blocks,) of `response`."""
-        return self.at.mean(self.response(effects, x))
-
 
 class Regression:
-    """A reading of all records, whitened by the colour of the noise of each."""
+    """A reading of all records, one after the other. Each is whitened by its noise beside `effects` with parameters `x`."""
 
-    def __init__(self, parts: Sequence[Part], colours: Sequence[Colour]):
-        self.parts, self.colours = parts, colours
-        self._seen = [np.isfinite(c.whiten(p.means[0])) for p, c in zip(parts, colours, strict=True)]
-        ends = np.cumsum([seen.sum() for seen in self._seen]).tolist()
-        self.slices = [slice(first, end) for first, end in zip([0, *ends], ends, strict=False)]
-        base = self.whitened([p.means[1] for p in parts])
-        self.size = np.linalg.norm(base, axis=0)
-        self.size[self.size == 0.0] = 1.0
-        self.base, self.measured = base / self.size, self.whitened([p.means[0] for p in parts])
+    def __init__(self, parts: Sequence[Part], effects: Sequence[PowerEffect] = (), x: np.ndarray = NONE):
+        self.parts, largest = parts, max(p.largest for p in parts)
+        ends = np.cumsum([len(p.at.time) for p in parts]).tolist()
+        self.rows = [slice(first, end) for first, end in zip([0, *ends], ends, strict=False)]
+        self.measured, base = (np.concatenate(means) for means in zip(*(p.means for p in parts), strict=True))
+        self.shapes, residual = np.concatenate([p.shapes for p in parts]), self.measured - self.response(effects, x)
+        columns, self.colours = np.hstack([self.shapes, base]).T, []
+        for rows in self.rows:
+            own, none = columns[:, rows], np.zeros((rows.stop - rows.start, 0))
+            rest, removed = regress_out(partial(iter, own), np.asarray, residual[rows], none)
+            colour = colour_of([rest], removed)
+            self.colours.append(replace(colour, innovation=max(colour.innovation, EXACT * largest)))  # readings without noise
+        self.seen: slice | np.ndarray = slice(None)
+        self.seen = np.isfinite(self.whitened(self.measured))
+        size = np.linalg.norm(self.whitened(base), axis=0)
+        self.size = np.where(size > 0.0, size, 1.0)
+        self.columns, self.base = base / self.size, self.whitened(base / self.size)
         turned, power, _ = np.linalg.svd(self.base, full_matrices=False)
         self.basis = turned[:, power > RANK * power[0]]
-        self.least = ACCURACY * max(p.largest for p in parts)
+        self.least = ACCURACY * largest
 
-    @classmethod
-    def of(cls, parts: Sequence[Part], effects: Sequence[PowerEffect] = (), x: np.ndarray = NONE) -> "Regression":
-        """With the noise of the residual beside `effects`, after a regression on base and shapes."""
-        found = []
-        for p in parts:
-            residual, fitted = p.measured - p.response(effects, x), np.zeros((len(p.at.time), 0))
-            rest, removed = regress_out(lambda p=p: (*p.shapes(), *p.base.T), p.at.mean, residual, fitted)
-            colour = colour_of([p.at.mean(rest)], removed)
-            found.append(replace(colour, innovation=max(colour.innovation, EXACT * p.largest)))  # readings without noise
-        return cls(parts, found)
+    def response(self, effects: Sequence[PowerEffect], x: np.ndarray) -> np.ndarray:
+        """Block means (blocks,) of the response to effects."""
+        return np.concatenate([p.at.mean(p.response(effects, x)) for p in self.parts])
 
-    def whitened(self, columns: Sequence[np.ndarray]) -> np.ndarray:
-        """(n, ...) of block means of each record, where the reading exists."""
-        white = [c.whiten(column) for column, c in zip(columns, self.colours, strict=True)]
-        return np.concatenate([w[seen] for w, seen in zip(white, self._seen, strict=True)])
-
-    def rows_of(self, values: Sequence[np.ndarray]) -> np.ndarray:
-        """(n,) of the blocks of each record, at the whitened rows."""
-        return np.concatenate([v[len(v) - len(seen) :][seen] for v, seen in zip(values, self._seen, strict=True)])
+    def whitened(self, columns: np.ndarray) -> np.ndarray:
+        """(n, ...) of block means (blocks, ...), where the reading exists."""
+        found = np.full(columns.shape, np.nan)
+        for colour, rows in zip(self.colours, self.rows, strict=True):
+            white = colour.whiten(columns[rows])
+            found[rows.stop - len(white) : rows.stop] = white
+        return found[self.seen]
 
     def orthogonal(self, columns: np.ndarray) -> np.ndarray:
         """Part of columns (n, ...) that the base does not span."""
         return columns - self.basis @ (self.basis.T @ columns)
 
-    def response(self, effects: Sequence[PowerEffect], x: np.ndarray) -> np.ndarray:
-        """Whitened response (n,) to effects, orthogonal to the base."""
-        return self.orthogonal(self.whitened([p.mean_response(effects, x) for p in self.parts]))
+    def residual(self, effects: Sequence[PowerEffect], x: np.ndarray) -> np.ndarray:
+        """Whitened reading (n,) minus the response to effects, orthogonal to the base."""
+        return self.orthogonal(self.whitened(self.measured - self.response(effects, x)))
 
     def fit(self, effects: Sequence[PowerEffect] = (), start: np.ndarray = NONE) -> "RegressionFit":
         """Least squares of effects beside the base, from a `start` of their parameters."""
-        declared, measured = [p for e in effects for p in e.parameters], self.orthogonal(self.measured)
-        if not declared:
-            return RegressionFit(self, (), start)
-        bounds = np.array([(p.minimum, p.maximum) for p in declared]).T
-        start, scale = np.clip(start, *bounds), np.abs(start)
-        found = least_squares(lambda x: measured - self.response(effects, x), start, bounds=bounds, x_scale=scale)
-        return RegressionFit(self, tuple(effects), found.x)
+        first = RegressionFit(self, tuple(effects), start)
+        if not effects:
+            return first
+        limits = {"bounds": first.bounds, "x_scale": np.abs(start)}
+        return replace(first, x=least_squares(lambda x: self.residual(effects, x), np.clip(start, *first.bounds), **limits).x)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,34 +124,38 @@ class RegressionFit:
     effects: tuple[PowerEffect, ...]
     x: np.ndarray
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the effects."""
+        return tuple(e.name for e in self.effects)
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """(2, k) of the parameters."""
+        return np.array([(p.minimum, p.maximum) for e in self.effects for p in e.parameters]).T
+
     @cached_property
     def residual(self) -> np.ndarray:
         """Whitened (n,), orthogonal to the base."""
-        return self.problem.orthogonal(self.problem.measured) - self.problem.response(self.effects, self.x)
+        return self.problem.residual(self.effects, self.x)
 
     def with_effect(self, effect: PowerEffect) -> "RegressionFit | None":
         """One more effect, fitted beside the others; None if its best size is not a possible one."""
         tiny, declared, starts = STEP * self.problem.least, effect.parameters[0], []
         for shape in product(*(np.geomspace(p.minimum, p.maximum, STARTS).tolist() for p in effect.parameters[1:])):
-            column = self.problem.response([effect], np.array([tiny, *shape])) / tiny
+            column = self.problem.whitened(self.problem.response([effect], np.array([tiny, *shape]))) / tiny
             column -= self.basis @ (self.basis.T @ column)
             power, along = float(column @ column), float(column @ self.residual)
             if power > 0.0 and declared.minimum < along / power < declared.maximum:
-                starts.append((along**2 / power, along / power, shape))
-        if not starts:
-            return None
-        _, size, shape = max(starts)
-        return self.problem.fit((*self.effects, effect), np.array([*self.x, size, *shape]))
+                starts.append((along**2 / power, along / power, *shape))
+        return self.problem.fit((*self.effects, effect), np.append(self.x, max(starts)[1:])) if starts else None
 
     @cached_property
-    def slopes(self) -> list[np.ndarray]:
-        """Derivatives (blocks, k) of the effects' block means by their parameters, for each record."""
-        found = [np.zeros((len(p.at.time), len(self.x))) for p in self.problem.parts]
-        for k, step in enumerate(STEP * np.maximum(np.abs(self.x), STEP)):
-            move = step * (np.arange(len(self.x)) == k)
-            for p, columns in zip(self.problem.parts, found, strict=True):
-                low, high = (p.mean_response(self.effects, self.x + way) for way in (-move, move))
-                columns[:, k] = (high - low) / (2.0 * step)
+    def slopes(self) -> np.ndarray:
+        """Derivatives (blocks, k) of the response by the effects' parameters."""
+        found, response = np.empty((len(self.problem.measured), len(self.x))), self.problem.response
+        for k, step in enumerate(np.diag(STEP * np.maximum(np.abs(self.x), STEP))):
+            found[:, k] = (response(self.effects, self.x + step) - response(self.effects, self.x - step)) / (2.0 * step[k])
         return found
 
     @cached_property
@@ -200,40 +196,41 @@ class RegressionFit:
     def intervals(self) -> np.ndarray:
         """(k, 2) 95 % intervals, by the standard errors. Those of an effect with a time constant are of the logarithms: its
         parameters are positive, and their likelihood is skewed."""
-        declared = [(p, len(e.parameters) > 1) for e in self.effects for p in e.parameters]
-        half, found = NORMAL_95 * self.std, []
-        for (p, skewed), x, reach in zip(declared, self.x.tolist(), half.tolist(), strict=True):
-            share = float(np.exp(min(reach / x, LARGEST))) if skewed else 1.0
-            found.append((max(x / share, p.minimum), min(x * share, p.maximum)) if skewed else (x - reach, x + reach))
-        return np.array(found)
+        reach, skewed = NORMAL_95 * self.std, [len(e.parameters) > 1 for e in self.effects for _ in e.parameters]
+        share = np.exp(np.minimum(reach / np.abs(self.x), 50.0))  # must not overflow
+        ends = np.where(skewed, [self.x / share, self.x * share], [self.x - reach, self.x + reach])
+        return np.clip(ends, *self.bounds).T
 
     @cached_property
     def coefficients(self) -> np.ndarray:
         """(k,) of the base."""
         p = self.problem
-        rest = p.measured - p.whitened([part.mean_response(self.effects, self.x) for part in p.parts])
+        rest = p.whitened(p.measured - p.response(self.effects, self.x))
         return np.linalg.lstsq(p.base, rest, rcond=RANK)[0] / p.size
 
     def error(self, part: Part) -> np.ndarray:
         """Block means (blocks,) measured minus model, of any record."""
         measured, base = part.means
-        return measured - base @ self.coefficients - part.mean_response(self.effects, self.x)
+        return measured - base @ self.coefficients - part.at.mean(part.response(self.effects, self.x))
+
+    @cached_property
+    def errors(self) -> np.ndarray:
+        """(blocks,) of `error` of all records."""
+        return np.concatenate([self.error(part) for part in self.problem.parts])
 
     @cached_property
     def held_out(self) -> tuple[float, float]:
         """(sum of squares of the whitened residual, rms error of the block means) of folds predicted from the others."""
-        p = self.problem
-        own = [folds(part.at.time, float(part.record.time[-1])) for part in p.parts]
-        jacobian = np.hstack([p.base, p.whitened(self.slopes)])
-        held, moves = predicted([self.residual], -jacobian, p.rows_of(own))
-        errors = []
-        for part, slopes, fold in zip(p.parts, self.slopes, own, strict=True):
-            columns = np.hstack([part.means[1] / p.size, slopes])
-            errors.append(self.error(part) - np.einsum("bk,bk->b", columns, moves[fold]))
-        return float(held @ held), rms(errors)
+        p, columns = self.problem, np.hstack([self.problem.columns, self.slopes])
+        fold = np.concatenate([folds(part.at.time, float(part.record.time[-1])) for part in p.parts])
+        held, moves = predicted([self.residual], -p.whitened(columns), fold[p.seen])
+        return float(held @ held), rms([self.errors - np.einsum("bk,bk->b", columns, moves[fold])])
 
-    def score_test(self) -> ScoreTest:
-        """Score test of the shapes, as of the thrust."""
-        p = self.problem
-        each = [np.stack([part.at.mean(shape) for shape in part.shapes()], axis=1) for part in p.parts]
-        return tested(self, np.ascontiguousarray(p.whitened(each).T), p.slices, [None] * len(p.parts))
+    @cached_property
+    def lack(self) -> LackOfFit:
+        """Score test of the shapes, as of the thrust; `size`: rms that they explain, in the unit of the reading."""
+        p, ends = self.problem, np.cumsum([self.problem.seen[rows].sum() for rows in self.problem.rows]).tolist()
+        slices = [slice(first, end) for first, end in zip([0, *ends], ends, strict=False)]
+        test = tested(self, np.ascontiguousarray(p.whitened(p.shapes).T), slices, [None] * len(slices))
+        size = float(np.sqrt(max(2.0 * test.gain, 0.0) / len(self.residual))) * rms([self.errors])
+        return LackOfFit((), test, test.p, size, p.least, bool(self.effects))

@@ -18,40 +18,30 @@ from vpp_fmu.kernel.types import Effect, Parameter, Signal
 RAD_PER_S = 2.0 * pi / 60.0
 """One rpm in rad/s."""
 
-TORQUE_TERMS = tuple(product((1, 2), (0, 1, 2)))
-POWER_TERMS = tuple(product((1, 2, 3), (0, 1, 2)))
-"""Powers (i, j) of the terms w^i b^j. The power terms include the torque terms times speed. A rotor at rest takes none."""
-
-EFFICIENCY = Signal("efficiency", "1", "shaft power over electrical power of motor and ESC; 0 without power", -10.0, 10.0)
-
-
-def polynomial(terms, coefficients, w, b):
-    """Sum of coefficient w^i b^j, on any arithmetic."""
-    total = 0.0
-    for (i, j), c in zip(terms, coefficients, strict=True):
-        term = c
-        for factor in (*i * [w], *j * [b]):
-            term = term * factor
-        total = total + term
-    return total
+TORQUE_TERMS = {f"q{i}{j}": (i, j) for i, j in product((1, 2), (0, 1, 2))}
+POWER_TERMS = {f"p{i}{j}": (i, j) for i, j in product((1, 2, 3), (0, 1, 2))}
+"""Powers (i, j) of the terms w^i b^j, by coefficient. The power terms include the torque terms times speed. A rotor at rest
+takes none."""
 
 
-def _map(letter: str, terms, unit: str, output: Signal, name: str, text: str) -> Effect:
-    names = tuple(f"{letter}{i}{j}" for i, j in terms)
-
+def _map(terms, unit: str, output: Signal, text: str) -> Effect:
     def step(ops, s, x, p, dt):
-        return {output.name: polynomial(terms, [getattr(p, n) for n in names], s.w, s.b)}, {}
+        total = 0.0
+        for name, (i, j) in terms.items():
+            term = getattr(p, name)
+            for factor in (*i * [s.w], *j * [s.b]):
+                term = term * factor
+            total = total + term
+        return {output.name: total}, {}
 
     about = "coefficient of w^{} b^{} in the map of " + output.name
-    parameters = tuple(
-        Parameter(n, unit, 0.0, -1e6, 1e6, about.format(*term), output.nominal) for n, term in zip(names, terms, strict=True)
-    )
-    off, probe = dict.fromkeys(names, 0.0), {names[-3]: output.nominal}
-    return Effect(name, text, step, parameters, off=off, probe=probe, outputs=(output,))
+    parameters = tuple(Parameter(n, unit, 0.0, -1e6, 1e6, about.format(*ij), output.nominal) for n, ij in terms.items())
+    off, probe = dict.fromkeys(terms, 0.0), {list(terms)[-3]: output.nominal}
+    return Effect(f"{output.name}_map", text, step, parameters, off=off, probe=probe, outputs=(output,))
 
 
-TORQUE_MAP = _map("q", TORQUE_TERMS, "N.m", TORQUE, "torque_map", "torque over rotor speed and blade pitch")
-POWER_MAP = _map("p", POWER_TERMS, "W", POWER, "power_map", "electrical power over rotor speed and blade pitch")
+TORQUE_MAP = _map(TORQUE_TERMS, "N.m", TORQUE, "torque over rotor speed and blade pitch")
+POWER_MAP = _map(POWER_TERMS, "W", POWER, "electrical power over rotor speed and blade pitch")
 
 
 def _motor(ops, s, x, p, dt):
@@ -72,7 +62,10 @@ MOTOR = Effect(
     ),
     off={"friction": 0.0, "loss": 0.0, "idle": 0.0},
     probe={"loss": 500.0},
-    outputs=(POWER, EFFICIENCY),
+    outputs=(
+        POWER,
+        Signal("efficiency", "1", "shaft power over electrical power of motor and ESC; 0 without power", -10.0, 10.0),
+    ),
 )
 
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from identification.fit.uncertainty import NORMAL_95
-from identification.power.allocation import COLUMNS, Allocation, allocated_controller, table
+from identification.power.allocation import Allocation, allocated_controller
 from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import panels
 from vpp_fmu.app.report.page import Page
@@ -29,7 +29,7 @@ class AllocateResult(Result):
     @property
     def pairs(self) -> dict[str, np.ndarray]:
         """Columns of allocation.csv, (thrusts,) each: `thrust` [N], `omega` [rpm], `beta` [deg], `power` [W], 95 % limits."""
-        return dict(zip(COLUMNS, np.array(table(self.found)).T, strict=True))
+        return self.found.columns
 
     @property
     def gains(self) -> ParameterSet:
@@ -63,21 +63,19 @@ class AllocateResult(Result):
         ]
 
     def to_dict(self) -> dict[str, Any]:
-        found, (slowest, fastest), (low, high) = self.found, self.found.surface.speed, self.found.surface.pitch
+        found, rig = self.found, self._parameters.rig
+        limits = {"speed": (rig.speed, "rpm"), "pitch": (rig.pitch, "deg")}
         return {
             "format": FORMAT,
             "weight": found.weight,
-            "limits": {
-                "speed": {"min": slowest, "max": fastest, "unit": "rpm"},
-                "pitch": {"min": low, "max": high, "unit": "deg"},
-            },
+            "limits": {name: {"min": low, "max": high, "unit": unit} for name, ((low, high), unit) in limits.items()},
             "kind": found.model.kind,
             "best_fixed_pitch": {"value": found.fixed_beta, "unit": "deg"},
             "saving": found.saving,
         }
 
     def write(self, folder: OutputFolder) -> None:
-        rows = [",".join(COLUMNS), *(",".join(f"{v:.7g}" for v in row) for row in table(self.found))]
+        rows = [",".join(self.pairs), *(",".join(f"{v:.7g}" for v in row) for row in zip(*self.pairs.values(), strict=True))]
         folder.write("allocation.csv", "\n".join(rows) + "\n")
         folder.write("allocation.h", as_c(self.found))
         folder.write("gains.json", to_json(self._dated(self.gains)))
@@ -87,19 +85,16 @@ class AllocateResult(Result):
         found = self.found
         goal = "the least power" if found.weight == 0.0 else f"power and reserve of thrust at a weight of {found.weight:g}"
         page.section("The pairs", f"For each thrust the pair of speed and pitch of {goal}, within the rig's limits.")
-        share = f"{100.0 * abs(found.saving):.1f} %"
-        verb = f"save {share} of the power" if found.saving >= 0.0 else f"take {share} more power"
-        title = f"The pairs {verb} against the best fixed pitch, {found.fixed_beta:.3g} deg"
-        half = NORMAL_95 * found.power_std
+        title, of = self.headline().removesuffix("."), self.pairs
         fig = panels(title, ["power [W]", "speed [rpm]", "pitch [deg]"], [260, 130, 130], "thrust [N]")
-        fig.envelope(found.thrust, found.power - half, found.power + half, "95 % interval", style.NOISE)
+        fig.envelope(found.thrust, of["power_low"], of["power_high"], "95 % interval", style.NOISE)
         fixed = f"best fixed pitch, {found.fixed_beta:.3g} deg"
         fig.line(found.thrust, found.fixed, fixed, style.BEFORE, 1.6, dash="dash")
         for panel, values in enumerate((found.power, found.omega, found.beta)):
             fig.line(found.thrust, values, "best pairs", style.AFTER, 2.2, panel)
         page.figure(fig, "95 % interval: of the power's parameters; the choice of a map's terms is not part of it.")
         bands = [f"{low:.3g} to {high:.3g}" for low, high in found.beta_band]
-        cells = found.thrust, found.omega, found.beta, bands, found.power, NORMAL_95 * found.power_std, found.reserve
+        cells = found.thrust, found.omega, found.beta, bands, found.power, of["power_high"] - found.power, found.reserve
         rows = [tuple(map(number, row, (4, 5, 3, 4, 4, 2, 3))) for row in zip(*cells, strict=True)]
         columns = ("thrust [N]", "speed [rpm]", "pitch [deg]", "pitch, 95 % [deg]", "power [W]", "± 95 % [W]", "reserve [N]")
         page.table(columns, rows[:: max(1, len(rows) // 20)], "Pairs; allocation.csv has all of them.")
