@@ -27,9 +27,7 @@ from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import compiler, simulator
 from vpp_fmu.scratch import remove_scratch
 
-SHARED = (
-    *("test_fmu", "test_native", "test_native_fmu", "test_native_calls", "test_fmi3", "test_misuse", "test_hosts", "test_loop"),
-)
+SHARED = (*("test_fmu", "test_native", "test_native_fmu", "test_fmi_calls", "test_fmi3", "test_loop"),)
 """Files of one group: they share a long run and native FMUs."""
 
 LONGEST_FIRST = (
@@ -44,7 +42,6 @@ IN_VIRTUAL_TIME = (
     *("test_plausibility", "test_polarity"),
 )
 """Files of the rig whose clock is simulated."""
-
 
 SHARE = 1.0 / 3.0
 """Share of the values of a `sampled` parameter that run with several workers. Without workers all values run."""

@@ -175,12 +175,10 @@ CASES = (
     Case("write before the initialisation", (), WRITE),
     Case("write after the end", ENDED, WRITE, f"fmi2SetReal: {NOT} after it was terminated"),
     Case("enter twice", INIT, ENTER, f"fmi2EnterInitializationMode: {NOT} in initialization mode"),
-    Case("enter while running", RUN, ENTER, f"fmi2EnterInitializationMode: {NOT} after the initialization mode"),
     Case("enter without set-up", (), ENTER),
     Case("leave before entering", (SETUP,), LEAVE, f"fmi2ExitInitializationMode: {NOT} before"),
     Case("leave twice", RUN, LEAVE, f"fmi2ExitInitializationMode: {NOT} after the initialization mode"),
     Case("terminate before the initialisation", (), TERMINATE, f"fmi2Terminate: {NOT} before"),
-    Case("terminate in the initialisation", INIT, TERMINATE, f"fmi2Terminate: {NOT} in initialization mode"),
     Case("terminate twice", ENDED, TERMINATE, f"fmi2Terminate: {NOT} after it was terminated"),
     Case("reset before the initialisation", (), RESET),
     Case("reset after the end", ENDED, RESET),
@@ -202,7 +200,6 @@ CASES = (
     Case("a switch as a number", RUN, _set(speed_only=1.0), "found speed_only of type Boolean", "controller"),
     Case("a number as a switch", RUN, _set("Boolean", omega_ref=1), "found omega_ref of type Real"),
     Case("a number as an integer", RUN, _get("Integer", "thrust"), "found thrust of type Real"),
-    Case("a number as text", RUN, _get("String", "thrust"), "found thrust of type Real"),
     Case("text for a number", INIT, _set("String", omega_ref="fast"), "found omega_ref of type Real"),
     Case("no variables at all", RUN, _get("Real")),
     Case("read an unknown reference", RUN, _get("Real", 999), "value reference: found 999, expected 0 to"),
@@ -211,7 +208,6 @@ CASES = (
     # steps
     Case("no step", RUN, _step(0.0, 0.0), "communication step: found 0.0 s, expected a positive number"),
     Case("NaN as a step", RUN, _step(0.0, NAN), "communication step: found nan s"),
-    Case("the plain plant's step of 30 years", RUN, _step(0.0, 1e9), "expected up to 100000.0 s"),
     Case("a step of 30 years", RUN, _step(0.0, 1e9), "expected up to 100.0 s", "all_on"),
     Case("a controller's step of 30 years", RUN, _step(0.0, 1e9), "expected up to 400.0 s", "controller"),
     Case("a step at another time", RUN, _step(777.0), "found 777.0 s, expected the instance's time, 0.0 s"),
@@ -227,7 +223,6 @@ CASES = (
     Case("write after an error", (*RUN, FAIL), WRITE, f"{NOT} after an error"),
     Case("read after an error", (*RUN, FAIL), READ),
     Case("reset after an error", (*RUN, FAIL), RESET),
-    Case("three errors in a row", (*RUN, *[FAIL] * 3, RESET, *RUN), STEP),
     Case("a saved state after an error", (*RUN, KEEP, FAIL, BACK), STEP),
     # states
     Case("a saved state goes back in time", (*RUN, KEEP, STEP, BACK), STEP),
@@ -235,7 +230,6 @@ CASES = (
     Case("a flipped bit in a state", (*RUN, KEEP), FLIP, "bytes that hold none"),
     Case("half a state", (*RUN, KEEP), _changed(lambda b: b[: len(b) // 2]), "expected a serialised state"),
     # logging
-    Case("one category", RUN, lambda h: h.log(0, "logStatusError")),
     Case("an unknown category", RUN, lambda h: h.log(1, "logEverything")),
 )
 

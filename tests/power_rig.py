@@ -176,7 +176,4 @@ def truth(rig: PowerRig, found: PowerDiagnosis) -> dict:
     w, b = omega / 6000.0, (beta + 5.0) / 15.0
     driven = rig.torque(w, b) + d["friction"]
     loss = d["resistance"] * float(np.max(driven) / d["constant"]) ** 2
-    return {
-        ("resistance_heating", "gain"): rig.rise * loss**2,
-        ("resistance_heating", "time_constant"): d["time_constant"],
-    }
+    return {("resistance_heating", "gain"): rig.rise * loss**2, ("resistance_heating", "time_constant"): d["time_constant"]}

@@ -17,12 +17,11 @@ PATIENCE = 60.0
 
 @dataclass(frozen=True)
 class Ended:
-    """`code`: exit code (negative: killed by a signal); `error`: standard error; `seconds` from the signal until all ended;
-    `left`: processes of the group that are still there after PATIENCE."""
+    """`code`: exit code (negative: killed by a signal); `error`: standard error; `left`: processes of the group that are still
+    there after PATIENCE."""
 
     code: int
     error: str
-    seconds: float
     left: tuple[int, ...]
 
 
@@ -32,11 +31,10 @@ def signalled(words: Sequence[str], number: int, ready, to_all: bool = False, **
     process = subprocess.Popen(words, **pipes, text=True, start_new_session=True, env=os.environ | environment)
     try:
         _until(lambda: ready(process) or process.poll() is not None, process)
-        began = time.monotonic()
         (os.killpg if to_all else os.kill)(process.pid, number)
         _, error = process.communicate(timeout=PATIENCE)
         _until(lambda: not group(process.pid), process)
-        return Ended(process.returncode, error, time.monotonic() - began, group(process.pid))
+        return Ended(process.returncode, error, group(process.pid))
     finally:
         for pid in group(process.pid):
             os.kill(pid, signal.SIGKILL)

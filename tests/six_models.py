@@ -95,11 +95,7 @@ def ball(times, g=9.81, e=0.8, h=1.0):
     n = np.searchsorted(impacts, times, side="right")
     since = times - np.r_[0.0, impacts][n]
     up = np.where(n > 0, e**n * speed, 0.0)
-    return {
-        "h": np.where(n > 0, 0.0, h) + up * since - 0.5 * g * since**2,
-        "v": up - g * since,
-        "bounces": n.astype(float),
-    }
+    return {"h": np.where(n > 0, 0.0, h) + up * since - 0.5 * g * since**2, "v": up - g * since, "bounces": n.astype(float)}
 
 
 def delayed(times):

@@ -22,7 +22,6 @@ PERIOD = 0.004
 LONG = 0.01
 """s: a fifth of the time-out that loop, board and supervisor have for each other (0.05 s). One stall may hit each of them."""
 
-
 MISSED = 0.1
 """s within a second: the share of ticks that a loop may miss, which many short stalls reach, too."""
 

@@ -39,7 +39,6 @@ CONTRACT = {
     *("noise_floor_thrust", "candidates", "unexplained"),
 }
 
-
 NAMES = ("open_loop", "repeat", "validation")
 
 
@@ -203,13 +202,6 @@ def test_effects_that_explain_too_little_are_not_to_be_trusted():
     assert len(re.findall(r"\.(?: |$)", said)) == 2
 
 
-def test_a_channel_has_the_effects_that_act_on_it(example, page):
-    name = example.final.effects[0]
-    shown = {"speed": {"verdict": "none", "effects": []}, "thrust": {"verdict": "attributed", "effects": [name]}}
-    assert summary(example)["channels"] == shown
-    assert "Thrust: " in page
-
-
 def test_same_result_to_the_bit_with_another_number_of_workers(nothing_missing):
     again = diagnose(rig(), FEW, workers=1)
     assert json.dumps(summary(again)) == json.dumps(summary(nothing_missing))
@@ -280,7 +272,7 @@ def test_a_drift_of_the_speed_alone_is_a_lack_of_fit():
     assert found.before.thrust_equivalent == pytest.approx(np.sqrt(np.mean((slope * late) ** 2)), rel=0.1)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", NAMES[1:])
 def test_one_record_is_enough_and_all_of_it_is_used(name):
     campaign = replace(rig(), **dict.fromkeys(NAMES))
     record = getattr(rig(), name)
@@ -441,12 +433,11 @@ def test_play_s_own_curve_is_its_closed_form():
     np.testing.assert_allclose(reached[down], stairs[down] + half, atol=2e-3)
 
 
-def limited(pitches, seed=0) -> Campaign:
-    """A rig whose supply sags: low speeds at any pitch, and 6000 rpm, above the limit, only at these pitches [deg]."""
+def limited(pitch, seed=0) -> Campaign:
+    """A rig whose supply sags: low speeds at any pitch, and 6000 rpm, above the limit, only at this one [deg]."""
     rng, rows = np.random.default_rng(seed), round(1.0 / STEP)
     below = [(rng.uniform(2500.0, 4500.0), rng.uniform(-4.0, 9.0)) for _ in range(16)]
-    above = [level for pitch in pitches for level in (*[(3500.0, pitch)] * 4, *[(6000.0, pitch)] * 2)]
-    above += [(3500.0, pitches[-1])] * 2
+    above = [*[(3500.0, pitch)] * 4, *[(6000.0, pitch)] * 2, *[(3500.0, pitch)] * 2]
     omega, beta = (np.repeat([level[k] for level in below + above], rows) for k in (0, 1))
     record = Record({"time": np.arange(len(omega)) * STEP, "omega_ref": omega, "beta_ref": beta}, "open_loop.csv")
     true = thrust_of(record, **{"supply_sag.limit": 6000.0, "supply_sag.sag": 60.0})
@@ -454,18 +445,12 @@ def limited(pitches, seed=0) -> Campaign:
     return Campaign(example_folder(), None, (), *read, None)
 
 
-@pytest.mark.parametrize(
-    ("pitches", "effects", "family"),
-    [
-        ((5.0,), ("speed_saturation",), {"speed_saturation": ["supply_sag"]}),  # one pitch: does the limit fall with it?
-        ((-3.0, 1.0, 5.0, 9.0), ("supply_sag",), {"supply_sag": []}),
-    ],
-)
-def test_a_wider_effect_is_in_the_family_if_no_record_distinguishes_it(pitches, effects, family):
-    found = diagnose(limited(pitches), some("speed_saturation", "supply_sag"), thorough=False)
-    assert found.final.effects == effects
-    assert found.selection.family == family
-    assert found.verdict == ("family" if any(family.values()) else "attributed")
+def test_a_wider_effect_is_in_the_family_if_no_record_distinguishes_it():
+    """The rig is above its limit at one pitch alone: does the limit fall with the pitch? SELECTED in test_judgement has the
+    other case, where the wider effect fits better."""
+    found = diagnose(limited(5.0), some("speed_saturation", "supply_sag"), thorough=False)
+    assert (found.verdict, found.final.effects) == ("family", ("speed_saturation",))
+    assert found.selection.family == {"speed_saturation": ["supply_sag"]}
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.6])

@@ -8,7 +8,6 @@ from builders import two_lags
 from studies import command_sequences, scores
 from studies.cases import WHOLE
 from studies.detectable import STEP, behind, evidence
-from studies.hidden_effects import HIDDEN, LISTED, Draw
 from studies.noise import HUM, SPIKE, SPIKES, Noise
 from studies.noise import KINDS as NOISES
 from studies.physics import PAPER, Frame, in_time, run
@@ -41,38 +40,6 @@ def test_lags_answer_a_step_as_two_lags_do():
     t = 0.004 * (np.arange(500) - 25)
     for signal, a, c in ((found.omega, 0.172, 0.053), (found.beta, 0.2, 0.07)):
         assert signal == pytest.approx(0.5 + 0.4 * two_lags(t, a, c), abs=0.4 * 2e-3)  # steps of 0.1 ms against 53 ms
-
-
-OWN_TIME = {"fade", "drift", "discharge"}
-"""Settings of processes whose time scale is not the rig's."""
-
-
-@pytest.mark.parametrize(
-    "hidden", [h for h in LISTED if not OWN_TIME & set(h.draw(Draw(np.random.default_rng(1), 1.0)))], ids=lambda h: h.name
-)
-def test_a_slower_rig_does_the_same_more_slowly(hidden):
-    settings = PAPER | dict(hidden.draw(Draw(np.random.default_rng(1), 1.0)))
-    w, b = commands(command_sequences.Clock(0.004, 1.0))
-    fast = run(settings, PLAIN, w, b)
-    slow = run(in_time(settings, 3.0), Frame(0.012, 3e-4, 3.0, 2000.0), w, b)
-    assert slow.load == pytest.approx(fast.load, abs=1e-6)
-    assert slow.turn == pytest.approx(fast.turn, rel=1e-9)
-
-
-def test_a_tachometer_shows_whole_revolutions_of_its_timer():
-    n = 500
-    found = run(PAPER, PLAIN, np.full(n, 0.5), np.full(n, 0.5))  # 3000 rpm: 20 ms, 5000 ticks
-    assert np.all(found.shown == 3000.0)
-    odd = run(PAPER, replace(PLAIN, full=20000.0), np.full(n, 0.7), np.full(n, 0.5))  # 14 000 rpm: 1071.4 ticks
-    assert set(odd.shown) <= {np.floor(60.0 / (4e-6 * ticks) + 0.5) for ticks in (1071, 1072)}
-
-
-def test_a_late_reading_is_the_same_signal_delayed():
-    w, b = commands(command_sequences.Clock(0.004, 1.0))
-    now, later = (run(PAPER | own, PLAIN, w, b) for own in ({}, {"reading_delay": 0.04, "speed_late": 0.02}))
-    assert later.load[10:] == pytest.approx(now.load[:-10], abs=1e-12)
-    assert np.array_equal(later.shown[5:], now.shown[:-5])
-    assert np.array_equal(later.omega, now.omega)
 
 
 @pytest.mark.parametrize("kind", [*NOISES, "1/f"])
@@ -178,16 +145,3 @@ ROW |= {"equal": {}, "evidence": 100.0, "behind": 7.0, "true_error": [0.2, 0.02]
 def test_scores_of_outcomes(change, said):
     row = ROW | change
     assert {f.__name__ for f in (scores.hit, scores.wrong, scores.honest, scores.passed_over, scores.worse) if f(row)} == said
-
-
-def test_every_effect_that_is_hidden_changes_what_is_measured():
-    clock = command_sequences.Clock(0.004, 1.0)
-    w, b = command_sequences.open_loop(np.random.default_rng(0), clock, 30.0)
-    plain = run(PAPER, PLAIN, w, b)
-    for hidden in HIDDEN.values():
-        own = dict(hidden.draw(Draw(np.random.default_rng(4), 1.0)))
-        extra = own.pop("extra", None)
-        found = run(PAPER | own, PLAIN, w, b)
-        more = extra(clock, w, b) if extra else 0.0
-        moved = np.abs(found.load + more - plain.load).max() + np.abs(found.shown - plain.shown).max() / 6000.0
-        assert moved > 1e-3, hidden.name

@@ -1,14 +1,11 @@
 """Import of foreign logs into a campaign: clock, commands, messages, and protection of existing files."""
 
-import json
-
 import numpy as np
 import pytest
 from import_zoo import OWN, T, stand, table
 
 from identification.logs.clock import guessed_unit, mended
 from identification.logs.mapping import read_sections
-from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import read_campaign, read_static, read_steps
 from vpp_fmu.record import read_record
 
@@ -149,16 +146,3 @@ def test_frozen_and_clipped_channels_are_reported_at_import(tmp_path, printed):
     assert "warning clipped: log.csv, thrust: " in out
     assert "warning frozen: log.csv, omega: " in out
     assert "voltage: no value in any row, left out" in out
-
-
-# From a foreign log to a report in two commands
-
-
-def test_a_log_of_fixed_pitch_is_imported_and_diagnosed(tmp_path, printed):
-    path = table(tmp_path / "log.csv", stand(rows=3000))
-    printed(path, "-o", tmp_path / "mine")
-    words = ["--workers", "1", "--effects", "speed_delay"]
-    assert main(["diagnose", str(tmp_path / "mine"), "-o", str(tmp_path / "out"), *words]) == 0
-    fitted = json.loads((tmp_path / "out" / "parameters_base.json").read_text())["parameters"]
-    assert fitted["tau_omega_1"]["value"] + fitted["tau_omega_2"]["value"] == pytest.approx(0.12, rel=0.05)
-    assert "<figure>" in (tmp_path / "out" / "report.html").read_text()

@@ -125,13 +125,6 @@ def test_steps_beside_steady_points_give_the_lags_as_well(tmp_path):
     assert value == f"adjusted R² {found.static.r2_adjusted:.4f}"
 
 
-def test_steps_alone_give_the_lags_of_the_thrust(tmp_path):
-    found = identify(Made("15 N").only("steps").read(tmp_path))
-    assert found.uncertainty.names == LAGS
-    assert set(found.not_identifiable) == set(MAP)
-    assert any("lags are those of the thrust" in line for line in remarks(found))
-
-
 @pytest.mark.parametrize("files", [("repeat",), ("validation",), ("open_loop", "validation")])
 def test_a_single_record_is_fitted_and_not_called_unseen(files, tmp_path):
     made = Made("15 N").only(*files)
@@ -294,15 +287,11 @@ def test_a_campaign_without_information_is_refused_in_one_line(name, tmp_path, r
     assert reason in refused("identify", folder_of(*case, tmp_path / "campaign"), "-o", tmp_path / "out")
 
 
-@pytest.mark.parametrize("name", ["one move", "no move", "record of 2 s"])
+@pytest.mark.parametrize("name", ["no move", "record of 2 s"])
 def test_a_diagnosis_has_its_verdict(name, tmp_path):
     words = folder_of(*CASES[name], tmp_path / "campaign"), "--effects", "pitch_delay,sensor_drift", "--budget", "0"
-    assert done(tmp_path / "out", "diagnose", *words)["diagnosis.json"]["verdict"] in (
-        "none",
-        "unexplained",
-        "partly",
-        "attributed",
-    )
+    found = done(tmp_path / "out", "diagnose", *words)["diagnosis.json"]
+    assert found["verdict"] in ("none", "unexplained", "partly", "attributed")
 
 
 def test_a_record_at_rest_is_not_called_a_poor_fit(tmp_path):

@@ -33,7 +33,6 @@ from vpp_fmu.record import Record
 
 RNG = np.random.default_rng(20)
 
-
 TIME = np.arange(0.0, 60.0, 0.05)
 
 

@@ -86,7 +86,7 @@ def test_every_term_keeps_the_invariants_of_effects(term, name):
 
 @sampled
 @each_term
-@pytest.mark.parametrize("dt", [0.001, STEP, 0.0073])
+@pytest.mark.parametrize("dt", [STEP, 0.0073])
 def test_off_is_the_model_without_it_to_the_bit(term, dt):
     model, effect = model_of(term)
     inputs, steps = random_steps(300, 20), np.full(299, dt)
@@ -135,9 +135,8 @@ def test_tangents_are_central_differences_away_from_kinks(term):
     assert max(errors.values()) < 3e-3, errors
 
 
-@pytest.mark.parametrize("term", ["speed_command_share", "relay"])
-def test_both_fmus_give_the_same_numbers(term, tmp_path):
-    model, effect = model_of(term)
+def test_both_fmus_give_the_same_numbers(tmp_path):
+    model, effect = model_of("relay")
     values, inputs = named(effect, effect.probe), random_steps(300, 40)
     shown = simulator(model).simulate(values, inputs, np.full(299, STEP))
     for make, name in ((python_fmu, "a.fmu"), (native_fmu, "b.fmu")):

@@ -32,7 +32,7 @@ from vpp_fmu.sensors import SpeedSensor
 RATE = 50.0
 
 
-def commands(seed, seconds=40.0, rate=RATE):
+def commands(seed, seconds=24.0, rate=RATE):
     """Random steps of both commands, each held for half a second or longer."""
     rng, count = np.random.default_rng(seed), int(seconds * rate)
 

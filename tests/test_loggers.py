@@ -8,12 +8,10 @@ import pytest
 from builders import two_lags
 
 from tests.studies import command_sequences, loggers, rows
-from tests.studies.detectable import LIMIT, evidence
+from tests.studies.detectable import LIMIT
 from tests.studies.loggers import Case
-from tests.studies.physics import BASE, PAPER
+from tests.studies.physics import PAPER
 from tests.studies.sensors import FINE, TIMER, Encoder, LoggedRig, Logger, Mark, Motion, Telemetry
-from vpp_fmu.kernel.plant import BASE as MODEL
-from vpp_fmu.native import Simulator
 
 START, SLOPE = 2400.0, 1800.0
 """rpm and rpm/s of a rotor with constant acceleration."""
@@ -39,30 +37,12 @@ def test_marks_show_the_mean_speed_over_the_last_part_of_a_revolution(marks):
     assert age == pytest.approx(at - 0.5 * (came + before), abs=1e-6)
 
 
-def test_telemetry_is_a_first_order_filter_whose_value_is_held():
-    sensor, at = Telemetry(0.03, 0.04), np.arange(0.5, 1.3, 0.001)
-    shown, age = sensor.shows(np.random.default_rng(1), speeding_up(), at)
-    # Behind a first-order filter a ramp is late by the time constant.
-    assert np.all(np.abs(shown - (START + SLOPE * (at - age))) < 0.51)
-    news = np.flatnonzero(np.diff(shown))
-    assert set(np.diff(news)) == {40}
-    assert 0.03 <= age.min() < 0.0311
-    assert 0.0689 < age.max() < 0.07
-
-
 def stepped(rate, lag=0.0, span=0.0):
     """Readings of a step from 0.5 to 0.9 of full speed, sent at 0.4 s; the rows' times [s] after the step."""
     rows = round(2.4 * rate)
     w = np.where(np.arange(rows) < 0.4 * rate, 0.5, 0.9)
     read = LoggedRig(PAPER, rate=rate, logger=Logger(lag, span)).read(np.random.default_rng(3), (w, w))
     return read, np.arange(rows) / rate - 0.4
-
-
-def integral(t):
-    """Integral [s] of the unit step response of the speed."""
-    a, c = PAPER["tau_w1"], PAPER["tau_w2"]
-    t = np.maximum(t, 0.0)
-    return t - (a + c) + (a**2 * np.exp(-t / a) - c**2 * np.exp(-t / c)) / (a - c)
 
 
 def answer(t):
@@ -81,13 +61,6 @@ def test_the_offset_of_rows_is_that_of_speed_and_thrust(lag):
     assert np.array_equal(read.speed, same.speed)
 
 
-def test_readings_are_means_over_the_row():
-    read, t = stepped(25.0, -0.5, 1.0)
-    mean = 3000.0 + 2400.0 * (integral(t + 0.04) - integral(t)) / 0.04
-    assert read.omega == pytest.approx(mean, abs=2.0)
-    assert np.abs(answer(t + 0.02) - mean).max() > 8.0  # which the speed in the row's middle is not
-
-
 @pytest.mark.parametrize(
     ("sensor", "rate", "delay"),
     [
@@ -101,39 +74,6 @@ def test_a_speed_is_behind_its_thrust_by_filter_and_hold(sensor, rate, delay):
     w = command_sequences.levels(np.random.default_rng(4), clock, round(60.0 * rate), *command_sequences.SPEED)
     rig = LoggedRig(PAPER, rate=rate, sensor=sensor)
     assert rig.read(np.random.default_rng(5), (w, np.full(len(w), 0.5))).delay == pytest.approx(delay, abs=3e-4)
-
-
-def test_nuisance_parameters_of_the_logger_explain_its_delays_alone():
-    def nats(settings, **nuisances):
-        rig = LoggedRig(PAPER | settings, rate=100.0)
-        sent = rig.size.commands(*command_sequences.open_loop(np.random.default_rng(6), rig.clock, 20.0))
-        return evidence(rig, {n: PAPER[n] for n in BASE}, *sent, **nuisances)
-
-    late = {"reading_delay": 0.01, "speed_late": 0.01}
-    alone, free = nats(late), nats(late, sensor_filter=0.02)
-    assert alone > LIMIT
-    assert free < 0.05 * alone
-    band = {"deadband": 0.1}
-    alone, free = nats(band), nats(band, sensor_filter=0.0)
-    assert 0.5 * alone < free < alone
-
-
-@pytest.mark.parametrize("number", range(4))
-def test_the_hold_out_record_is_the_true_model_read_by_the_true_logger(number):
-    case = Case("nothing", 1, number)
-    rig, (record, delay), fine = case.rig, case.unseen(), 0.001
-    many = round(1.0 / rig.rate / fine)
-    columns = {n: np.repeat(record[n], many) for n in ("omega_ref", "beta_ref")} | {
-        "time": fine * np.arange(many * len(record))
-    }
-    thrust, omega, _ = Simulator(MODEL).simulate(rig.truth(), columns, np.full(many * len(record) - 1, fine)).T
-    at = rig.logger.times(len(record), 1.0 / rig.rate)
-    known = at[:, -1] < columns["time"][-1]
-    force, speed = (np.interp(t, columns["time"], y).mean(axis=1) for t, y in ((at, thrust), (at - delay, omega)))
-    assert np.std((force - record["thrust"])[known]) < 0.03 * rig.noise.std
-    new = known & (np.diff(record["omega"], prepend=0.0) != 0.0)
-    rate = np.gradient(speed)[new] * rig.rate
-    assert abs(np.polyfit(rate, (record["omega"] - speed)[new], 1)[0]) < 0.003  # s; a held value's age depends on speed
 
 
 def judged(case, **change):

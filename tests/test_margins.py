@@ -118,13 +118,9 @@ def settled(controller, gains, point):
         controller.states |= {"beta_integral": (beta + 5.0) / 15.0 / gains["ki_beta"]}
 
 
-def test_the_loop_is_stable_up_to_its_delay_margin(at_rest):
+def test_the_loop_is_stable_up_to_its_margins_of_delay_and_gain(at_rest):
     gains, point, found = at_rest
     assert ringing(gains, point, delay=0.93 * found.delay) < 0.95
     assert ringing(gains, point, delay=1.07 * found.delay) > 1.05
-
-
-def test_the_loop_is_stable_up_to_its_gain_margin(at_rest):
-    gains, point, found = at_rest
     assert ringing(gains, point, factor=0.93 * found.gain) < 0.95
     assert ringing(gains, point, factor=1.07 * found.gain) > 1.05

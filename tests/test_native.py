@@ -200,14 +200,6 @@ def test_compiled_models_are_cached(own_cache, monkeypatch):
     np.testing.assert_array_equal(Simulator(BASE).simulate({}, inputs, steps), first)
 
 
-def test_a_model_with_sensitivities_serves_without_them(own_cache):
-    inputs, steps = random_steps(50, 5), np.full(49, 0.004)
-    model = plant(["pitch_delay"])
-    alone = Simulator(model).simulate({PITCH: 0.01}, inputs, steps)
-    both = Simulator(model, [PITCH]).simulate({PITCH: 0.01}, inputs, steps)
-    np.testing.assert_array_equal(both, alone)
-
-
 def test_a_user_defined_effect_with_the_name_of_a_traced_one_is_traced_anew(own_cache, monkeypatch):
     inputs, steps, name = random_steps(50, 5), np.full(49, 0.004), "sensor_gain"
     values = {f"{name}.gain": 1.2}

@@ -66,28 +66,6 @@ def test_a_signal_waits_until_all_files_are_in_place(tmp_path, monkeypatch):
     assert names(tmp_path)[-3:] == ["a", "b", "c"]
 
 
-FULL = """
-import resource, signal, sys
-from vpp_fmu.errors import BadInput
-from vpp_fmu.outputs import OutputSet
-run = OutputSet(sys.argv[1], "identify")
-run.write("parameters.json", "new")
-resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, resource.RLIM_INFINITY))
-try:
-    run.write("report.html", "x" * 100_000)
-except BadInput as error:
-    print(error)
-"""
-
-
-def test_a_full_disk_is_refused_and_changes_nothing(tmp_path):
-    (tmp_path / "parameters.json").write_text("old")
-    done = subprocess.run([sys.executable, "-c", FULL, str(tmp_path)], capture_output=True, text=True, check=True)
-    assert done.stdout.startswith(f"{tmp_path / 'report.html'}: output file: found not writable (file too large)")
-    assert os.listdir(tmp_path) == ["parameters.json"]
-    assert (tmp_path / "parameters.json").read_text() == "old"
-
-
 @pytest.mark.parametrize("first", MODEL_VERBS)
 @pytest.mark.parametrize("second", MODEL_VERBS)
 def test_one_folder_holds_one_model(tmp_path, first, second):

@@ -69,7 +69,6 @@ BROKEN = {
     "not there": ("MODEL = Model(", "MODELL = Model(", ["--model", "MODEL", "package.module:NAME"]),
 }
 
-
 SPELLED = {
     "if": ("v2 = 0.0 if f > 0.0 else 1.0", "ops.where(condition, yes, no)"),
     "and": ("v2 = ops.where(f > 0.0 and x.v1 > 0.0, 1.0, 0.0)", "ops.where(condition, yes, no)"),

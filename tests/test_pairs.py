@@ -9,11 +9,7 @@ from vpp_fmu.record import Record
 
 TIME = np.arange(0.0, 8.0, 0.01)
 RECORD = Record(
-    {
-        "time": TIME,
-        "omega_ref": np.where(TIME % 4.0 < 2.0, 3000.0, 5000.0),
-        "beta_ref": np.where(TIME % 3.0 < 1.5, -2.0, 8.0),
-    },
+    {"time": TIME, "omega_ref": np.where(TIME % 4.0 < 2.0, 3000.0, 5000.0), "beta_ref": np.where(TIME % 3.0 < 1.5, -2.0, 8.0)},
     "steps",
 )
 SWAPPED = {"tau_beta_1": "tau_beta_2", "tau_beta_2": "tau_beta_1"}  # the paper's published pitch lags have the faster one first

@@ -48,10 +48,7 @@ def written(folder, what):
 def test_read_parameters(tmp_path):
     parameters = read_parameters(written(tmp_path, content()), plant)
     assert parameters.model.optional == ("pitch_delay",)
-    assert parameters.estimates == {
-        "tau_omega_1": Estimate(0.2, 0.01, "s"),
-        "pitch_delay.delay": Estimate(0.05, None, "s"),
-    }
+    assert parameters.estimates == {"tau_omega_1": Estimate(0.2, 0.01, "s"), "pitch_delay.delay": Estimate(0.05, None, "s")}
     assert parameters.source == {"file": "open_loop.csv"}
     assert parameters.values == {**plant(["pitch_delay"]).values(), "tau_omega_1": 0.2, "pitch_delay.delay": 0.05}
 
@@ -80,10 +77,7 @@ BAD = {
     "line break": (entry("a\nb"), r'parameters, "a\nb": found a name that VppPlant does not have, expected '),
     "no entry": (content(parameters={"c20": 0.3}), "parameters, c20: found 0.3, expected an object in braces"),
     "unknown key": (entry(sigma=1), 'parameters, c20, "sigma": found an unknown field, expected value, std, unit'),
-    "no value": (
-        content(parameters={"c20": {"unit": "1"}}),
-        "parameters, c20, value: found nothing, expected a value and its",
-    ),
+    "no value": (content(parameters={"c20": {"unit": "1"}}), "parameters, c20, value: found nothing, expected a value and its"),
     "no unit": (content(parameters={"c20": {"value": 1}}), "parameters, c20, unit: found nothing, expected a value and its"),
     "other unit": (entry("tau_beta_1", unit="ms"), 'parameters, tau_beta_1, unit: found "ms", expected "s"'),
     "text": (entry(value="0.3"), 'parameters, c20, value: found "0.3", expected a number from -10 to 10'),

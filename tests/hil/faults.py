@@ -117,11 +117,7 @@ def wrong_sign(of: str, device: str) -> Row:
     return Row(f"wrong sign of the {of}", "ends at low speed", nothing, "fault", cause, 0.0, {"wrong": of})
 
 
-STUCK = {
-    "seconds": 30,
-    "swing": True,
-    "physics": {"hidden": ["rod_stuck"], "parameters": {"rod_stuck.after": STUCK_AFTER}},
-}
+STUCK = {"seconds": 30, "swing": True, "physics": {"hidden": ["rod_stuck"], "parameters": {"rod_stuck.after": STUCK_AFTER}}}
 FAST = {"limits": {"omega_max": 5500.0, "omega_trip": 5501.0}, "sabotage": "flat out"}
 """The trip speed is one rpm above the limit, closer than the speed loop can hold it."""
 

@@ -1,6 +1,5 @@
 import csv
 import gzip
-import json
 import math
 import os
 import resource
@@ -100,22 +99,19 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_a_full_disk_loses_rows_and_is_reported_but_stops_nothing(tmp_path):
-    text = f"""
-import json, resource, signal
-from hil.loop.log import Column, MemoryLog
-resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
-log = MemoryLog({str(tmp_path / "run.csv")!r}, [Column("time"), Column("value")])
-for k in range(5000):
-    log.put(0.004 * k, k)
-done = log.close()
-print(json.dumps([done.rows, done.lost, done.failure]))
-"""
-    printed = subprocess.run([sys.executable, "-c", text], check=True, capture_output=True, text=True).stdout
-    rows, lost, failure = json.loads(printed)
-    assert rows + lost == 5000
-    assert lost > 0
-    assert "too large" in failure  # the system's message for a file at its limit
-    assert [float(c["value"]) for c in read(tmp_path / "run.csv")] == list(range(rows))  # whole lines only
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20000, before[1]))
+    try:
+        log = MemoryLog(tmp_path / "run.csv", [Column("time"), Column("value")])
+        for k in range(5000):
+            log.put(0.004 * k, k)
+        done = log.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert done.rows + done.lost == 5000
+    assert done.lost > 0
+    assert "too large" in done.failure  # the system's message for a file at its limit
+    assert [float(c["value"]) for c in read(tmp_path / "run.csv")] == list(range(done.rows))  # whole lines only
 
 
 def test_a_row_that_waits_for_the_disk_for_more_than_a_second_breaks_the_log(tmp_path, monkeypatch):

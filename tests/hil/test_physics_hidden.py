@@ -45,9 +45,9 @@ def test_it_declares_itself(effect):
 @sampled
 @each_effect
 def test_off_is_the_rig_without_it_to_the_bit(effect):
-    inputs, steps = commands(FULL_RIG, 300), np.full(299, 0.004)
-    without = simulator(FULL_RIG).simulate({}, inputs, steps)
-    model = rig_model.rig_model([effect.name])
+    inputs, steps = commands(POWERTRAIN, 300), np.full(299, 0.004)
+    without = simulator(POWERTRAIN).simulate({}, inputs, steps)
+    model = powertrain([effect.name])
     for values in ({}, named(effect, {**effect.probe, **effect.off})):
         np.testing.assert_array_equal(simulator(model).simulate(values, inputs, steps), without)
 
@@ -159,9 +159,9 @@ def test_a_warm_motor_needs_more_throttle_for_its_speed():
     cold = run(["motor_heating"], {}, throttle=5000.0, beta=5.0, kind="speed", seconds=0.1)[-1]
     warm = run(["motor_heating"], values, throttle=5000.0, beta=5.0, kind="speed", seconds=40.0, dt=0.01)[-1]
     assert warm[1] == pytest.approx(cold[1], abs=0.5)  # the speed loop compensates it: thrust and speed are the same
-    simulation = Simulation(powertrain(["motor_heating"]), values)
+    simulation = Simulation(powertrain(["motor_heating"]), values | {"motor_heating.time_constant": 1.0})
     simulation.start({"throttle": 0.4, "beta_ref": 5.0})
-    simulation.advance({"throttle": 0.4, "beta_ref": 5.0}, 25.0)
+    simulation.advance({"throttle": 0.4, "beta_ref": 5.0}, 5.0)
     current, speed, heat = (simulation.states[n] for n in ("motor_current", "shaft_speed", "motor_heating.heat"))
     assert heat == pytest.approx((current / 20.0) ** 2, rel=0.02)
     k = 30.0 / (np.pi * 550.0) * (1.0 - 0.1 * heat)

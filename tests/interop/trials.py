@@ -246,7 +246,6 @@ IMPORTERS = {
     "CoFmuPy": CoFmuPy,
 }
 
-
 NOT_RUN = {
     "OMSimulator": "its package fetches the program from elsewhere; how it orders the start is tried above",
     "OMEdit, Dymola, Simulink, Simcenter Amesim": "not in the package registries",

@@ -6,8 +6,7 @@ A study prints its results beside its aims. NAME is one of the modules of this f
 import argparse
 from importlib import import_module
 
-STUDIES = ("diagnosis", "fuzz", "hidden", "identification", "learned", "loggers", "measured", "paper", "size", "twin")
-STUDIES += ("variation",)
+STUDIES = ("diagnosis", "fuzz", "hidden", "identification", "learned", "loggers", "measured", "paper", "size", "variation")
 
 
 def main():

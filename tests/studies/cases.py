@@ -43,7 +43,6 @@ HALF = 0.5
 UNSEEN = 45.0
 """s of the hold-out record, on the paper's rig."""
 
-
 WHOLE = {"repeat": True, "validation": True, "static": True, "steps": True}
 """Factors of a campaign that has every file."""
 

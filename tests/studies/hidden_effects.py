@@ -185,9 +185,7 @@ LISTED = (
         _same("volt_share", "share"),
     ),
     Hidden(
-        "pitch_speed_coupling",
-        _either_lag("coupling_stiff", "coupling", 0.005, 0.1),
-        _same("coupling", "gain", _rpm_per_deg),
+        "pitch_speed_coupling", _either_lag("coupling_stiff", "coupling", 0.005, 0.1), _same("coupling", "gain", _rpm_per_deg)
     ),
     Hidden("thrust_gain_drift", _fade, _fade_parameters),
     Hidden(
@@ -262,9 +260,7 @@ OUTSIDE = (
     Hidden("voltage_ceiling", lambda g: {"volt_gain": g.size(1.02, 0.95), "discharge": g.any(0.1, 0.25)}),
     # Stribeck friction of the linkage, against the actuator's pull: a dead zone that is narrower in motion.
     Hidden(
-        "stick_slip",
-        _some("friction", 0.02, 0.06),
-        relatives=("pitch_error_deadzone", "pitch_stop_band", "pitch_stop_restart"),
+        "stick_slip", _some("friction", 0.02, 0.06), relatives=("pitch_error_deadzone", "pitch_stop_band", "pitch_stop_restart")
     ),
     # Thrust twists the blade back; at rest this is a change of the map.
     Hidden("blade_torsion", _some("torsion", 0.08, 0.25), relatives=("map_terms",)),

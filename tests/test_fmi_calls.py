@@ -1,14 +1,19 @@
-"""The C interface of the native FMU: instances, derivatives, threads, and random calls under the sanitizers."""
+"""Calls as importers in C make them: out of order or with bad arguments, in a host without Python, of derivatives, in threads,
+and at random under the sanitizers."""
 
+import sys
 import threading
 from pathlib import Path
 
+import misuse
 import numpy as np
 import pytest
 from builders import ALL_ON, MODELS, PROBES, Slave, native, needs_compiler, random_steps, simulator
 from fuzz import fuzz, fuzzer
-from misuse import Host
 
+from tests.interop import hosts
+from vpp_fmu.app.cli import main
+from vpp_fmu.export import python_fmu
 from vpp_fmu.fmu import Fmu, FmuInstance
 
 pytestmark = needs_compiler
@@ -16,20 +21,75 @@ OUTPUTS = ["thrust", "omega", "beta"]
 
 
 @pytest.fixture(scope="module")
-def fmus(tmp_path_factory):
+def paths(tmp_path_factory):
+    """Paths of the FMUs, by flavour and name."""
+    folder, found = tmp_path_factory.mktemp("calls"), {"native": {}, "python": {}}
+    for name, (model, values) in MODELS.items():
+        for flavour, content in (("native", native(name)), ("python", python_fmu(model, values))):
+            found[flavour][name] = folder / f"{name}.{flavour}.fmu"
+            found[flavour][name].write_bytes(content)
+    return found
+
+
+@pytest.fixture(scope="module")
+def fmus(paths):
     """Native FMUs by name, unpacked."""
-    folder, unpacked = tmp_path_factory.mktemp("native"), {}
-    for name in MODELS:
-        (folder / f"{name}.fmu").write_bytes(native(name))
-        unpacked[name] = Fmu(folder / f"{name}.fmu")
+    unpacked = {name: Fmu(path) for name, path in paths["native"].items()}
     yield unpacked
     for fmu in unpacked.values():
         fmu.close()
 
 
+@pytest.fixture(scope="module")
+def outcomes(paths):
+    """Outcomes of all cases of misuse, by flavour."""
+    return {flavour: misuse.outcomes(files) for flavour, files in paths.items()}
+
+
+def test_no_process_dies(outcomes):
+    assert {flavour: len(cases) for flavour, cases in outcomes.items()} == dict.fromkeys(outcomes, len(misuse.CASES))
+
+
+@pytest.mark.parametrize("number", range(len(misuse.CASES)), ids=[case.name for case in misuse.CASES])
+def test_both_flavours_answer_misuse_alike(outcomes, number):
+    assert not misuse.verdict(misuse.CASES[number], outcomes["native"][number], outcomes["python"][number])
+
+
+@pytest.fixture(scope="module")
+def host(tmp_path_factory):
+    if sys.platform != "linux":
+        pytest.skip("the host is Linux's")
+    return hosts.built(tmp_path_factory.mktemp("host"))
+
+
+@pytest.mark.parametrize("name", ["plain", "controller"])
+def test_the_readmes_three_lines_bring_python_into_a_host_in_c(host, name, paths, fmus):
+    """Without these lines the Python FMU can't be loaded; with them it gives the native FMU's numbers to the last bit."""
+    python = Fmu(paths["python"][name])
+    refused = hosts.in_c(host, python)
+    assert refused.returncode == 2
+    assert "undefined symbol: _Py_" in refused.stderr
+    compiled = hosts.in_c(host, fmus[name])
+    assert (compiled.returncode, compiled.stderr) == (0, "")
+    assert any(float(x) for x in compiled.stdout.split())
+    lines = hosts.three_lines()
+    assert len(lines.splitlines()) == 3
+    if lacks := hosts.no_libpython():
+        pytest.skip(lacks)
+    done = hosts.in_c(host, python, lines)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == compiled.stdout
+
+
+@pytest.mark.parametrize(("flavour", "points"), [("python", True), ("native", False), ("both", False)])
+def test_the_export_points_hosts_without_python_to_the_native_flavour(flavour, points, tmp_path, capsys):
+    assert main(["export", "--flavour", flavour, "-o", str(tmp_path)]) == 0
+    assert ("--flavour native" in capsys.readouterr().out) == points
+
+
 def test_no_instance_without_the_arguments_that_the_standard_requires(fmus):
     fmu = fmus["plain"]
-    raw = Host(Path(fmu.folder), fmu.library, logging=0)
+    raw = misuse.Host(Path(fmu.folder), fmu.library, logging=0)
     for bad, word in (({"guid": b"{0}"}, "found {0}, expected {"), ({"kind": 0}, "co-simulation"), ({"name": b""}, "name")):
         assert not raw.instantiate(**bad)
         assert word in raw.said[-1][2]
