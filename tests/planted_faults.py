@@ -196,6 +196,8 @@ FAULTS = {
     "both speeds in rad/s": Planted(both_in_rad, "speed_unit"),
     "pitch in rad": Planted(scaled("beta_ref", np.pi / 180.0), "pitch_unit"),
     "records' thrust in gf": Planted(scaled("thrust", 101.972, False), "thrust_unit"),
+    "records' thrust in kgf": Planted(scaled("thrust", 0.101972, False), "thrust_unit"),
+    "records' thrust in lbf": Planted(scaled("thrust", 0.224809, False), "thrust_unit"),
     "all thrust in gf, rig.json in N": Planted(
         scaled("thrust", 101.972),
         "thrust_unit",

@@ -20,6 +20,7 @@ from identification.gate.files import (
     least_diameter,
     pole_pairs,
     said_of_size,
+    speed_ratio,
 )
 from identification.gate.finding import ERROR, KINDS, acceptable
 from identification.gate.gate import look, passed
@@ -379,3 +380,8 @@ def test_a_nearly_constant_pitch_is_in_rad_only_if_degrees_are_beyond_the_other_
         for where, ends in (("static.csv", (-5.5, 9.0)), ("validation.csv", (middle - 0.13, middle + 0.13)))
     ]
     assert [finding.code for finding in _pitches(files)] == codes
+
+
+@pytest.mark.parametrize("command", [0.0, -4000.0, 1e-310])
+def test_commands_next_to_zero_have_no_ratio_of_speeds(command):
+    assert speed_ratio(np.full(9, 4000.0), np.full(9, command)) is None
