@@ -303,6 +303,7 @@ def search_of(monkeypatch, worth, refused=(), lack=None, small=lambda names: (),
 
 BAND = {"contains": {"limits": {"band": {}}}}
 SAG = {"": 0.0, "sag": 900.0, "lag sag": 990.0}
+BOTH = {"": 0.0, "sag": 900.0, "lag sag": 945.0, "band sag": 940.0, "band lag sag": 980.0}
 SELECTED = {
     "a special case fits as well": ({"limits": 100.2, "band": 100.0}, BAND, "band"),
     "the wider effect fits better": ({"limits": 120.0, "band": 100.0}, BAND, "limits"),
@@ -331,6 +332,17 @@ SELECTED = {
     # of a lack of fit of 100 that the first leaves, a correction of its law removes 40, another effect 60
     "it corrects a law": (SAG, {"lack": {"": 1000.0, "sag": 100.0, "lag sag": 60.0}}, "sag"),
     "it explains most of what is left": (SAG, {"lack": {"": 1000.0, "sag": 100.0, "lag sag": 40.0}}, "lag sag"),
+    # of two of one size neither removes most of the 100; together they must remove 75, as two that each do so
+    "two explain most together": (
+        BOTH,
+        {"lack": {"": 1000.0, "sag": 100.0, "lag sag": 58.0, "band sag": 62.0, "band lag sag": 22.0}},
+        "band lag sag",
+    ),
+    "two explain too little together": (
+        BOTH,
+        {"lack": {"": 1000.0, "sag": 100.0, "lag sag": 58.0, "band sag": 62.0, "band lag sag": 28.0}},
+        "sag",
+    ),
     "weak beside one that is refused": ({"sag": 100.0, "band": 40.0}, {"refused": ("sag",)}, ""),
     "strong beside one that is refused": ({"sag": 100.0, "band": 60.0}, {"refused": ("sag",)}, "band"),
 }

@@ -6,9 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from identification.diagnose import selection
-from identification.diagnose.effort import Effort
-from identification.diagnose.judgement import Judgement
 from identification.diagnose.search import refits
 from identification.diagnose.search.candidates import candidates
 from identification.diagnose.search.fits import Searcher
@@ -262,42 +259,3 @@ def test_a_limit_of_the_pitch_is_found_wherever_it_is(name, limit, value, form, 
     best = searcher.fit([name], right.form, list(right.free), {**values, **truth})
     tried = refits.search_round(searcher, base, options, SimpleNamespace(map=map), lambda *_: None)
     assert min(t.fit.deviance for t in tried) == pytest.approx(best.deviance, abs=0.5)
-
-
-@pytest.mark.parametrize(
-    ("gains", "accepted"),
-    [
-        ({"strong": 2000.0, "one": 390.0, "other": 340.0, "unknown": 200.0}, ("strong", "one", "other")),  # 42 %; together 78 %
-        ({"strong": 2000.0, "one": 390.0, "other": 340.0, "unknown": 400.0}, ("strong",)),  # 35 %; together 65 %
-        ({"strong": 2000.0, "one": 390.0, "unknown": 400.0}, ("strong",)),  # 49 %
-        ({"strong": 2000.0, "one": 390.0, "unknown": 380.0}, ("strong", "one")),  # 51 %
-    ],
-)
-def test_two_further_effects_of_one_size_are_accepted_together(monkeypatch, gains, accepted):
-    """Each effect explains its nats, whatever is beside it; the library has no law of "unknown". A further effect must explain
-    half of what is left; two together as much as two that each do so, three quarters."""
-
-    def fitted(effects):
-        left = sum(gains.values()) - sum(gains[e] for e in effects)
-        return SimpleNamespace(effects=tuple(effects), thresholds={}, at_bound=(), left=left)
-
-    def tried(_, beside, options, *others):
-        more = {name: fitted([*beside.effects, name]) for name in options if name not in beside.effects}
-        named = {name: SimpleNamespace(name=name, effect=SimpleNamespace(contains=())) for name in more}
-        return [SimpleNamespace(candidate=named[n], fit=f, evidence=beside.left - f.left) for n, f in more.items()]
-
-    class Judge(SimpleNamespace):
-        def __call__(self, name, fit, without):
-            gain = without.left - fit.left
-            return Judgement(name, gain, 10.0, gain, {}, 1.0, 0.1)
-
-        def lack(self, fit):
-            return SimpleNamespace(significant=fit.left > 0.0, missing=fit.left)
-
-    monkeypatch.setattr(selection, "search_round", tried)
-    monkeypatch.setattr(selection, "without", lambda _, base, fit, name: fitted([e for e in fit.effects if e != name]))
-    monkeypatch.setattr(selection, "_exchanged", lambda *_: False)
-    monkeypatch.setattr(selection, "_rivals", lambda *_: {})
-    judge = Judge(searcher=None, base=fitted([]), within_sensor=lambda judged: False)
-    _, found = selection.select(judge, [n for n in gains if n != "unknown"], lambda *_: None, Effort(), None)
-    assert found.final.effects == accepted

@@ -9,8 +9,27 @@ from pathlib import Path
 
 import pytest
 
-from hil.devices import frames
 from hil.devices.clock import MonotonicClock
+from hil.devices.frames import (
+    ANSWER,
+    ARM,
+    ASK_ANSWER,
+    ASK_HELLO,
+    CLOSED,
+    FROM_BOARD,
+    FROM_HOST,
+    HELLO,
+    MEASURED,
+    SILENT,
+    STALLED,
+    STOP,
+    WORD,
+    Frame,
+    FrameReader,
+    encoded,
+    read_answer,
+    read_hello,
+)
 from hil.devices.tachometer import Tachometer
 from hil.emulator.uno import REJECT, SILENCE, STALL, Relay, Rotor
 from vpp_fmu.errors import CompilerMissing
@@ -46,9 +65,9 @@ def board(host):
 def answer(board, now, sequence=0):
     frame = ctypes.create_string_buffer(32)
     length = board.answer(sequence, ctypes.c_uint32(now), frame)
-    (found,) = frames.FrameReader(frames.FROM_BOARD).feed(frame.raw[:length])
-    assert (found.type, found.sequence) == (frames.ANSWER, sequence)
-    return frames.read_answer(found)
+    (found,) = FrameReader(FROM_BOARD).feed(frame.raw[:length])
+    assert (found.type, found.sequence) == (ANSWER, sequence)
+    return read_answer(found)
 
 
 def edges(board, *times):
@@ -62,11 +81,11 @@ class TestHeader:
     def test_greeting(self, board):
         frame = ctypes.create_string_buffer(32)
         length = board.hello(7, frame)
-        (found,) = frames.FrameReader(frames.FROM_BOARD).feed(frame.raw[:length])
-        assert (found.type, found.sequence, frames.read_hello(found)) == (frames.HELLO, 7, (2, 4, 1250, 50000))
+        (found,) = FrameReader(FROM_BOARD).feed(frame.raw[:length])
+        assert (found.type, found.sequence, read_hello(found)) == (HELLO, 7, (2, 4, 1250, 50000))
 
     def test_nothing_has_passed_yet(self, board):
-        assert answer(board, 10) == (0, 0, 0, 0xFFFF, frames.STALLED, 0)
+        assert answer(board, 10) == (0, 0, 0, 0xFFFF, STALLED, 0)
 
     @pytest.mark.parametrize("start", [0, 2**32 - 100, 2**32 - 2500 * 3, 2**31])
     @pytest.mark.parametrize("period", [1250, 2500, 7500, 49_999, 50_000])
@@ -75,20 +94,20 @@ class TestHeader:
         for k in range(10):
             edges(board, start + k * period)
             now = start + k * period + 1000
-            expected = (k + 1, (start + k * period) % 2**32, period if k else 0, 1000, frames.MEASURED if k else 0, 0)
+            expected = (k + 1, (start + k * period) % 2**32, period if k else 0, 1000, MEASURED if k else 0, 0)
             assert answer(board, now % 2**32, k) == expected
 
     def test_an_edge_within_5_ms_is_rejected_and_the_next_is_timed_from_the_last_good_one(self, board):
         edges(board, 0, 1249, 2500)
-        assert answer(board, 2500) == (2, 2500, 2500, 0, frames.MEASURED, 1)
+        assert answer(board, 2500) == (2, 2500, 2500, 0, MEASURED, 1)
         edges(board, 2500 + 1250)
-        assert answer(board, 4000)[2:] == (1250, 250, frames.MEASURED, 1)
+        assert answer(board, 4000)[2:] == (1250, 250, MEASURED, 1)
 
     def test_a_stall_is_more_than_200_ms(self, board):
         edges(board, 0, 2500)
-        assert answer(board, 2500 + STALL)[2:5] == (2500, STALL, frames.MEASURED)
-        assert answer(board, 2500 + STALL + 1) == (2, 2500, 0, 0xFFFF, frames.STALLED, 0)
-        assert answer(board, 2500) == (2, 2500, 0, 0xFFFF, frames.STALLED, 0)  # latched until the mark passes
+        assert answer(board, 2500 + STALL)[2:5] == (2500, STALL, MEASURED)
+        assert answer(board, 2500 + STALL + 1) == (2, 2500, 0, 0xFFFF, STALLED, 0)
+        assert answer(board, 2500) == (2, 2500, 0, 0xFFFF, STALLED, 0)  # latched until the mark passes
         edges(board, 60_000)
         assert answer(board, 60_100) == (3, 60_000, 0, 100, 0, 0)
         edges(board, 62_500)
@@ -131,18 +150,14 @@ class TestHeader:
 
     @pytest.mark.parametrize("seed", range(5))
     def test_board_and_host_find_the_same_requests_among_damage(self, board, seed):
-        chance, reader, stream = random.Random(seed), frames.FrameReader(frames.FROM_HOST), bytearray()
+        chance, reader, stream = random.Random(seed), FrameReader(FROM_HOST), bytearray()
         for k in range(500):
-            kind = chance.choice((frames.ASK_ANSWER, frames.ASK_HELLO, frames.ARM, frames.STOP))
-            data = bytearray(
-                frames.encoded(
-                    frames.Frame(kind, k & 0xFF, chance.choice((frames.WORD, b"SPIM")) if kind == frames.ARM else b"")
-                )
-            )
+            kind = chance.choice((ASK_ANSWER, ASK_HELLO, ARM, STOP))
+            data = bytearray(encoded(Frame(kind, k & 0xFF, chance.choice((WORD, b"SPIM")) if kind == ARM else b"")))
             if chance.random() < 0.3:
                 data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
             stream += chance.choice((b"", b"", b"\x7e", b"\x7e\x00", chance.randbytes(9))) + data
-        wanted = [(frame.payload == frames.WORD, frame.type, frame.sequence) for frame in reader.feed(bytes(stream))]
+        wanted = [(frame.payload == WORD, frame.type, frame.sequence) for frame in reader.feed(bytes(stream))]
         found = [(bool(taken >> 16), taken >> 8 & 0xFF, taken & 0xFF) for taken in map(board.take, stream) if taken]
         assert found == wanted
         assert len(found) > 300
@@ -154,13 +169,13 @@ class TestHeader:
         board.arm(1000)
         for now in range(1000, 200_000, 1000):
             board.asked(now)
-            assert board.relay_at(now + 999) == frames.CLOSED
-        assert board.relay_at(199_000 + SILENCE) == frames.CLOSED
-        assert board.relay_at(199_000 + SILENCE + 1) == frames.SILENT
+            assert board.relay_at(now + 999) == CLOSED
+        assert board.relay_at(199_000 + SILENCE) == CLOSED
+        assert board.relay_at(199_000 + SILENCE + 1) == SILENT
         board.asked(225_000)
-        assert board.relay_at(225_001) == frames.SILENT  # it waits for the word
+        assert board.relay_at(225_001) == SILENT  # it waits for the word
         board.arm(226_000)
-        assert board.relay_at(226_001) == frames.CLOSED
+        assert board.relay_at(226_001) == CLOSED
         board.stop()
         assert board.relay_at(226_002) == 0
 
@@ -183,7 +198,7 @@ class TestHeader:
                 board.stop()
             assert board.relay_at(ctypes.c_uint32(now)) == relay.flags
             seen.add(relay.flags)
-        assert seen == {0, frames.CLOSED, frames.SILENT}
+        assert seen == {0, CLOSED, SILENT}
 
 
 @pytest.fixture(scope="module")
@@ -217,7 +232,7 @@ def simulator(tmp_path_factory):
 def simulated(simulator, firmware, events, end):
     """[(time [s], frame)] that the board sends on events (time [s], "edge" or bytes), and the number of bytes in no frame."""
     done = run_script(simulator, firmware, events, end)
-    reader, said = frames.FrameReader(frames.FROM_BOARD), []
+    reader, said = FrameReader(FROM_BOARD), []
     for line in done.splitlines():
         if line.startswith("relay"):
             continue
@@ -248,20 +263,29 @@ def run_script(simulator, firmware, events, end):
 
 
 def asked(times):
-    return [(when, frames.encoded(frames.Frame(frames.ASK_ANSWER, k & 0xFF))) for k, when in enumerate(times)]
+    return [(when, encoded(Frame(ASK_ANSWER, k & 0xFF))) for k, when in enumerate(times)]
 
 
 @pytest.fixture(scope="module")
 def zero(simulator, firmware):
     """Start of the board's timer [s]: some microseconds after the reset, once memory is cleared."""
     said, _ = simulated(simulator, firmware, [(0.1, "edge"), *asked([0.101])], 0.11)
-    start = 0.1 - frames.read_answer(said[-1][1]).stamp * CYCLES / HZ
+    start = 0.1 - read_answer(said[-1][1]).stamp * CYCLES / HZ
     assert 0.0 < start < 100e-6
     return start
 
 
 class TestSimulated:
     """The real machine code, cycle by cycle."""
+
+    def test_it_greets_once_and_then_answers_every_request_within_a_millisecond(self, simulator, firmware):
+        times = [0.003 + 0.004 * k for k in range(250)]
+        said, dropped = simulated(simulator, firmware, asked(times), 1.1)
+        assert dropped == 0
+        assert (said[0][1].type, read_hello(said[0][1])) == (HELLO, (2, 4, REJECT, STALL))
+        assert [frame.sequence for _, frame in said[1:]] == [k & 0xFF for k in range(250)]
+        # 6 bytes of request and 20 of answer are 0.52 ms at 500 kBd.
+        assert max(when - t for (when, _), t in zip(said[1:], times, strict=True)) < 0.001
 
     @pytest.mark.parametrize("omega", [2000.0, 4000.0, 6000.0])
     def test_it_answers_as_the_emulated_board(self, simulator, firmware, zero, omega):
@@ -273,10 +297,7 @@ class TestSimulated:
         times = [t for t in (0.02 + 0.0041 * k for k in range(280)) if all(abs(t - e) > 1e-3 for e in all_edges)]
         events = [(t, "edge") for t in all_edges] + asked(times)
         said, _ = simulated(simulator, firmware, events, 1.25)
-        assert frames.read_hello(said[0][1]) == (2, 4, REJECT, STALL)
         assert len(said) == len(times) + 1
-        # 6 bytes of request and 20 of answer are 0.52 ms at 500 kBd.
-        assert max(when - t for (when, _), t in zip(said[1:], times, strict=True)) < 0.001
         waiting = iter(all_edges)
         upcoming = next(waiting)
         for sent, frame in zip(times, (frame for _, frame in said[1:]), strict=True):
@@ -284,7 +305,7 @@ class TestSimulated:
             while upcoming is not None and upcoming < now:
                 rotor.edge(int((upcoming - zero) * HZ / CYCLES))
                 upcoming = next(waiting, None)
-            ours, real = rotor.answer(int((now - zero) * HZ / CYCLES)), frames.read_answer(frame)
+            ours, real = rotor.answer(int((now - zero) * HZ / CYCLES)), read_answer(frame)
             assert (real.pulses, real.rejected, real.flags) == (ours.pulses, ours.rejected, ours.flags)
             assert real.period == pytest.approx(ours.period, abs=2)
             assert real.stamp == pytest.approx(ours.stamp, abs=2)
@@ -296,15 +317,29 @@ class TestSimulated:
         passes = [zero + (k + 1) * overflow + (k - 12) * 1e-6 for k in range(25)]
         times = [t + 0.003 for t in passes]
         said, _ = simulated(simulator, firmware, [(t, "edge") for t in passes] + asked(times), times[-1] + 0.01)
-        stamps = [frames.read_answer(frame).stamp for _, frame in said[1:]]
+        stamps = [read_answer(frame).stamp for _, frame in said[1:]]
         assert stamps == pytest.approx([(t - zero) * HZ / CYCLES for t in passes], abs=3)
 
+    def test_damaged_requests_get_no_answer_and_cost_no_other_one(self, simulator, firmware):
+        chance, events, good = random.Random(4), [], []
+        for k in range(200):
+            data = bytearray(encoded(Frame(ASK_ANSWER, k)))
+            if chance.random() < 0.5:
+                data[chance.randrange(6)] ^= 1 << chance.randrange(8)
+            else:
+                good.append(k)
+            events.append((0.003 + 0.004 * k, bytes(data)))
+            events.append((0.0045 + 0.004 * k, chance.randbytes(3)))
+        said, dropped = simulated(simulator, firmware, [*events, (0.9, bytes(12))], 1.0)
+        answered = [frame.sequence for _, frame in said[1:]]
+        assert dropped == 0
+        assert set(good) - set(answered) == set()
+        assert len(answered) == len(good)
+
     def test_the_relays_pin_follows_the_word_and_opens_100_ms_after_the_last_request(self, simulator, firmware):
-        arm = frames.encoded(frames.Frame(frames.ARM, 0, frames.WORD))
+        arm = encoded(Frame(ARM, 0, WORD))
         requests = asked([0.02 + 0.004 * k for k in range(50)])
-        pin = switched(
-            simulator, firmware, [(0.01, arm), *requests, (0.5, arm), (0.55, frames.encoded(frames.Frame(frames.STOP, 0)))], 0.8
-        )
+        pin = switched(simulator, firmware, [(0.01, arm), *requests, (0.5, arm), (0.55, encoded(Frame(STOP, 0)))], 0.8)
         changes = [(t, level) for (t, level), (_, before) in zip(pin, [(0.0, 0), *pin], strict=False) if level != before]
         assert [level for _, level in changes] == [1, 0, 1, 0]
         closed, opened, again, stopped = (t for t, _ in changes)
@@ -313,6 +348,15 @@ class TestSimulated:
         assert opened - last == pytest.approx(0.1, abs=100e-6)
         assert again == pytest.approx(0.5 + 10 * 20e-6, abs=100e-6)
         assert stopped == pytest.approx(0.55 + 6 * 20e-6, abs=100e-6)
+
+    def test_no_damage_closes_the_relay(self, simulator, firmware):
+        chance, events = random.Random(5), []
+        for k in range(200):
+            data = bytearray(encoded(Frame(ARM, k, WORD)))
+            data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
+            events.append((0.003 + 0.004 * k, bytes(data)))
+        events.append((0.9, encoded(Frame(ARM, 1, b"SPIM"))))
+        assert all(level == 0 for _, level in switched(simulator, firmware, events, 1.0))
 
     def test_the_real_driver_over_a_pty(self, simulator, firmware):
         """pyserial, the frames and the firmware in real time; the mark passes every 15 ms."""

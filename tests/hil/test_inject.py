@@ -1,13 +1,14 @@
 """Faults that a user injects into a run on the emulated rig."""
 
 import json
+import signal
 
-import numpy as np
 import pytest
-from rigs import setup, step_profile, transitions
+from rigs import begun, setup, step_profile, transitions
 
 from hil.emulator.faults import AT_ONCE, FAULTS, OUTSIDE, WITHIN
 from hil.loop.cycle import PERIOD
+from hil.loop.log import read_events
 from hil.run import run_on_rig
 from hil.safety.states import SafetyState
 from tests.hil.faults import ROWS
@@ -28,6 +29,7 @@ def test_every_fault_that_can_be_injected_is_a_row_of_the_table():
         assert row.task.get("sabotage") == WITHIN.get(name, row.task.get("sabotage"))
 
 
+@pytest.mark.sampled("name")
 @pytest.mark.parametrize("name", [*(name for name in AT_ONCE if not name.startswith("twin: ")), "controller: NaN"])
 def test_in_virtual_time_it_ends_as_the_table_says_at_the_time_that_was_asked_for(name, tmp_path):
     row, profile = CAUSES[name], step_profile(5.0, 8.0, hold=1.0)
@@ -42,8 +44,6 @@ def test_in_virtual_time_it_ends_as_the_table_says_at_the_time_that_was_asked_fo
         assert 0.8 - PERIOD <= done.record.time[-1] < 0.8 + 1e-3 * (row.within or 0.0)
     else:
         assert done.record.time[-1] == pytest.approx(3.0, abs=0.005)
-        held = (done.record.time > 0.7) & (done.record.time < 1.0)
-        assert np.abs(np.diff(done.record["omega"][held])).max() < 200.0  # rpm: no wrong value
 
 
 @pytest.mark.parametrize(
@@ -54,6 +54,7 @@ def test_in_virtual_time_it_ends_as_the_table_says_at_the_time_that_was_asked_fo
         (["SIGKILL"], "expected a run in real time"),
         (["serial: silence", "4"], "found 4, expected one number from 0 to 3 s"),
         (["serial: silence", "soon"], "found soon, expected one number"),
+        (["serial: silence", "1", "2"], "found 1 2, expected one number"),
         (["SIGKILL", "--rig", "fmu", "x.fmu"], "--inject: found --rig fmu, expected an emulated rig"),
     ],
 )
@@ -70,3 +71,12 @@ def test_the_report_and_hil_json_tell_of_it(tmp_path):
     assert main([*run, "--inject", "serial: silence", "0.5"]) == 2
     assert json.loads((tmp_path / "out" / "hil.json").read_text())["injected"] == {"fault": "serial: silence", "after": 0.5}
     assert "injected: serial: silence" in (tmp_path / "out" / "report.html").read_text()
+
+
+@pytest.mark.xdist_group("real time")
+def test_in_real_time_a_loop_is_killed_by_another_process(tmp_path):
+    process = begun(tmp_path, 2.0, "--inject", "SIGKILL", "0.5")
+    process.communicate(timeout=90)
+    assert process.returncode == -signal.SIGKILL
+    (events,) = (tmp_path / "out" / "runs").glob("*/*.events.jsonl")
+    assert any(event.get("why") == "injected: SIGKILL" for event in read_events(events))
