@@ -200,6 +200,17 @@ def test_compiled_models_are_cached(own_cache, monkeypatch):
     np.testing.assert_array_equal(Simulator(BASE).simulate({}, inputs, steps), first)
 
 
+def test_a_model_with_sensitivities_serves_without_them(own_cache):
+    """One compiled model serves both: the outputs are the same, and without parameters it writes no derivatives."""
+    inputs, steps = random_steps(50, 5), np.full(49, 0.004)
+    model, memory = plant(["pitch_delay"]), np.full(50, 7.0)
+    both = Simulator(model, [PITCH]).simulate({PITCH: 0.01}, inputs, steps)
+    none = np.ndarray((50, 0), buffer=memory)
+    np.testing.assert_array_equal(Simulator(model).simulate({PITCH: 0.01}, inputs, steps, tangents={0: none}), both)
+    assert (memory == 7.0).all()
+    assert len(list(own_cache.iterdir())) == 1
+
+
 def test_a_user_defined_effect_with_the_name_of_a_traced_one_is_traced_anew(own_cache, monkeypatch):
     inputs, steps, name = random_steps(50, 5), np.full(49, 0.004), "sensor_gain"
     values = {f"{name}.gain": 1.2}

@@ -99,7 +99,8 @@ class Simulator:
         values, columns, steps = self._prepared(parameters, inputs, steps)
         rows, size = len(columns), len(outputs)
         pieces = [slice(first, min(first + size, rows)) for first in range(0, rows, size)]
-        return self._run(values, columns, steps, late, pieces, outputs, tangents)
+        # Without parameters the runner may be one of more, which would write derivatives beyond arrays without columns.
+        return self._run(values, columns, steps, late, pieces, outputs, tangents if self.wrt else {})
 
     def _prepared(self, parameters, inputs, steps):
         """Parameters, inputs (rows, inputs) and steps, contiguous, in the model's order."""
